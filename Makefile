@@ -1,0 +1,49 @@
+PYTHON ?= python3.11
+VENV ?= .venv
+
+PIP := $(VENV)/bin/python -m pip --disable-pip-version-check
+STAMP := $(VENV)/.valvesim-installed
+
+.PHONY: launch test lint lock clean
+
+launch: $(STAMP)
+	$(VENV)/bin/valvesim run scenarios/launch_shock.toml -o results/launch_shock
+
+test: $(STAMP)
+	$(VENV)/bin/python -m pytest -n auto -q
+
+lint: $(STAMP)
+	$(VENV)/bin/python -m ruff check .
+	$(VENV)/bin/python -m mypy
+
+# Keeps the pins that still fit; `rm requirements.lock` first to move them all.
+lock: | $(VENV)/bin/pip-compile
+	@echo "valvesim: locking pyproject.toml into requirements.lock"
+	@CUSTOM_COMPILE_COMMAND="make lock" $(VENV)/bin/pip-compile --quiet --extra test,dev \
+		--build-deps-for editable --generate-hashes --allow-unsafe --strip-extras \
+		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links \
+		--output-file requirements.lock pyproject.toml
+	@sed -i '/^ *#.*http/Id' requirements.lock
+	@! grep -i http requirements.lock || { echo "error: requirements.lock names a host, see the lines above" >&2; exit 1; }
+
+# Leaves the venv and results/ alone.
+clean:
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find valvesim tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(STAMP): requirements.lock pyproject.toml | $(VENV)/bin/python
+	@echo "valvesim: installing the locked packages and valvesim into $(VENV) (a minute or so)"
+	@$(PIP) install -qq --require-hashes -r requirements.lock
+	@$(PIP) install -qq --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+		{ echo "error: '$(PYTHON)' is missing or older than Python 3.11: install it, or name another with make PYTHON=..." >&2; exit 1; }
+	@echo "valvesim: making the venv $(VENV) with $(PYTHON)"
+	@$(PYTHON) -m venv $(VENV)
+
+# Only for a venv that has no pip-tools yet, so that `make lock` never needs a good lock.
+$(VENV)/bin/pip-compile: | $(VENV)/bin/python
+	@echo "valvesim: installing pip-tools into $(VENV)"
+	@$(PIP) install -qq pip-tools

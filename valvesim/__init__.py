@@ -1,0 +1,1 @@
+"""valvesim: a two-stage electro-hydraulic servo valve over temperature and time."""

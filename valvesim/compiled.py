@@ -1,0 +1,191 @@
+"""The model as machine code: traced once by CasADi, with exact derivatives, printed as Python and compiled by numba.
+
+`Model.rhs` runs on symbols; what comes out is a straight line of arithmetic. From it CasADi takes the Jacobian, and each
+line is printed as Python source, kept in the user's cache directory under a hash of the text, so that numba finds its
+compiled code again in the next process. States in the compiled functions are scaled by the channels' scales.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import inspect
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from . import commands, rosenbrock
+from .channels import INPUT_CHANNELS
+from .model import Model
+
+_LAYOUT = 1  # raise when the printed source changes its form
+
+
+@dataclass(frozen=True)
+class CompiledModel:
+    """A model ready to integrate: `run` is `rosenbrock.integrate` with the model's own functions built in."""
+
+    model: Model
+    scale: np.ndarray
+    run: Any
+    derivative: Any
+    jacobian: Any
+
+
+def trace(model: Model) -> tuple[Any, dict[str, Any]]:
+    """CasADi symbols and expressions of a model: (rates, {"state": x, "inputs": u, "coefficients": c})."""
+    import casadi
+
+    casadi.GlobalOptions.setNumpyMode(-1)
+    sizes = (len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names))
+    x, u, c = (casadi.SX.sym(name, size) for name, size in zip("xuc", sizes, strict=True))
+    rates = model.rhs(_split(x), _split(u), _split(c))
+    return casadi.vertcat(*rates), {"state": x, "inputs": u, "coefficients": c}
+
+
+def _split(vector: Any) -> tuple:
+    return tuple(vector[k] for k in range(vector.shape[0]))
+
+
+@functools.lru_cache(maxsize=64)
+def derivatives(model: Model) -> Any:
+    """Exact derivatives of the right-hand side: a CasADi function (state, inputs, coefficients) -> three Jacobians.
+
+    Each Jacobian is a dense matrix (states, states | inputs | coefficients) in SI units.
+    """
+    import casadi
+
+    rates, at = trace(model)
+    matrices = [casadi.densify(casadi.jacobian(rates, symbol)) for symbol in at.values()]
+    names = ["by_" + name for name in at]
+    return casadi.Function("derivatives", list(at.values()), matrices, list(at), names)
+
+
+@functools.lru_cache(maxsize=64)
+def compile_model(model: Model) -> CompiledModel:
+    """The compiled model; a few seconds the first time on a machine, well under one second after that."""
+    module = _load(source(model))
+    scale = np.array([channel.scale for channel in model.state_channels])
+    return CompiledModel(model, scale, module.run, module.derivative, module.jacobian)
+
+
+def source(model: Model) -> str:
+    """The Python source of `derivative` and `jacobian` of a model in scaled states, and of `run`."""
+    import casadi
+
+    rates, at = trace(model)
+    scale = casadi.DM([channel.scale for channel in model.state_channels])
+    y = casadi.SX.sym("y", at["state"].shape[0])
+    scaled = casadi.substitute(rates, at["state"], y * scale) / scale
+    arguments = [y, at["inputs"], at["coefficients"]]
+    jacobian = casadi.jacobian(scaled, y)
+    rows, columns = jacobian.sparsity().get_triplet()
+    rate = casadi.Function("rate", arguments, [casadi.cse(scaled)])
+    slope = casadi.Function("slope", arguments, [casadi.cse(casadi.vertcat(*jacobian.nonzeros()))])
+    n = y.shape[0]
+    zeros = [(i, j) for i in range(n) for j in range(n) if (i, j) not in set(zip(rows, columns, strict=True))]
+    return "\n".join(
+        [
+            f'"""Printed by valvesim.compiled from {model.state_channels[-1].name} and others. Layout {_LAYOUT}."""',
+            "import numpy as np",
+            "from math import copysign, exp, log, sqrt, tanh, sin, cos, fabs",
+            "from numba import njit",
+            "from valvesim.rosenbrock import *",
+            "",
+            *_print_function("derivative", rate, [f"out[{k}]" for k in range(n)], []),
+            *_print_function("jacobian", slope, [f"out[{i}, {j}]" for i, j in zip(rows, columns, strict=True)], zeros),
+            "@njit(cache=True, nogil=True, error_model='numpy')",
+            _integrator_source(),
+        ]
+    )
+
+
+def _integrator_source() -> str:
+    """`rosenbrock.integrate` as `run`, which finds `derivative` and `jacobian` in its own module.
+
+    Printed rather than called with them as arguments, since numba keeps no compiled code of a function that takes functions.
+    """
+    from numba.extending import register_jitable
+
+    for function in (commands.piece_value, rosenbrock.factor, rosenbrock.back_substitute):
+        register_jitable(function)
+    for function in (rosenbrock.set_inputs, rosenbrock.set_coefficients):
+        register_jitable(function)
+    return inspect.getsource(rosenbrock.integrate).replace(
+        "def integrate(\n    derivative, jacobian, y,", "def run(\n    y,"
+    )
+
+
+def _print_function(name: str, function: Any, targets: Sequence[str], zeros: Sequence[tuple[int, int]]) -> list[str]:
+    """A CasADi function as Python source: one line an operation."""
+    import casadi
+
+    lines = ["@njit(nogil=True, error_model='numpy')", f"def {name}(y, u, c, out):"]
+    operations = _operations(casadi)
+    for k in range(function.n_instructions()):
+        code = function.instruction_id(k)
+        into, of = function.instruction_output(k), function.instruction_input(k)
+        if code == casadi.OP_CONST:
+            text = f"w{into[0]} = {function.instruction_constant(k)!r}"
+        elif code == casadi.OP_INPUT:
+            text = f"w{into[0]} = {'yuc'[of[0]]}[{of[1]}]"
+        elif code == casadi.OP_OUTPUT:
+            text = f"{targets[into[1]]} = w{of[0]}"
+        else:
+            text = f"w{into[0]} = " + operations[code].format(*(f"w{k}" for k in of))
+        lines.append("    " + text)
+    return [*lines, *(f"    out[{i}, {j}] = 0.0" for i, j in zeros), ""]
+
+
+def _operations(casadi: ModuleType) -> dict[int, str]:
+    """How each CasADi operation is written in Python."""
+    return {
+        casadi.OP_ASSIGN: "{0}", casadi.OP_ADD: "{0} + {1}", casadi.OP_SUB: "{0} - {1}", casadi.OP_MUL: "{0} * {1}",
+        casadi.OP_DIV: "{0} / {1}", casadi.OP_NEG: "-{0}", casadi.OP_INV: "1.0 / {0}", casadi.OP_SQ: "{0} * {0}",
+        casadi.OP_TWICE: "{0} + {0}", casadi.OP_SQRT: "sqrt({0})", casadi.OP_EXP: "exp({0})", casadi.OP_LOG: "log({0})",
+        casadi.OP_POW: "{0} ** {1}", casadi.OP_CONSTPOW: "{0} ** {1}", casadi.OP_FABS: "fabs({0})",
+        casadi.OP_SIGN: "np.sign({0})", casadi.OP_FMAX: "max({0}, {1})", casadi.OP_FMIN: "min({0}, {1})",
+        casadi.OP_TANH: "tanh({0})", casadi.OP_SIN: "sin({0})", casadi.OP_COS: "cos({0})",
+        casadi.OP_LT: "(1.0 if {0} < {1} else 0.0)", casadi.OP_LE: "(1.0 if {0} <= {1} else 0.0)", casadi.OP_NOT: "(1.0 if {0} == 0.0 else 0.0)",
+        casadi.OP_IF_ELSE_ZERO: "({1} if {0} != 0.0 else 0.0)", casadi.OP_AND: "(1.0 if {0} != 0.0 and {1} != 0.0 else 0.0)",
+        casadi.OP_OR: "(1.0 if {0} != 0.0 or {1} != 0.0 else 0.0)",
+    }  # fmt: skip
+
+
+def _load(text: str) -> ModuleType:
+    """Import the source from the cache directory (a temporary one where that cannot be written)."""
+    own = "".join(inspect.getsource(module) for module in (rosenbrock, commands))
+    name = "model_" + hashlib.sha256((text + own).encode()).hexdigest()[:20]
+    for folder in _cache_folders():
+        path = folder / f"{name}.py"
+        try:
+            if not path.exists():
+                folder.mkdir(parents=True, exist_ok=True)
+                handle, temporary = tempfile.mkstemp(suffix=".py", dir=folder)
+                with os.fdopen(handle, "w", encoding="utf-8") as file:
+                    file.write(text)
+                os.replace(temporary, path)
+            break
+        except OSError:
+            continue
+    spec = importlib.util.spec_from_file_location(f"valvesim_cache.{name}", path)
+    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+    sys.modules[spec.name] = module  # type: ignore[union-attr]
+    spec.loader.exec_module(module)  # type: ignore[union-attr]
+    return module
+
+
+def _cache_folders() -> list[Path]:
+    import platformdirs
+
+    named = os.environ.get("VALVESIM_CACHE_DIR")
+    usual = Path(named) if named else Path(platformdirs.user_cache_dir("valvesim", appauthor=False))
+    return [usual, Path(tempfile.gettempdir()) / f"valvesim-{os.getuid() if hasattr(os, 'getuid') else 'cache'}"]

@@ -1,0 +1,52 @@
+"""What can go wrong, by name: input that makes no sense, a solve that fails, a range of validity that is left."""
+
+from __future__ import annotations
+
+import difflib
+import warnings
+from collections.abc import Iterable
+
+
+class ValvesimError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class InputError(ValvesimError, ValueError):
+    """The input is wrong: the message says what, where, the value, the allowed range and the nearest valid name."""
+
+
+class SolveError(ValvesimError, RuntimeError):
+    """A solver failed: the message says when, in which state, and what to try."""
+
+
+class ValidityWarning(UserWarning):
+    """A law is used outside the range that it was fitted or rated for."""
+
+
+_already_warned: set[str] = set()
+
+
+def warn_once(message: str) -> None:
+    """Warn with a `ValidityWarning`, once per message and process."""
+    if message not in _already_warned:
+        _already_warned.add(message)
+        warnings.warn(message, ValidityWarning, stacklevel=2)
+
+
+def forget_warnings() -> None:
+    """Let every validity warning be given again (for a new run in the same process, and for tests)."""
+    _already_warned.clear()
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """`"; did you mean 'x'?"` for the closest valid name, else the list of valid names (all of a short one)."""
+    names = sorted(names)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; valid names: {', '.join(names)}" if names else ""
+
+
+def unknown_name(what: str, name: str, names: Iterable[str], where: str = "") -> InputError:
+    """The error for a name that is not one of `names`, ready to be raised."""
+    return InputError(f"{where + ': ' if where else ''}unknown {what} {name!r}{nearest(name, names)}")

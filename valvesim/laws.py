@@ -1,0 +1,87 @@
+"""Pure laws: orifices, magnetic circuit, contact, play and friction. Floats, numpy arrays and traced symbols alike.
+
+Symbols
+    q flow m^3/s, dp pressure drop Pa, rho density kg/m^3, mu dynamic viscosity Pa s
+    phi magnetic flux Wb, R reluctance A/Wb, M0 polarization magnetomotive force A, N coil magnetomotive force A
+    theta armature angle rad, x displacement m, v velocity m/s, F force N
+
+Only `sqrt`, `abs`, `exp`, `maximum`, `minimum` and arithmetic are used and nothing branches on a state, so that the
+tracer (`valvesim.compiled`) sees every term. Every square root has a named width at zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+MU_0 = 4e-7 * np.pi  # permeability of vacuum, V s/(A m)
+
+
+def signed_root(x, width):
+    """sign(x) sqrt|x|, made smooth within |x| of about `width` (same unit as x); error ~ (width/x)^2/4 beyond it."""
+    return x / np.sqrt(np.sqrt(x * x + width * width))
+
+
+def orifice_flow(area, pressure_drop, density, transition_pressure):
+    """Turbulent orifice: q = area sqrt(2 dp/rho), signed; linear in dp below `transition_pressure`.
+
+    `area` m^2 includes the flow coefficient. Source: Merritt (1967), ch. 3.
+    """
+    return area * np.sqrt(2.0 / density) * signed_root(pressure_drop, transition_pressure)
+
+
+def slot_leakage(width, clearance, length, viscosity, pressure_drop):
+    """Laminar flow through a concentric clearance: q = width h^3 dp/(12 mu L). Source: Merritt (1967), eq. 2-36."""
+    return width * clearance**3 * pressure_drop / (12.0 * viscosity * length)
+
+
+def land_opening(opening, null_opening):
+    """Effective opening of a spool land, m: `opening` once open, falling as 1/overlap when closed.
+
+    Smooth through zero: opening + null for opening >= 0, null^2/(null - opening) below.
+    Source: after Eryilmaz and Wilson, null leakage of a critical-centre spool (field.md section 5).
+    """
+    overlap = np.maximum(-opening, 0.0)
+    return np.maximum(opening, 0.0) + null_opening * null_opening / (null_opening + overlap)
+
+
+def bridge_flux(mmf, coil_mmf, r1, r2, r3, r4, magnet_reluctance, flux_share):
+    """Flux through the upper (and lower) pair of air gaps, Wb: phi1 + phi2 = phi3 + phi4.
+
+    The nine equations of model.md section 2 leave one unknown, for any four reluctances:
+    Phi [2 R1 R2/(R1+R2) + 2 R3 R4/(R3+R4) + R0/gamma] = 2 M0 - N [(R1-R2)/(R1+R2) + (R3-R4)/(R3+R4)].
+    """
+    upper, lower = r1 + r2, r3 + r4
+    path = 2.0 * r1 * r2 / upper + 2.0 * r3 * r4 / lower + magnet_reluctance / flux_share
+    return (2.0 * mmf - coil_mmf * ((r1 - r2) / upper + (r3 - r4) / lower)) / path
+
+
+def magnetic_torque(flux, coil_mmf, r1, r2, r3, r4, arm, gap_area):
+    """Torque of the four gap forces, N m: a/(2 mu0 Ag) (phi1^2 - phi2^2 + phi3^2 - phi4^2), paper Eq. 32.
+
+    With phi1 + phi2 = phi3 + phi4 = Phi it is a Phi/(2 mu0 Ag) [(phi1 - phi2) + (phi3 - phi4)].
+    """
+    upper = (2.0 * coil_mmf + (r2 - r1) * flux) / (r1 + r2)
+    lower = (2.0 * coil_mmf + (r4 - r3) * flux) / (r3 + r4)
+    return arm * flux * (upper + lower) / (2.0 * MU_0 * gap_area)
+
+
+def contact_force(position, velocity, low, high, stiffness, damping):
+    """Compliant stops at `low` and `high`: F = -k d - k c |d| v with the depth d beyond the stop (Hunt and Crossley).
+
+    Zero between the stops; continuous, since the damping (`damping` c in s/m) grows with the depth.
+    """
+    depth = np.maximum(position - high, 0.0) - np.maximum(low - position, 0.0)
+    return -stiffness * depth - stiffness * damping * np.abs(depth) * velocity
+
+
+def play(displacement, half_width):
+    """What a joint with play +-half_width passes on of a displacement: zero inside the play."""
+    return displacement - np.minimum(np.maximum(displacement, -half_width), half_width)
+
+
+def dahl_rate(rate, memory, width):
+    """Rate of Dahl's memory z in [-1, 1]: z' = (u' - |u'| z)/width, a rate-independent loop over the path u.
+
+    z runs from -1 to 1 within a path of about 3 `width`, and holds where the path rests. Source: Dahl (1968).
+    """
+    return (rate - np.abs(rate) * memory) / width

@@ -1,0 +1,230 @@
+"""The valve's equations: torque motor, flapper, pilot chambers, spool and main stage (model.md sections 2 and 3).
+
+Symbols, as in model.md
+    theta armature angle, p1 p2 nozzle pressures, x v spool position and velocity, i coil current, N = N_c i
+    R1..R4 gap reluctances, Phi flux of a gap pair, T torques, F forces, q flows, r b arms, g1 g2 null gaps
+Signs
+    i > 0 -> theta > 0 -> the flapper closes nozzle 1 -> p1 > p2 -> x > 0; the rod deflects by (r + b) theta + x.
+
+One source serves floats, numpy arrays (any batch shape) and, through `valvesim.compiled`, machine code with exact
+derivatives: states come in as separate components and a tuple goes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .channels import INPUT_CHANNELS, STATE_CHANNELS, Channel, Inputs, Signals, State
+from .effects import ActiveEffect, Effect, Ports, Situation
+from .errors import InputError
+from .laws import (
+    MU_0,
+    bridge_flux,
+    contact_force,
+    land_opening,
+    magnetic_torque,
+    orifice_flow,
+    slot_leakage,
+)
+from .parameters import Coefficients
+
+FLOW_FORCE_FACTOR = 0.43  # K_f' = 0.43 w (p_s - p_L): 2 C_d C_v cos 69°, paper Eq. 34
+
+
+@dataclass(frozen=True)
+class CurrentDrive:
+    """The command is the coil current."""
+
+    command_unit = "A"
+    memory: tuple[Channel, ...] = ()
+
+    def current(self, u: Inputs, x: State, memory: tuple, c: Coefficients) -> tuple[Any, Any, tuple]:
+        """(i, di/dt, rates of the memory)."""
+        return u.command, u.command_rate, ()
+
+    def rest(self, command, c: Coefficients) -> tuple:
+        """The memory at rest."""
+        return ()
+
+
+@dataclass(frozen=True)
+class VoltageDrive:
+    """The command is the voltage over coils and amplifier: L i' = U - R i - K_t theta' (K_t also by reciprocity)."""
+
+    command_unit = "V"
+    memory: tuple[Channel, ...] = (Channel("drive_current", "A", "current of the voltage drive", 1e-2),)
+
+    def current(self, u: Inputs, x: State, memory: tuple, c: Coefficients) -> tuple[Any, Any, tuple]:
+        """(i, di/dt, rates of the memory)."""
+        (i,) = memory
+        di = (u.command - c.coil_resistance * i - torque_constant(c) * x.armature_rate) / c.coil_inductance
+        return i, di, (di,)
+
+    def rest(self, command, c: Coefficients) -> tuple:
+        """The memory at rest."""
+        return (command / c.coil_resistance,)
+
+
+def torque_constant(c: Coefficients):
+    """K_t = dT_d/di at theta = 0, i = 0 of a symmetric motor, N m/A: b0/(a0 i) of model.md section 2."""
+    l1, l2 = (c.upper_air_gap_1 + c.upper_air_gap_2) / 2, (c.lower_air_gap_1 + c.lower_air_gap_2) / 2
+    S = l1 + l2
+    X = c.flux_share * S + MU_0 * c.air_gap_area * c.magnet_reluctance
+    return (MU_0 * c.air_gap_area * c.polarization_mmf * c.coil_turns * c.armature_arm * c.flux_share * S) / (
+        l1 * l2 * X
+    )
+
+
+@dataclass(frozen=True)
+class Model:
+    """The equations with a drive and any effects. Coefficients are a flat sequence: `Coefficients`, then parameters."""
+
+    drive: CurrentDrive | VoltageDrive = CurrentDrive()
+    effects: tuple[Effect, ...] = ()
+
+    @property
+    def state_channels(self) -> tuple[Channel, ...]:
+        """The six states of the valve, then the drive's, then the memory of each effect."""
+        return STATE_CHANNELS + self.drive.memory + tuple(m for e in self.effects for m in e.memory)
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        """Names in the order of the flat coefficients."""
+        return Coefficients._fields + tuple(f"{e.name}.{p.name}" for e in self.effects for p in e.parameters)
+
+    def flat_coefficients(self, c: Coefficients, active: Sequence[ActiveEffect]) -> tuple:
+        """Coefficients changed by the effects, followed by the effects' parameters."""
+        if tuple(a.effect for a in active) != self.effects:
+            raise InputError("the active effects are not those of the model, in its order")
+        for a in active:
+            if a.effect.coefficients is not None:
+                c = a.effect.coefficients(c, a.effect.values(a.numbers))
+        return (*c, *(number for a in active for number in a.numbers))
+
+    def rhs(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple:
+        """Derivatives of all states, in the order of `state_channels`.
+
+        Each component is a float, an array (components broadcast against each other) or a traced symbol.
+        `inputs` are `Inputs`, `coefficients` flat. Valid for any armature angle and spool position: beyond the
+        clearances the stops carry. Source: model.md section 3.
+        """
+        return self._balances(state, inputs, coefficients)[0]
+
+    def signals(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> Signals:
+        """The named torques, forces, pressures and flows, computed by the same lines as the derivatives."""
+        return self._balances(state, inputs, coefficients)[1]
+
+    def _balances(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple[tuple, Signals]:
+        x, u, c = State(*state[:6]), Inputs(*inputs), Coefficients(*coefficients[: len(Coefficients._fields)])
+        theta, omega, p1, p2, x_v, v = x
+        i, i_rate, drive_rates = self.drive.current(u, x, tuple(state[6 : 6 + len(self.drive.memory)]), c)
+        added, memory_rates = self._effects(Situation(x, u, i, i_rate, c), state, coefficients)
+
+        # torque motor
+        N = c.coil_turns * (i + added.coil_current)
+        R1 = (c.upper_air_gap_1 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
+        R2 = (c.upper_air_gap_2 + c.armature_arm * theta) / (MU_0 * c.air_gap_area)
+        R3 = (c.lower_air_gap_2 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
+        R4 = (c.lower_air_gap_1 + c.armature_arm * theta) / (MU_0 * c.air_gap_area)
+        Phi = bridge_flux(c.polarization_mmf, N, R1, R2, R3, R4, c.magnet_reluctance, c.flux_share)
+        T_drive = magnetic_torque(Phi, N, R1, R2, R3, R4, c.armature_arm, c.air_gap_area)
+
+        # armature with flapper, and feedback rod
+        r, b, g1, g2 = c.nozzle_arm, c.feedback_arm, c.null_gap_1, c.null_gap_2
+        x_f = r * theta
+        F_rod = c.feedback_rod_stiffness * ((r + b) * theta + x_v + added.rod_deflection)
+        T_damping = -c.armature_damping * omega
+        T_tube = -c.spring_tube_stiffness * theta
+        T_rod = -(r + b) * F_rod
+        A_N1, A_N2 = np.pi * c.nozzle_diameter_1**2 / 4.0, np.pi * c.nozzle_diameter_2**2 / 4.0
+        T_nozzles = -r * (A_N1 * (p1 - u.return_pressure) - A_N2 * (p2 - u.return_pressure))
+        T_jets = 4.0 * np.pi * r**2 * c.nozzle_flow_coefficient**2 * (g1 + g2) * u.supply_pressure * theta
+        T_stop = r * contact_force(x_f, r * omega, -g2, g1, c.flapper_stop_stiffness, c.stop_damping)
+        torque = T_drive + T_damping + T_tube + T_rod + T_nozzles + T_jets + T_stop + added.armature_torque
+
+        # pilot stage
+        A_01 = np.pi * c.fixed_orifice_diameter_1**2 / 4.0 * c.orifice_flow_coefficient
+        A_02 = np.pi * c.fixed_orifice_diameter_2**2 / 4.0 * c.orifice_flow_coefficient
+        A_n1 = np.pi * c.nozzle_diameter_1 * np.maximum(g1 - x_f, 0.0) * c.nozzle_flow_coefficient
+        A_n2 = np.pi * c.nozzle_diameter_2 * np.maximum(g2 + x_f, 0.0) * c.nozzle_flow_coefficient
+        q_01 = orifice_flow(A_01, u.supply_pressure - p1, c.density, c.transition_pressure)
+        q_02 = orifice_flow(A_02, u.supply_pressure - p2, c.density, c.transition_pressure)
+        q_n1 = orifice_flow(A_n1, p1 - u.return_pressure, c.density, c.transition_pressure)
+        q_n2 = orifice_flow(A_n2, p2 - u.return_pressure, c.density, c.transition_pressure)
+        compliance_1 = 1.0 / (c.bulk_modulus_at_zero + c.bulk_modulus_slope * p1) + added.compliance_1
+        compliance_2 = 1.0 / (c.bulk_modulus_at_zero + c.bulk_modulus_slope * p2) + added.compliance_2
+
+        # spool
+        F_pressure = c.spool_area * (p1 - p2)
+        F_flow = -FLOW_FORCE_FACTOR * c.port_width * (u.supply_pressure * x_v - u.load_pressure * np.abs(x_v))
+        F_damping = -c.spool_damping * v
+        F_stop = contact_force(x_v, v, -c.spool_stroke, c.spool_stroke, c.spool_stop_stiffness, c.stop_damping)
+        force = F_pressure - F_rod + F_flow + F_damping + F_stop + added.spool_force
+
+        rates = (
+            omega,
+            torque / c.armature_inertia,
+            (q_01 - q_n1 - c.spool_area * v) / (c.chamber_volume * compliance_1),
+            (q_02 - q_n2 + c.spool_area * v) / (c.chamber_volume * compliance_2),
+            v,
+            force / c.spool_mass,
+            *drive_rates,
+            *memory_rates,
+        )
+        load_flow, land_leakage = main_stage(x_v, u.supply_pressure, u.load_pressure, c)
+        named = Signals(
+            coil_current=i,
+            drive_torque=T_drive,
+            flapper_position=x_f,
+            feedback_force=F_rod,
+            flow_force=F_flow,
+            load_differential_pressure=p1 - p2,
+            pilot_flow=q_01 + q_02,
+            nozzle_flow_1=q_n1,
+            nozzle_flow_2=q_n2,
+            load_flow=load_flow,
+            internal_leakage=q_01 + q_02 + land_leakage,
+        )
+        return rates, named
+
+    def _effects(self, situation: Situation, state: Sequence, coefficients: Sequence) -> tuple[Ports, tuple]:
+        """The sum of what the effects add, and the rates of their memories."""
+        total, rates = Ports(), ()
+        at_state, at_parameter = 6 + len(self.drive.memory), len(Coefficients._fields)
+        for effect in self.effects:
+            memory = tuple(state[at_state : at_state + len(effect.memory)])
+            p = effect.values(coefficients[at_parameter : at_parameter + len(effect.parameters)])
+            at_state, at_parameter = at_state + len(memory), at_parameter + len(p)
+            if effect.balance is not None:
+                added, own_rates = effect.balance(situation, p, memory)
+                total = Ports(*(a + b for a, b in zip(total, added, strict=True)))
+                rates += own_rates
+        return total, rates
+
+
+def main_stage(x_v, supply_pressure, load_pressure, c: Coefficients) -> tuple[Any, Any]:
+    """(load flow, leakage past the lands), m^3/s, of four lands with port pressures (p_s +- p_L)/2.
+
+    Wide open this is model.md's Q_L = C_d w x sqrt((p_s - sign(x) p_L)/rho); the leakage is what passes the closing
+    land of each port. The main return is at zero pressure, as in the paper.
+    """
+    p_A, p_B = (supply_pressure + load_pressure) / 2.0, (supply_pressure - load_pressure) / 2.0
+
+    def land(opening, pressure_drop):
+        area = c.port_flow_coefficient * c.port_width * land_opening(opening, c.null_opening)
+        length = c.land_length + np.maximum(-opening, 0.0)
+        return orifice_flow(area, pressure_drop, c.density, c.transition_pressure) + slot_leakage(
+            c.spool_circumference, c.radial_clearance, length, c.dynamic_viscosity, pressure_drop
+        )
+
+    q_PA, q_AT = land(x_v, supply_pressure - p_A), land(-x_v, p_A)
+    q_PB, q_BT = land(-x_v, supply_pressure - p_B), land(x_v, p_B)
+    return q_PA - q_AT, np.minimum(q_PA, q_AT) + np.minimum(q_PB, q_BT)
+
+
+NOMINAL = Model()
+N_INPUTS = len(INPUT_CHANNELS)

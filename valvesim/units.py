@@ -1,0 +1,146 @@
+"""Units at the edges: text with a unit in, SI out; and the declaration of a quantity once, with unit, bounds and source.
+
+Inside the package every number is SI, and temperatures are in °C by name. Files, command line and plots carry units as
+words, read by `pint`; a wrong dimension is an `InputError`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import re
+from typing import Any
+
+import numpy as np
+
+from .errors import InputError, unknown_name
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_QUANTITY = re.compile(rf"\s*({_NUMBER}|[-+]?(?:nan|inf))\s*(.*?)\s*")
+_SYMBOLS = {"delta_degC": "K", "1": "-", "degC": "°C"}
+
+# Unit of a quantity -> the units in which people rather read it, with the factor from SI.
+DISPLAY = {
+    "m": ("mm", 1e3), "Pa": ("bar", 1e-5), "A": ("mA", 1e3), "rad": ("mrad", 1e3), "m^3/s": ("L/min", 6e4),
+    "m^2": ("mm^2", 1e6), "m^3": ("cm^3", 1e6), "m/s": ("mm/s", 1e3), "degC": ("degC", 1.0),
+}  # fmt: skip
+
+
+@functools.cache
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
+
+
+@functools.cache
+def _unit(text: str) -> Any:
+    return _registry().parse_units(text)
+
+
+def convert(value: Any, unit: str, to: str, where: str = "") -> Any:
+    """Convert numbers from one unit to another ("bar" to "Pa"); InputError for a wrong dimension or unknown unit."""
+    import pint
+
+    prefix = f"{where}: " if where else ""
+    try:
+        source = _unit(unit)
+    except (pint.errors.PintError, AssertionError, ValueError, TypeError) as error:
+        raise InputError(f"{prefix}unknown unit {unit!r}; expected one that converts to {to!r}") from error
+    try:
+        return _registry().Quantity(value, source).to(_unit(to)).magnitude
+    except pint.errors.PintError as error:
+        raise InputError(
+            f"{prefix}{unit!r} has the wrong dimension; expected a unit that converts to {to!r}"
+        ) from error
+
+
+def parse(text: Any, unit: str, where: str = "") -> float:
+    """Read `"210 bar"` as a float in `unit`. A bare number is refused unless the quantity has no dimension.
+
+    Raises InputError (no number, unit missing, wrong dimension, not finite), naming `where`.
+    """
+    prefix = f"{where}: " if where else ""
+    if isinstance(text, bool) or not isinstance(text, (str, int, float)):
+        raise InputError(f"{prefix}expected a quantity such as '1 {unit}', got {text!r}")
+    match = _QUANTITY.fullmatch(str(text))
+    if match is None:
+        raise InputError(f"{prefix}cannot read {text!r} as a number with a unit, such as '1 {unit}'")
+    number, source = float(match[1]), match[2]
+    if not np.isfinite(number):
+        raise InputError(f"{prefix}{text!r} is not a finite number")
+    if not source:
+        if unit != "1":
+            raise InputError(f"{prefix}{text!r} has no unit; write it as text, such as '{text} {unit}'")
+        return number
+    return float(convert(number, source, unit, where))
+
+
+def parse_list(text: str, unit: str, where: str = "") -> np.ndarray:
+    """Read `"20, 100, 270 degC"` (or one unit each, `"1 mA, 0.002 A"`) as an array in `unit`."""
+    words = [word for word in str(text).split(",")]
+    last = _QUANTITY.fullmatch(words[-1])
+    shared = last[2] if last else ""
+    return np.array([parse(f"{w} {shared}" if re.fullmatch(rf"\s*{_NUMBER}\s*", w) else w, unit, where) for w in words])
+
+
+def quantity(default: Any, unit: str, doc: str, bounds: tuple[float, float], source: str) -> Any:
+    """A dataclass field that declares a quantity once: default, unit, doc, bounds and source.
+
+    A lower bound of exactly 0 given as `(0, ...)` is closed; use `POSITIVE` for strictly positive quantities.
+    Loader, parameter table, documentation and fits all read this declaration.
+    """
+    return dataclasses.field(
+        default=default, metadata={"unit": unit, "doc": doc, "bounds": bounds, "source": source}
+    )  # fmt: skip
+
+
+POSITIVE = float(np.nextafter(0, 1))  # the smallest positive number: an open lower bound at zero
+
+
+def quantities(cls: Any) -> dict[str, dataclasses.Field]:
+    """The declared quantities of a dataclass (or its instance), by name."""
+    return {f.name: f for f in dataclasses.fields(cls) if "unit" in f.metadata}
+
+
+def range_text(field: dataclasses.Field) -> str:
+    """The allowed range of a declared quantity in words, such as `(0, 0.001]`."""
+    low, high = field.metadata["bounds"]
+    left = "(0" if low == POSITIVE else ("(-inf" if low == -np.inf else f"[{low:.6g}")
+    return f"{left}, {'inf)' if high == np.inf else f'{high:.6g}]'}"
+
+
+def check_bounds(instance: Any) -> None:
+    """Raise InputError for the first declared quantity of a dataclass instance that leaves its bounds or is not finite.
+
+    A quantity may be an array of any shape (a batch of valves); then each of its values must be inside.
+    """
+    for name, field in quantities(instance).items():
+        value, (low, high) = np.asarray(getattr(instance, name), dtype=float), field.metadata["bounds"]
+        outside = ~((value >= low) & (value <= high))  # NaN is outside
+        if outside.any():
+            worst = value[outside].flat[0]
+            raise InputError(
+                f"{type(instance).__name__.lower()}.{name} = {worst:.6g} {symbol(field.metadata['unit'])} is outside "
+                f"{range_text(field)} {symbol(field.metadata['unit'])} ({field.metadata['doc']})"
+            )
+
+
+def change(instance: Any, values: dict[str, Any], where: str = "") -> Any:
+    """A copy of a dataclass of quantities with some of them read from text with units; unknown names are refused."""
+    declared = quantities(instance)
+    new = {}
+    for name, text in values.items():
+        here = f"{where}.{name}" if where else name
+        if name not in declared:
+            raise unknown_name(f"parameter of {type(instance).__name__}", name, declared, where)
+        new[name] = parse(text, declared[name].metadata["unit"], here)
+    try:
+        return dataclasses.replace(instance, **new)
+    except InputError as error:
+        raise InputError(f"{where}: {error}" if where and new else str(error)) from None
+
+
+def symbol(unit: str) -> str:
+    """A unit as a person writes it on an axis."""
+    return _SYMBOLS.get(unit, unit).replace("^2", "²").replace("^3", "³").replace("*", "·")
