@@ -1,1 +1,23 @@
-"""valvesim: a two-stage electro-hydraulic servo valve over temperature and time."""
+"""valvesim: a two-stage electro-hydraulic servo valve over temperature and time.
+
+    import valvesim as vs
+
+    valve = vs.reference_valve()
+    vs.static_solution(valve, current=1e-3, temperature=20.0).spool_position     # m
+    result = vs.simulate(vs.load_scenario("scenarios/launch_shock.toml"))
+    result["spool_position"]                                                     # over time, with its unit
+"""
+
+from .commands import Chirp, Constant, Pulse, Ramp, Sine, Staircase, Step, Sum, Table
+from .compiled import compile_model, derivatives
+from .effects import CATALOGUE, ActiveEffect, Effect, Parameter, Ports, effect
+from .errors import InputError, SolveError, ValidityWarning, ValvesimError
+from .fluid import MIL_PRF_5606, OILS, YH12_PAPER, Oil
+from .model import CurrentDrive, Model, VoltageDrive
+from .parameters import ROUTES, Coefficients, PartTemperatures, Valve, reference_valve
+from .scenario import Scenario, Thermal, load_scenario
+from .simulate import Result, simulate, simulate_batch
+from .static import StaticSolution, static_solution, tad_polynomial
+from .thermal import ThermalNetwork, temperature_path
+
+__all__ = [name for name in dir() if not name.startswith("_") and name not in ("annotations",)]

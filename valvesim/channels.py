@@ -32,7 +32,7 @@ INPUT_CHANNELS = (
     Channel("load_pressure", "Pa", "port A minus port B", 1e7),
 )
 SIGNAL_CHANNELS = (
-    Channel("coil_current", "A", "current in the coils", 1e-2),
+    Channel("current", "A", "current in the coils", 1e-2),
     Channel("drive_torque", "N*m", "torque of the four gap forces", 1e-2),
     Channel("flapper_position", "m", "flapper at the nozzles, positive towards nozzle 1", 1e-5),
     Channel("feedback_force", "N", "of the feedback rod on the spool, against positive position", 1.0),

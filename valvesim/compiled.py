@@ -74,6 +74,11 @@ def compile_model(model: Model) -> CompiledModel:
     """The compiled model; a few seconds the first time on a machine, well under one second after that."""
     module = _load(source(model))
     scale = np.array([channel.scale for channel in model.state_channels])
+    n, n_c = len(scale), len(model.coefficient_names)
+    module.run(  # to nowhere, so that it is compiled here and not in somebody's first run
+        np.zeros(n), np.zeros(4), 0.0, np.zeros(1), np.zeros((1, len(INPUT_CHANNELS) - 1, 3)), np.zeros(1),
+        np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, 1e-5, 1, np.zeros(2, dtype=np.int64),
+    )  # fmt: skip
     return CompiledModel(model, scale, module.run, module.derivative, module.jacobian)
 
 
@@ -119,9 +124,8 @@ def _integrator_source() -> str:
         register_jitable(function)
     for function in (rosenbrock.set_inputs, rosenbrock.set_coefficients):
         register_jitable(function)
-    return inspect.getsource(rosenbrock.integrate).replace(
-        "def integrate(\n    derivative, jacobian, y,", "def run(\n    y,"
-    )
+    text = inspect.getsource(rosenbrock.integrate)
+    return text.replace("def integrate(", "def run(", 1).replace("derivative, jacobian, ", "", 1)
 
 
 def _print_function(name: str, function: Any, targets: Sequence[str], zeros: Sequence[tuple[int, int]]) -> list[str]:

@@ -66,6 +66,16 @@ def _number(path: Path, line: int, row: list[str], at: int, name: str) -> float:
     return number
 
 
+def check_folder(folder: Path) -> None:
+    """Make a folder for results; InputError where it cannot be made or written to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+
+
 def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
     """Let `write` fill a temporary file beside `path`, then move it into place. InputError where that cannot be.
 

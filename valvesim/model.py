@@ -177,7 +177,7 @@ class Model:
         )
         load_flow, land_leakage = main_stage(x_v, u.supply_pressure, u.load_pressure, c)
         named = Signals(
-            coil_current=i,
+            current=i,
             drive_torque=T_drive,
             flapper_position=x_f,
             feedback_force=F_rod,

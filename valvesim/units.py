@@ -1,4 +1,4 @@
-"""Units at the edges: text with a unit in, SI out; and the declaration of a quantity once, with unit, bounds and source.
+"""Units at the edges: text with a unit in, SI out; and each quantity declared once, with unit, bounds and source.
 
 Inside the package every number is SI, and temperatures are in °C by name. Files, command line and plots carry units as
 words, read by `pint`; a wrong dimension is an `InputError`.
@@ -84,15 +84,16 @@ def parse_list(text: str, unit: str, where: str = "") -> np.ndarray:
     return np.array([parse(f"{w} {shared}" if re.fullmatch(rf"\s*{_NUMBER}\s*", w) else w, unit, where) for w in words])
 
 
-def quantity(default: Any, unit: str, doc: str, bounds: tuple[float, float], source: str) -> Any:
-    """A dataclass field that declares a quantity once: default, unit, doc, bounds and source.
+def quantity(
+    default: Any, unit: str, doc: str, bounds: tuple[float, float], source: str, *, tolerance: float = 0.0
+) -> Any:
+    """A dataclass field that declares a quantity once: default, unit, doc, bounds, source and relative tolerance.
 
-    A lower bound of exactly 0 given as `(0, ...)` is closed; use `POSITIVE` for strictly positive quantities.
+    A lower bound of 0 includes zero; use `POSITIVE` for strictly positive quantities.
     Loader, parameter table, documentation and fits all read this declaration.
     """
-    return dataclasses.field(
-        default=default, metadata={"unit": unit, "doc": doc, "bounds": bounds, "source": source}
-    )  # fmt: skip
+    metadata = {"unit": unit, "doc": doc, "bounds": bounds, "source": source, "tolerance": tolerance}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 POSITIVE = float(np.nextafter(0, 1))  # the smallest positive number: an open lower bound at zero

@@ -1,0 +1,236 @@
+"""The command line: `valvesim run | static | effects | parameters`.
+
+Exit codes: 0 done, 1 a solve failed, 2 the input is wrong. Figures carry units; tables go to standard output, everything
+else to standard error.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from .errors import InputError, SolveError, ValidityWarning
+from .units import DISPLAY, parse_list, quantities, range_text, symbol
+
+_settings_option = click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Override a figure: valve.null_gap='0.03 mm'."
+)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="valvesim")
+def cli() -> None:
+    """A two-stage electro-hydraulic servo valve over temperature and time."""
+
+
+@cli.command()
+@click.argument("scenario", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder of the results [results/SCENARIO].")
+@_settings_option
+@click.option("--csv", "with_csv", is_flag=True, help="Write result.csv beside result.nc.")
+@click.option("--no-pictures", is_flag=True, help="Leave the pictures out.")
+def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv: bool, no_pictures: bool) -> None:
+    """Simulate a SCENARIO file: a table, result.nc and pictures."""
+    from .compiled import compile_model
+    from .drift import nominal, observed_drift, static_drift, temperature_varies
+    from .files import check_folder
+    from .scenario import load_scenario
+    from .simulate import check_channels, simulate
+
+    case = load_scenario(scenario, settings=settings)
+    check_channels(case)
+    folder = output or Path("results") / scenario.stem
+    check_folder(folder)
+    with _progress() as bar:
+        stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
+        compile_model(case.model)
+        bar.update(stage, description="integrating", total=1.0)
+        result = simulate(case, progress=lambda share: bar.update(stage, completed=share))
+        bar.update(stage, description="writing result.nc", total=None)
+        written = [result.select(case.channels).to_netcdf(folder / "result.nc")]
+        if with_csv:
+            bar.update(stage, description="writing result.csv")
+            written.append(result.select(case.channels).to_csv(folder / "result.csv"))
+        drift = observed = None
+        if temperature_varies(case):
+            bar.update(stage, description="drift against 20 °C")
+            drift = static_drift(result)
+            observed = observed_drift(result, simulate(nominal(case)))
+        if not no_pictures:
+            from . import report
+
+            bar.update(stage, description="drawing", total=4.0 if drift else 2.0, completed=0)
+            written.append(report.picture_run(result, folder / "run.png"))
+            bar.advance(stage)
+            written.append(report.picture_characteristic(result, folder / "characteristic.png"))
+            bar.advance(stage)
+            if drift is not None:
+                written.append(report.picture_drift(drift, observed, case.title, folder / "drift.png"))
+                bar.advance(stage)
+                written.append(report.picture_routes(drift, case.title, folder / "drift_by_route.png"))
+    _print_run(result, drift, written)
+
+
+def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
+    table = Table(title=result.scenario.title, title_justify="left", title_style="bold")
+    for heading in ("channel", "unit", "least", "greatest", "at the end"):
+        table.add_column(heading, justify="left" if heading in ("channel", "unit") else "right")
+    names = ("current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle")
+    names += ("nozzle_pressure_1", "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage")
+    for name in names:
+        channel = result[name]
+        unit, factor = DISPLAY.get(channel.attrs["units"], (channel.attrs["units"], 1.0))
+        values = channel.values * factor
+        figures = (f"{v:.5g}" for v in (values.min(), values.max(), values[-1]))
+        table.add_row(name.replace("_", " "), symbol(unit), *figures)
+    console = _console()
+    console.print(table)
+    if drift is not None:
+        total = ", ".join(f"{n.replace('_', ' ')} {100 * v[-1]:+.2f} %" for n, v in drift.total.items())
+        console.print(f"static drift at the end, against 20 °C, at {drift.current * 1e3:.3g} mA: {total}")
+    s = result.statistics
+    console.print(
+        f"{s['accepted_steps']:.0f} steps ({s['rejected_steps']:.0f} rejected) in {s['solver_seconds']:.3f} s of solver"
+    )
+    for path in written:
+        console.print(f"wrote {path}", highlight=False)
+
+
+@cli.command()
+@click.option("--current", required=True, help="One or more: '1 mA' or '-1, 0, 1 mA'.")
+@click.option("--oil-temperature", required=True, help="One or more: '20,100,270 degC'.")
+@click.option("--routes", help="Only these temperature routes vary: 'flow,mmf'; '' for none [all].")
+@click.option("--format", "form", type=click.Choice(["table", "json", "csv"]), default="table", show_default=True)
+@_settings_option
+def static(current: str, oil_temperature: str, routes: str | None, form: str, settings: tuple[str, ...]) -> None:
+    """Where the reference valve rests, at every current and temperature (isothermal, the paper's TAD solution)."""
+    from .parameters import ROUTES
+    from .scenario import read_tables
+    from .static import static_solution
+
+    currents = parse_list(current, "A", "--current")
+    temperatures = parse_list(oil_temperature, "degC", "--oil-temperature")
+    chosen = ROUTES if routes is None else tuple(name.strip() for name in routes.split(",") if name.strip())
+    valve, oil = read_tables(settings)
+    rest = static_solution(valve, current=currents[:, None], temperature=temperatures, routes=chosen, oil=oil)
+    fields = {
+        "current_A": rest.current, "oil_temperature_degC": rest.temperature, "armature_angle_rad": rest.armature_angle,
+        "spool_position_m": rest.spool_position, "load_differential_pressure_Pa": rest.load_differential_pressure,
+    }  # fmt: skip
+    rows = [dict(zip(fields, map(float, row), strict=True)) for row in zip(*(f.flat for f in fields.values()), strict=True)]
+    if form == "json":
+        click.echo(json.dumps(rows, indent=1))
+    elif form == "csv":
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(fields), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        click.echo(text.getvalue(), nl=False)
+    else:
+        table = Table(title="valve at rest", title_justify="left", title_style="bold")
+        for heading in ("current [mA]", "oil [°C]", "angle [mrad]", "spool [mm]", "p1 - p2 [bar]"):
+            table.add_column(heading, justify="right")
+        for row in rows:
+            scaled = zip(row.values(), (1e3, 1.0, 1e3, 1e3, 1e-5), strict=True)
+            table.add_row(*(f"{value * factor:.7g}" for value, factor in scaled))
+        _console().print(table)
+
+
+@cli.command()
+@click.argument("name", required=False)
+def effects(name: str | None) -> None:
+    """The catalogue of effects, or one of them in full."""
+    from .effects import CATALOGUE, effect
+
+    console = _console()
+    for entry in [effect(name)] if name else CATALOGUE.values():
+        console.print(f"[bold]{entry.name}[/bold]  {entry.doc}", highlight=False)
+        console.print(f"  acts in: {entry.location}\n  shows as: {entry.signature}", highlight=False)
+        for p in entry.parameters:
+            unit, factor = DISPLAY.get(p.unit, (p.unit, 1.0))
+            low, high = (f"{bound * factor:g}" for bound in p.bounds)
+            value = "neutral at" if p.neutral is not None else "default"
+            text = f"  {p.name} \\[{symbol(unit)}], {low} to {high}, {value} {p.default * factor:g}: {p.doc}"
+            console.print(text, highlight=False)
+        console.print()
+
+
+@cli.command()
+@click.option("--format", "form", type=click.Choice(["table", "csv"]), default="table", show_default=True)
+def parameters(form: str) -> None:
+    """Every parameter: name, value, unit, range, tolerance and source."""
+    from .fluid import MIL_PRF_5606
+    from .parameters import Valve
+    from .thermal import ThermalNetwork
+
+    headings = ("name", "value", "unit", "range", "tolerance", "meaning", "source")
+    rows = []
+    for where, instance in (("valve", Valve()), ("oil", MIL_PRF_5606), ("thermal", ThermalNetwork())):
+        for name, field in quantities(instance).items():
+            data = field.metadata
+            spread = f"±{100 * data['tolerance']:g} %" if data["tolerance"] else ""
+            rows.append(
+                (f"{where}.{name}", f"{getattr(instance, name):.6g}", symbol(data["unit"]), range_text(field), spread,
+                 data["doc"], data["source"])
+            )  # fmt: skip
+    if form == "csv":
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([headings, *rows])
+        click.echo(text.getvalue(), nl=False)
+        return
+    table = Table(title="parameters (SI)", title_justify="left", title_style="bold")
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading == "value" else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    _console().print(table)
+
+
+def _console() -> Console:
+    """Standard output; as wide as the terminal, or wide enough for the tables where there is none."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+
+
+def _progress() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True)
+
+
+def _show_warning(message: Any, category: type[Warning], *details: Any, **more: Any) -> None:
+    if issubclass(category, ValidityWarning):
+        click.echo(f"warning: {message}", err=True)
+
+
+def main() -> None:
+    """Run the command line; every expected failure is one line on standard error and an exit code."""
+    warnings.showwarning = _show_warning
+    try:
+        cli.main(standalone_mode=False)
+    except InputError as error:
+        _fail(str(error), 2)
+    except SolveError as error:
+        _fail(str(error), 1)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except (click.Abort, KeyboardInterrupt):
+        _fail("interrupted; nothing half-written is left", 130)
+
+
+def _fail(message: str, code: int) -> None:
+    click.echo(f"error: {message}", err=True)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,325 @@
+"""A scenario: valve, oil, temperatures, commands, effects and outputs; read strictly from TOML.
+
+Every figure in a file is text with its unit. Whatever is unknown, misspelled, of the wrong dimension or out of range is
+an InputError with file, line and key.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .commands import COMMANDS, VALUE, Command, Constant, Sum, largest, read_table
+from .effects import CATALOGUE, ActiveEffect
+from .errors import InputError, unknown_name, warn_once
+from .fluid import MIL_PRF_5606, OILS, Oil
+from .model import CurrentDrive, Model, VoltageDrive
+from .parameters import ROUTES, Valve, check_routes
+from .thermal import ThermalNetwork, throttling_rise
+from .units import POSITIVE, change, check_bounds, parse, quantities, quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thermal:
+    """How the parts follow the oil. `network` None is isothermal; `routes` are the temperature routes that act."""
+
+    network: ThermalNetwork | None = ThermalNetwork()
+    routes: tuple[str, ...] = ROUTES
+    throttling_heat: bool = False
+    ambient_temperature: float = quantity(20.0, "degC", "air around the valve", (-100.0, 400.0), "")
+    initial_temperature: float | None = None
+
+    def __post_init__(self):
+        check_bounds(self)
+        check_routes(self.routes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """Everything that a run needs, in SI; temperatures in °C. Pressures default to the valve's own."""
+
+    title: str = "valve"
+    duration: float = quantity(1.0, "s", "duration of the run", (POSITIVE, 1e5), "")
+    valve: Valve = field(default_factory=Valve)
+    oil: Oil = MIL_PRF_5606
+    thermal: Thermal = field(default_factory=Thermal)
+    oil_temperature: Command = Constant(value=20.0)
+    command: Command = Constant(value=0.0)
+    drive: CurrentDrive | VoltageDrive = CurrentDrive()
+    supply_pressure: Command | None = None
+    return_pressure: Command | None = None
+    load_pressure: Command | None = None
+    effects: tuple[ActiveEffect, ...] = ()
+    output_rate: float = quantity(1000.0, "Hz", "output samples per second", (POSITIVE, 1e7), "")
+    channels: tuple[str, ...] = ()
+    tolerance: float = quantity(3e-4, "1", "relative tolerance of the integration", (1e-10, 1e-2), "")
+
+    def __post_init__(self):
+        check_bounds(self)
+
+    @property
+    def model(self) -> Model:
+        """The equations that this scenario integrates."""
+        return Model(self.drive, tuple(active.effect for active in self.effects))
+
+    def pressures(self) -> tuple[Command, Command, Command]:
+        """Supply, return and load pressure over time."""
+        given = (self.supply_pressure, self.return_pressure, self.load_pressure)
+        own = (self.valve.supply_pressure, self.valve.return_pressure, self.valve.load_pressure)
+        return tuple(  # type: ignore[return-value]
+            Constant(value=value) if command is None else command for command, value in zip(given, own, strict=True)
+        )
+
+    def throttling(self):
+        """The oil's temperature rise by throttling as a function of °C, or None where it is off."""
+        drop = self.valve.supply_pressure - self.valve.return_pressure
+        return throttling_rise(self.oil, drop) if self.thermal.throttling_heat else None
+
+    def warn_of_large_command(self) -> None:
+        """Warn once where the command goes beyond the rated current."""
+        top, rated = largest(self.command, self.duration), self.valve.rated_current
+        if isinstance(self.drive, VoltageDrive):
+            top, rated = top / self.valve.coil_resistance, rated * (1 + 1e-9)
+        if top > rated * (1 + 1e-9):
+            warn_once(
+                f"command: up to {top * 1e3:.4g} mA is beyond the rated current of {rated * 1e3:.4g} mA; "
+                "spool and flapper may reach their stops"
+            )
+
+
+def load_scenario(path: str | Path, *, settings: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file; `settings` such as `valve.null_gap=0.03 mm` override or add keys.
+
+    Raises InputError for a missing file, broken TOML, or any key or figure that makes no sense.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        table = tomllib.loads(text)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+    for setting in settings:
+        _override(table, setting)
+    try:
+        return _Reader(path.parent).scenario(table)
+    except InputError as error:
+        line = _line_of(text, str(error))
+        raise InputError(f"{path}{f', line {line}' if line else ''}: {error}") from None
+
+
+def read_tables(settings: Sequence[str]) -> tuple[Valve, Oil]:
+    """The reference valve and oil with settings such as `valve.null_gap=0.03 mm`; nothing else may be set."""
+    table: dict[str, Any] = {}
+    for setting in settings:
+        _override(table, setting)
+    reader = _Reader(Path())
+    reader.known(table, ("valve", "oil"), "--set")
+    return change(Valve(), table.get("valve", {}), "valve"), reader.oil(table.get("oil", {}))
+
+
+def _override(table: dict[str, Any], setting: str) -> None:
+    key, equals, text = setting.partition("=")
+    names = [name.strip() for name in key.split(".")]
+    if not equals or not all(names):
+        raise InputError(f"--set {setting!r}: expected KEY=VALUE, such as valve.null_gap='0.03 mm'")
+    for name in names[:-1]:
+        table = table.setdefault(name, {})
+        if not isinstance(table, dict):
+            raise InputError(f"--set {setting!r}: {name!r} is a value, not a table")
+    try:
+        table[names[-1]] = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        table[names[-1]] = text.strip()
+
+
+def _line_of(text: str, message: str) -> int | None:
+    """The line of the TOML text that a message speaks of by its dotted key, where there is one."""
+    section, found, best = "", None, 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*\[([^\]]+)\]", line):
+            section = header[1].strip()
+            keys = [section]
+        elif match := re.match(r"\s*([\w.-]+)\s*=", line):
+            dotted = f"{section}.{match[1]}" if section else match[1]
+            inner = re.findall(r"([\w-]+)\s*=", line.partition("=")[2])
+            keys = [dotted, *(f"{dotted}.{name}" for name in inner)]
+            keys += [key.rpartition(".")[0] + f": {match[1]!r}" for key in keys[:1]]
+        else:
+            continue
+        for key in keys:
+            if len(key) > best and re.search(rf"(?<![\w.]){re.escape(key)}(?![\w])", message):
+                found, best = number, len(key)
+        if found is None and (name := re.search(r"unknown [\w ]+ '([^']+)'", message)) and f"{name[1]}" in line:
+            found = number
+    return found
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Turns TOML tables into a scenario; `folder` is where relative file names start."""
+
+    folder: Path
+
+    def scenario(self, table: dict[str, Any]) -> Scenario:
+        self.known(table, ("title", "duration", *self._SECTIONS), "scenario")
+        for name in self._SECTIONS:
+            if not isinstance(table.get(name, {}), dict):
+                raise InputError(f"{name}: expected a table, got {table[name]!r}")
+        if "duration" not in table:
+            raise InputError("duration is missing, such as duration = '1 s'")
+        thermal = dict(table.get("thermal", {}))
+        oil_temperature = thermal.pop("oil_temperature", None)
+        commands = table.get("command", {})
+        self.known(commands, ("current", "voltage"), "command")
+        if len(commands) != 1:
+            raise InputError("command: give either [command.current] or [command.voltage]")
+        kind, command = next(iter(commands.items()))
+        pressures = table.get("pressures", {})
+        self.known(pressures, ("supply", "return", "load"), "pressures")
+        valve = change(Valve(), table.get("valve", {}), "valve")
+        outputs, solver = table.get("outputs", {}), table.get("solver", {})
+        self.known(outputs, ("rate", "channels"), "outputs")
+        self.known(solver, ("tolerance",), "solver")
+        fields = quantities(Scenario)
+        options: dict[str, Any] = {}
+        for key, source, name in (
+            ("duration", table, "duration"), ("output_rate", outputs, "rate"), ("tolerance", solver, "tolerance")
+        ):  # fmt: skip
+            if name in source:
+                where = name if source is table else f"{'outputs' if source is outputs else 'solver'}.{name}"
+                options[key] = parse(source[name], fields[key].metadata["unit"], where)
+        for name in ("supply", "return", "load"):
+            if name in pressures:
+                options[f"{name}_pressure"] = self.command(pressures[name], "Pa", f"pressures.{name}", f"{name}_pressure")
+        if oil_temperature is not None:
+            options["oil_temperature"] = self.command(
+                oil_temperature, "degC", "thermal.oil_temperature", "oil_temperature"
+            )
+        return Scenario(
+            title=str(table.get("title", "valve")),
+            valve=valve,
+            oil=self.oil(table.get("oil", {})),
+            thermal=self.thermal(thermal),
+            command=self.command(command, "A" if kind == "current" else "V", f"command.{kind}", kind),
+            drive=CurrentDrive() if kind == "current" else VoltageDrive(),
+            effects=self.effects(table.get("effects", {})),
+            channels=tuple(outputs.get("channels", ())),
+            **options,
+        )
+
+    _SECTIONS = ("valve", "oil", "thermal", "command", "pressures", "effects", "outputs", "solver")
+
+    def oil(self, table: dict[str, Any]) -> Oil:
+        figures = dict(table)
+        name = figures.pop("name", MIL_PRF_5606.name)
+        if name not in OILS:
+            raise unknown_name("oil", str(name), OILS, "oil.name")
+        return change(OILS[name], figures, "oil")
+
+    def thermal(self, table: dict[str, Any]) -> Thermal:
+        figures = dict(table)
+        routes = figures.pop("routes", list(ROUTES))
+        if not isinstance(routes, list):
+            raise InputError(f"thermal.routes: expected a list of route names, got {routes!r}")
+        isothermal, heat = (self._switch(figures, name) for name in ("isothermal", "throttling_heat"))
+        initial = figures.pop("initial_temperature", None)
+        ambient = figures.pop("ambient_temperature", None)
+        try:
+            network = change(ThermalNetwork(), figures, "thermal")
+        except InputError as error:
+            if "unknown parameter" not in str(error):
+                raise
+            wrong = next(name for name in figures if name not in quantities(ThermalNetwork))
+            others = ("routes", "isothermal", "throttling_heat", "initial_temperature", "ambient_temperature")
+            others += ("oil_temperature",)
+            raise unknown_name("key", wrong, (*quantities(ThermalNetwork), *others), "thermal") from None
+        try:
+            routes = tuple(sorted(check_routes(routes), key=ROUTES.index))
+        except InputError as error:
+            raise InputError(f"thermal.routes: {error}") from None
+        options = {} if ambient is None else {
+            "ambient_temperature": parse(ambient, "degC", "thermal.ambient_temperature")
+        }  # fmt: skip
+        return Thermal(
+            network=None if isothermal else network,
+            routes=routes,
+            throttling_heat=heat,
+            initial_temperature=None if initial is None else parse(initial, "degC", "thermal.initial_temperature"),
+            **options,
+        )
+
+    def effects(self, table: dict[str, Any]) -> tuple[ActiveEffect, ...]:
+        active = []
+        for name, figures in table.items():
+            if name not in CATALOGUE:
+                raise unknown_name("effect", name, CATALOGUE, "effects")
+            if not isinstance(figures, dict):
+                raise InputError(f"effects.{name}: expected a table of its parameters, got {figures!r}")
+            active.append(CATALOGUE[name].read(figures, f"effects.{name}"))
+        return tuple(active)
+
+    def command(self, table: Any, unit: str, where: str, column: str) -> Command:
+        """One command, or the sum of several that stand in one table; text alone is a constant."""
+        if not isinstance(table, dict):
+            return Constant(value=parse(table, unit, where))
+        if not table:
+            raise InputError(f"{where}: needs a command, one of {', '.join((*COMMANDS, 'table'))}")
+        terms = []
+        for name, figures in table.items():
+            if name == "table":
+                terms.append(self._table(figures, unit, f"{where}.table", column))
+                continue
+            if name not in COMMANDS:
+                raise unknown_name("command", name, (*COMMANDS, "table"), where)
+            if name == "constant" and not isinstance(figures, dict):
+                figures = {"value": figures}
+            if not isinstance(figures, dict):
+                raise InputError(f"{where}.{name}: expected a table such as {{ ... }}, got {figures!r}")
+            terms.append(self._one(COMMANDS[name], dict(figures), unit, f"{where}.{name}"))
+        return terms[0] if len(terms) == 1 else Sum(tuple(terms))
+
+    def _one(self, kind: Any, figures: dict[str, Any], unit: str, where: str) -> Command:
+        names = {f.name: f for f in dataclasses.fields(kind)}
+        difference = "delta_degC" if unit == "degC" else unit
+        values: dict[str, Any] = {}
+        for name, given in figures.items():
+            if name not in names:
+                raise unknown_name("key", name, names, where)
+            if "unit" not in names[name].metadata:
+                values[name] = self._switch(figures.copy(), name, where)
+                continue
+            own = names[name].metadata["unit"]
+            own = {VALUE: unit, VALUE + "_difference": difference, VALUE + "/s": f"{difference}/s"}.get(own, own)
+            values[name] = parse(given, own, f"{where}.{name}")
+        try:
+            return kind(**values)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+
+    def _table(self, figures: Any, unit: str, where: str, column: str) -> Command:
+        if not isinstance(figures, dict) or not isinstance(figures.get("file"), str):
+            raise InputError(f"{where}: expected {{ file = 'name.csv' }}, got {figures!r}")
+        self.known(figures, ("file", "column"), where)
+        return read_table(self.folder / figures["file"], str(figures.get("column", column)), unit)
+
+    @staticmethod
+    def _switch(table: dict[str, Any], name: str, where: str = "thermal") -> bool:
+        value = table.pop(name, False)
+        if not isinstance(value, bool):
+            raise InputError(f"{where}.{name}: expected true or false, got {value!r}")
+        return value
+
+    @staticmethod
+    def known(table: dict[str, Any], names: Sequence[str], where: str) -> None:
+        for name in table:
+            if name not in names:
+                raise unknown_name("key", name, names, where)

@@ -1,0 +1,336 @@
+"""A scenario in, a result out: temperatures first, then the valve, interval by interval between the command's breaks."""
+
+from __future__ import annotations
+
+import csv
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .channels import INPUT_CHANNELS, SIGNAL_CHANNELS, Channel, Inputs
+from .commands import evaluate, merge, piece_value
+from .compiled import CompiledModel, compile_model
+from .errors import SolveError, unknown_name
+from .files import write_atomically
+from .model import VoltageDrive
+from .parameters import PART_NAMES, Coefficients, PartTemperatures
+from .rosenbrock import NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS
+from .scenario import Scenario
+from .static import solve_rest
+from .thermal import TemperaturePath, temperature_path
+from .units import DISPLAY, symbol
+
+MAX_STEPS = 50_000_000
+SLICES = 64  # of a run, between which progress is told
+JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
+KNOT_ERROR = 1e-6  # relative error of the coefficients between the knots of the temperature path
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run gave: `result["spool_position"]` is an xarray.DataArray over time, with its unit in `attrs["units"]`.
+
+    Names: every state, every signal, the inputs, and `<part>_temperature` of oil and parts (°C). SI throughout.
+    """
+
+    scenario: Scenario
+    dataset: Any
+    statistics: dict[str, float]
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self.dataset:
+            raise unknown_name("channel", name, self.names)
+        return self.dataset[name]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All channels, in order."""
+        return tuple(str(name) for name in self.dataset.data_vars)
+
+    def select(self, names: Sequence[str]) -> Result:
+        """The result with these channels alone; all of them if none is named. InputError for an unknown name."""
+        return replace(self, dataset=self.dataset[[self[name].name for name in names]]) if names else self
+
+    @property
+    def time(self) -> np.ndarray:
+        """Times of the samples, s."""
+        return self.dataset["time"].values
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write all channels, one column each with its unit in the header (mm, bar, mA, L/min). Returns the path."""
+        columns, header = [self.time], ["time [s]"]
+        for name in self.names:
+            unit, factor = DISPLAY.get(self[name].attrs["units"], (self[name].attrs["units"], 1.0))
+            header.append(f"{name} [{unit}]")
+            columns.append(self[name].values * factor)
+
+        def write(temporary: Path) -> None:
+            with open(temporary, "w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file)
+                writer.writerow(header)
+                writer.writerows([f"{value:.9g}" for value in row] for row in np.column_stack(columns))
+
+        return write_atomically(Path(path), write)
+
+    def to_netcdf(self, path: str | Path) -> Path:
+        """Write all channels as netCDF-4 (HDF5): labelled arrays with units that Python, MATLAB and others open."""
+        encoding = {name: {"zlib": True, "complevel": 1} for name in self.names}
+        return write_atomically(
+            Path(path), lambda temporary: self.dataset.to_netcdf(temporary, engine="netcdf4", encoding=encoding)
+        )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What the integrator needs, made from a scenario; the first axis of `knots` is the member of a batch."""
+
+    scenario: Scenario
+    compiled: CompiledModel
+    path: TemperaturePath
+    knots: np.ndarray
+    starts: np.ndarray
+    rows: np.ndarray
+    times: np.ndarray
+    initial: np.ndarray
+
+
+def simulate(scenario: Scenario, *, progress: Callable[[float], None] | None = None) -> Result:
+    """Run a scenario from rest. `progress` is told the share that is done.
+
+    Raises InputError for input that makes no sense, SolveError (when, in which state, what to try) where it fails.
+    """
+    problem = _prepare(scenario)
+    begin = time.perf_counter()
+    states, count = _integrate(problem, 0, progress)
+    seconds = time.perf_counter() - begin
+    statistics = {"accepted_steps": float(count[0]), "rejected_steps": float(count[1]), "solver_seconds": seconds}
+    return Result(scenario, _dataset(problem, states), statistics)
+
+
+def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[str, np.ndarray]:
+    """Run one scenario for a batch of valves: quantities of `scenario.valve` that are arrays (k,) hold one valve each.
+
+    Returns the states by name, each (k, n_t), with "time" (n_t,). Members run on `workers` threads (all cores).
+    Raises as `simulate` does.
+    """
+    problem = _prepare(scenario)
+    members, shape = len(problem.knots), (len(problem.times), len(problem.compiled.scale))
+    states = np.empty((members, *shape))
+
+    def run(share: np.ndarray) -> None:
+        for k in share:
+            states[k] = _integrate(problem, int(k), None)[0]
+
+    threads = workers or os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(run, np.array_split(np.arange(members), min(threads, members))))
+    names = [channel.name for channel in scenario.model.state_channels]
+    return {"time": problem.times, **{name: states[:, :, k] for k, name in enumerate(names)}}
+
+
+def _prepare(scenario: Scenario) -> _Problem:
+    scenario.warn_of_large_command()
+    model, end = scenario.model, scenario.duration
+    path, c = _temperature_knots(scenario)
+    flat = model.flat_coefficients(c, scenario.effects)
+    knots = np.stack(np.broadcast_arrays(*flat), axis=-1).astype(float)
+    knots = np.ascontiguousarray(np.broadcast_to(knots, (*knots.shape[:-2], len(path.times), knots.shape[-1])))
+    knots = knots.reshape(-1, *knots.shape[-2:])
+    commands = (scenario.command, *scenario.pressures())
+    starts, intervals = merge(commands, end)
+    rows = intervals.rows
+    if any(effect.memory for effect in model.effects):
+        starts, rows = _soften_jumps(starts, rows)
+    times = np.arange(int(np.floor(end * scenario.output_rate * (1 + 1e-12))) + 1) / scenario.output_rate
+    compiled = compile_model(model)
+    first = Coefficients(*(knots[:, 0, k] for k in range(len(Coefficients._fields))))
+    initial = _rest(scenario, compiled, first, knots[:, 0])
+    return _Problem(scenario, compiled, path, knots, starts, rows, times, initial)
+
+
+def _temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficients]:
+    """The temperature path on knots close enough that straight lines between them hold the coefficients."""
+    thermal, valve = scenario.thermal, scenario.valve
+    batch = {name: np.asarray(v)[:, None] for name in valve.__dataclass_fields__ if np.ndim(v := getattr(valve, name))}
+    valve = replace(valve, **batch) if batch else valve
+    spacing = 0.5
+    for _ in range(8):
+        path = temperature_path(
+            scenario.oil_temperature,
+            scenario.duration,
+            network=thermal.network,
+            initial=thermal.initial_temperature,
+            ambient=thermal.ambient_temperature,
+            throttling=scenario.throttling(),
+            spacing=spacing,
+        )
+        if all(np.ptp(getattr(path.parts, name)) <= 1e-12 for name in PART_NAMES):
+            held = PartTemperatures(**{name: getattr(path.parts, name)[:1] for name in PART_NAMES})
+            path = TemperaturePath(times=path.times[:1], parts=held)
+        c = valve.at(path.parts, oil=scenario.oil, routes=thermal.routes)
+        if _bend(path.times, c) <= KNOT_ERROR:
+            break
+        spacing /= 2.0
+    return path, c
+
+
+def _bend(times: np.ndarray, c: Coefficients) -> float:
+    """Largest relative error of a straight line between knots, from second differences; jumps aside."""
+    worst = 0.0
+    for values in c:
+        v = np.asarray(values, dtype=float)
+        if v.ndim == 0 or v.shape[-1] < 3 or len(times) < 3:
+            continue
+        steps = np.diff(times)
+        smooth = (steps[1:] > 0.0) & (steps[:-1] > 0.0)
+        bend = np.abs(np.diff(v, 2, axis=-1))[..., smooth] / 8.0
+        worst = max(worst, float(np.max(bend, initial=0.0) / np.max(np.abs(v))))
+    return worst
+
+
+def _soften_jumps(starts: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Run every jump of an input as a ramp of `JUMP_TIME`, so that effects driven by its rate pass through it."""
+    new_starts, new_rows = [starts[0]], [rows[0]]
+    for k in range(1, len(starts)):
+        before = np.array([piece_value(row, starts[k])[0] for row in rows[k - 1]])
+        after = np.array([piece_value(row, starts[k] + JUMP_TIME)[0] for row in rows[k]])
+        if np.any(np.abs(after - before) > 1e-6 * (np.abs(after) + np.abs(before))):
+            ramp = np.zeros_like(rows[k])
+            ramp[:, 0], ramp[:, 1], ramp[:, 2] = starts[k], before, (after - before) / JUMP_TIME
+            new_starts += [starts[k]]
+            new_rows += [ramp]
+            new_starts += [starts[k] + JUMP_TIME]
+            new_rows += [rows[k]]
+        else:
+            new_starts += [starts[k]]
+            new_rows += [rows[k]]
+    return np.array(new_starts), np.array(new_rows)
+
+
+def _rest(scenario: Scenario, compiled: CompiledModel, c: Coefficients, flat: np.ndarray) -> np.ndarray:
+    """The scaled state at rest at time zero, (members, states): the static solution, and Newton where effects act."""
+    model = scenario.model
+    value = [evaluate(command, 0.0) for command in (scenario.command, *scenario.pressures())]
+    memory = model.drive.rest(value[0], c)
+    current = memory[0] if memory else value[0]
+    rest = solve_rest(c, current, 0.0, *value[1:])
+    columns = [rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2, rest.spool_position, 0.0]
+    columns += [*memory, *(0.0 for effect in model.effects for _ in effect.memory)]
+    y = np.column_stack([np.broadcast_to(column, rest.armature_angle.shape or (1,)) for column in columns])
+    y = np.ascontiguousarray(y / compiled.scale)
+    if not any(effect.balance for effect in model.effects):
+        return y
+    u = np.array([value[0], 0.0, *value[1:]], dtype=float)
+    f, J = np.empty(y.shape[1]), np.empty((y.shape[1], y.shape[1]))
+    for k in range(len(y)):
+        for _ in range(30):
+            compiled.derivative(y[k], u, flat[k], f)
+            compiled.jacobian(y[k], u, flat[k], J)
+            step = np.linalg.lstsq(J, -f, rcond=1e-13)[0]
+            y[k] += step
+            if np.max(np.abs(step)) < 1e-12:
+                break
+    return y
+
+
+def _integrate(problem: _Problem, member: int, progress: Callable[[float], None] | None) -> tuple[np.ndarray, Any]:
+    """States (n_t, states) in SI of one member, and the counts of accepted and rejected steps."""
+    scenario, compiled = problem.scenario, problem.compiled
+    y, count = problem.initial[member].copy(), np.zeros(2, dtype=np.int64)
+    out = np.full((len(problem.times), len(y)), np.nan)
+    clock = np.array([0.0, min(1e-5, scenario.duration), 0.0, 0.0])
+    rtol = scenario.tolerance
+    for k in range(1, SLICES + 1):
+        end = scenario.duration * k / SLICES if k < SLICES else scenario.duration
+        status = compiled.run(
+            y, clock, end, problem.starts, problem.rows, problem.path.times, problem.knots[member], problem.times, out,
+            rtol, 0.01 * rtol, MAX_STEPS, count,
+        )  # fmt: skip
+        if status:
+            raise _failure(problem, member, status, y, float(clock[0]))
+        if progress is not None:
+            progress(k / SLICES)
+    return out * compiled.scale, count
+
+
+_REASONS = {
+    TOO_MANY_STEPS: f"more than {MAX_STEPS} steps were needed",
+    STEP_TOO_SMALL: "the step became too small",
+    NOT_FINITE: "a value is no longer finite",
+}
+
+
+def _failure(problem: _Problem, member: int, status: int, y: np.ndarray, t: float) -> SolveError:
+    """When it failed, in which state (the one that moves fastest), and what to try."""
+    scenario = problem.scenario
+    u = np.array([evaluate(command, t) for command in (scenario.command, *scenario.pressures())], dtype=float)
+    f = np.empty(len(y))
+    problem.compiled.derivative(y, np.insert(u, 1, 0.0), problem.knots[member, 0], f)
+    fastest = int(np.argmax(np.where(np.isfinite(f), np.abs(f), np.inf)))
+    channel = scenario.model.state_channels[fastest]
+    batch = f" of member {member}" if len(problem.knots) > 1 else ""
+    return SolveError(
+        f"the integration{batch} failed at t = {t:.6g} s in {channel.name} "
+        f"({y[fastest] * channel.scale:.4g} {symbol(channel.unit)}): {_REASONS[status]}. Try a larger "
+        "valve.transition_pressure or effect width, a smaller command, or a looser solver.tolerance"
+    )
+
+
+def output_channels(scenario: Scenario) -> tuple[Channel, ...]:
+    """The channels of a result, in order."""
+    voltage = Channel("voltage", "V", "command: over coils and amplifier")
+    return (
+        *((voltage,) if isinstance(scenario.drive, VoltageDrive) else ()),
+        *(Channel(f"{name}_temperature", "degC", name.replace("_", " ")) for name in PART_NAMES),
+        *INPUT_CHANNELS[2:],
+        *scenario.model.state_channels,
+        *SIGNAL_CHANNELS,
+    )
+
+
+def check_channels(scenario: Scenario) -> None:
+    """InputError for a name in `scenario.channels` that no result has."""
+    names = [channel.name for channel in output_channels(scenario)]
+    for name in scenario.channels:
+        if name not in names:
+            raise unknown_name("channel", name, names, "outputs.channels")
+
+
+def _dataset(problem: _Problem, states: np.ndarray) -> Any:
+    """All channels over time as an xarray.Dataset with units; signals from the same lines as the derivatives."""
+    import xarray
+
+    scenario, times, at = problem.scenario, problem.times, problem.path.times
+    command, *pressures = (evaluate(each, times) for each in (scenario.command, *scenario.pressures()))
+    c = tuple(_between(times, at, column) for column in problem.knots[0].T)
+    signals = scenario.model.signals(tuple(states.T), Inputs(command, np.zeros_like(times), *pressures), c)
+    temperatures = [
+        _between(times, at, np.broadcast_to(getattr(problem.path.parts, name), at.shape)) for name in PART_NAMES
+    ]
+    voltage = [command] if isinstance(scenario.drive, VoltageDrive) else []
+    columns = (*voltage, *temperatures, *pressures, *states.T, *signals)
+    return xarray.Dataset(
+        {
+            channel.name: ("time", np.broadcast_to(values, times.shape), {"units": channel.unit, "long_name": channel.doc})
+            for channel, values in zip(output_channels(scenario), columns, strict=True)
+        },
+        coords={"time": ("time", times, {"units": "s", "long_name": "time"})},
+        attrs={"title": scenario.title, "source": "valvesim", "oil": scenario.oil.name},
+    )
+
+
+def _between(times: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Straight lines between knots; after a jump (two equal knots) the later value."""
+    if len(at) == 1:
+        return np.full(times.shape, values[0])
+    k = np.clip(np.searchsorted(at, times, side="right") - 1, 0, len(at) - 2)
+    width = at[k + 1] - at[k]
+    share = np.divide(times - at[k], width, out=np.ones_like(times), where=width > 0.0)
+    return values[k] + np.clip(share, 0.0, 1.0) * (values[k + 1] - values[k])
+
