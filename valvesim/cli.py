@@ -69,15 +69,13 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
         if not no_pictures:
             from . import report
 
-            bar.update(stage, description="drawing", total=4.0 if drift else 2.0, completed=0)
+            bar.update(stage, description="drawing", total=3.0, completed=0)
             written.append(report.picture_run(result, folder / "run.png"))
             bar.advance(stage)
             written.append(report.picture_characteristic(result, folder / "characteristic.png"))
             bar.advance(stage)
-            if drift is not None:
+            if drift is not None and observed is not None:
                 written.append(report.picture_drift(drift, observed, case.title, folder / "drift.png"))
-                bar.advance(stage)
-                written.append(report.picture_routes(drift, case.title, folder / "drift_by_route.png"))
     _print_run(result, drift, written)
 
 

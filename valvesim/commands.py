@@ -27,17 +27,17 @@ VALUE = "value"  # the unit of such a figure is that of what is commanded
 
 
 def piece_value(row, t):
-    """(value, rate) of one piece at time t; `row` is a row of `Command.pieces`. Compiled as it stands."""
+    """(value, rate) of one piece at time t, or times; `row` is a row of `Command.pieces`. Compiled as it stands."""
     tau = t - row[0]
     value, rate = row[1] + row[2] * tau, row[2]
     for k in range(3, row.shape[0], 5):
         amplitude, frequency, sweep, growth, phase = row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4]
         if amplitude != 0.0:
-            swelling = np.exp(growth * tau)
-            turns = frequency * tau if growth == 0.0 else frequency * (swelling - 1.0) / growth
+            swelling = np.expm1(growth * tau)
+            turns = frequency * tau if growth == 0.0 else frequency * swelling / growth
             angle = 2.0 * np.pi * (turns + 0.5 * sweep * tau * tau) + phase
             value += amplitude * np.sin(angle)
-            rate += amplitude * np.cos(angle) * 2.0 * np.pi * (frequency * swelling + sweep * tau)
+            rate += amplitude * np.cos(angle) * 2.0 * np.pi * (frequency * (1.0 + swelling) + sweep * tau)
     return value, rate
 
 
@@ -54,16 +54,21 @@ def evaluate(command: Command, times) -> np.ndarray:
     which = np.clip(np.searchsorted(rows[:, 0], t, side="right") - 1, 0, None)
     if rows.shape[1] == PIECE_WIDTH:
         return rows[which, 1] + rows[which, 2] * (t - rows[which, 0])
-    return np.array([piece_value(rows[k], s)[0] for k, s in zip(which.flat, t.flat, strict=True)]).reshape(t.shape)
+    piece, point, values = which.ravel(), t.ravel(), np.empty(t.size)
+    order = np.argsort(piece, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(piece[order], prepend=-1)))[1:]:  # the points of one piece
+        values[group] = piece_value(rows[piece[group[0]]], point[group])[0]
+    return values.reshape(t.shape)
 
 
 def largest(command: Command, end: float) -> float:
     """An upper bound of |value| over 0..end."""
     rows = command.pieces(end)
-    stops = np.append(rows[1:, 0], max(end, float(rows[-1, 0])))
-    start = np.abs(rows[:, 1] + rows[:, 2] * np.maximum(-rows[:, 0], 0.0))
-    stop = np.abs(rows[:, 1] + rows[:, 2] * (np.minimum(stops, max(end, 0.0)) - rows[:, 0]))
-    return float(np.max(np.maximum(start, stop) + np.abs(rows[:, PIECE_WIDTH::WAVE_WIDTH]).sum(axis=1)))
+    first, stop = np.maximum(rows[:, 0], 0.0), np.append(rows[1:, 0], np.inf)
+    ruling = (first < stop) & (first <= end)
+    rows, ends = rows[ruling], np.column_stack([first, np.minimum(stop, end)])[ruling]
+    lines = np.abs(rows[:, 1:2] + rows[:, 2:3] * (ends - rows[:, :1])).max(axis=1)
+    return float(np.max(lines + np.abs(rows[:, PIECE_WIDTH::WAVE_WIDTH]).sum(axis=1)))
 
 
 def _wave(amplitude: float, frequency: float, rate: float, growth: float, phase: float) -> list[float]:
@@ -76,6 +81,9 @@ class Constant:
 
     value: float = quantity(0.0, VALUE, "value", (-np.inf, np.inf), "")
 
+    def __post_init__(self):
+        check_bounds(self)
+
     def pieces(self, end: float) -> np.ndarray:
         return np.array([[0.0, self.value, 0.0]])
 
@@ -87,6 +95,9 @@ class Step:
     before: float = quantity(0.0, VALUE, "value before", (-np.inf, np.inf), "")
     after: float = quantity(0.0, VALUE, "value after", (-np.inf, np.inf), "")
     time: float = quantity(0.0, "s", "time of the jump", (0.0, np.inf), "")
+
+    def __post_init__(self):
+        check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
         return np.array([[0.0, self.before, 0.0], [self.time, self.after, 0.0]])
@@ -184,7 +195,8 @@ class Pulse:
         rows = [[0.0, self.base, 0.0]]
         for k in range(count):
             start = self.time + (k * self.period if k else 0.0)
-            rows += [[start, self.height, 0.0], [start + self.width, self.base, 0.0]]
+            stop = min(start + self.width, self.time + (k + 1) * self.period)  # rounding never mixes their order
+            rows += [[start, self.height, 0.0], [stop, self.base, 0.0]]
         return np.array(rows)
 
 
@@ -199,6 +211,8 @@ class Staircase:
 
     def __post_init__(self):
         check_bounds(self)
+        if self.steps != int(self.steps):
+            raise InputError(f"staircase.steps = {self.steps:g} must be a whole number in [1, 1e+06]")
 
     def pieces(self, end: float) -> np.ndarray:
         levels = np.linspace(self.start_value, self.end_value, int(self.steps) + 1)
@@ -234,7 +248,7 @@ class Table:
     def pieces(self, end: float) -> np.ndarray:
         t, y = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
         rows = np.column_stack([t, y, np.append(np.diff(y) / np.diff(t), 0.0)])
-        return rows if t[0] <= 0.0 else np.vstack([[0.0, y[0], 0.0], rows])
+        return np.vstack([[min(t[0], 0.0), y[0], 0.0], rows])  # what holds before the first point
 
 
 @dataclass(frozen=True)
@@ -244,7 +258,7 @@ class Sum:
     terms: tuple[Command, ...]
 
     def pieces(self, end: float) -> np.ndarray:
-        return merge(list(self.terms), end)[1].sum_of_inputs()
+        return merge(self.terms, float(np.nextafter(end, np.inf)))[1].sum_of_inputs()  # a jump at `end` is in
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ def reference_current(scenario: Scenario) -> float:
     return min(top, rated) or 0.1 * rated
 
 
-def static_drift(result: Result, *, points: int = 200) -> Drift:
+def static_drift(result: Result, *, points: int = 101) -> Drift:
     """Drift of the static solution along the part temperatures of a run, at `reference_current`.
 
     Raises as `static_solution` does.

@@ -21,10 +21,10 @@ from matplotlib.figure import Figure  # noqa: E402 - the backend comes first
 
 STYLE = {
     "font.size": 9, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False, "axes.spines.right": False,
-    "lines.linewidth": 1.1, "legend.frameon": False, "legend.fontsize": 8, "figure.dpi": 110,
+    "lines.linewidth": 1.1, "legend.frameon": False, "legend.fontsize": 8, "figure.dpi": 100,
 }  # fmt: skip
 COLOURS = ("#1f5fa8", "#d1495b", "#2e8b57", "#e09f3e", "#7a5195", "#5c677d", "#17a2b8", "#8d5524")
-MOST_POINTS = 4000  # of a line: beyond it the extremes of each stretch are drawn, which looks the same
+MOST_POINTS = 2000  # of a line: beyond it the extremes of each stretch are drawn, which looks the same
 
 
 def picture_run(result: Result, path: Path) -> Path:
@@ -40,19 +40,21 @@ def picture_run(result: Result, path: Path) -> Path:
         ("spool position", ["spool_position"]),
         ("flow", ["load_flow", "internal_leakage"]),
     ]
-    zoom = t >= t[-1] - _last_cycles(result, command)
+    zoom = t >= t[-1] - _cycles(result)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(11, 11.5), layout="constrained")
+        figure = Figure(figsize=(11, 11))
         axes = figure.subplots(len(rows), 2, sharex="col", gridspec_kw={"width_ratios": [2.2, 1]})
+        figure.subplots_adjust(left=0.08, right=0.86, top=0.93, bottom=0.05, wspace=0.18, hspace=0.14)
         for (label, names), (whole, part) in zip(rows, axes, strict=True):
             for axis, mask in ((whole, np.ones(t.shape, bool)), (part, zoom)):
                 for k, name in enumerate(names):
                     values, unit = _display(result, name)
                     text = name.removesuffix("_temperature").replace("_", " ")
-                    axis.plot(*_thin(t[mask], values[mask]), color=COLOURS[k % len(COLOURS)], label=text)
+                    style = {"color": COLOURS[k % len(COLOURS)], "label": text, "alpha": 0.8}
+                    axis.plot(*_thin(t[mask], values[mask]), **style)
             whole.set_ylabel(f"{label} [{unit}]")
             if len(names) > 1:
-                whole.legend(ncols=4 if len(names) > 4 else 2, loc="best")
+                part.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         axes[0, 0].set_title("whole run", loc="left")
         axes[0, 1].set_title("its end", loc="left")
         for axis in axes[-1]:
@@ -62,70 +64,67 @@ def picture_run(result: Result, path: Path) -> Path:
 
 
 def picture_drift(
-    drift: Drift, observed: tuple[np.ndarray, dict[str, np.ndarray]] | None, title: str, path: Path
+    drift: Drift, observed: tuple[np.ndarray, dict[str, np.ndarray]], title: str, path: Path
 ) -> Path:  # fmt: skip
-    """Drift of angle and spool position over time, from the static solution and as the run shows it."""
+    """Drift over time in percent: the static solution with the run's own gain beside it, and the statics by route."""
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9, 6), layout="constrained")
-        axis, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.5, 1))
+        figure = Figure(figsize=(13, 5.4))
+        axes = figure.subplots(1, 3, sharey=True)
+        figure.subplots_adjust(left=0.06, right=0.9, top=0.84, bottom=0.1, wspace=0.08)
+        total = axes[0]
         for k, (name, values) in enumerate(drift.total.items()):
             text = name.replace("_", " ")
-            axis.plot(drift.times, 100 * values, color=COLOURS[k], label=f"{text}, static at the parts' temperatures")
-            if observed is not None:
-                axis.plot(observed[0], 100 * observed[1][name], ".", color=COLOURS[k], label=f"{text}, gain of the run")
-        axis.axhline(0.0, color="0.6", lw=0.8)
-        axis.set_ylabel("drift from 20 °C [%]")
-        axis.legend()
-        below.plot(drift.times, drift.oil_temperature, color="0.3")
-        below.set_ylabel("oil [°C]")
-        below.set_xlabel("time [s]")
-        figure.suptitle(f"{title}: drift from the nominal at {drift.current * 1e3:.3g} mA", fontsize=12)
-        return _save(figure, path)
-
-
-def picture_routes(drift: Drift, title: str, path: Path) -> Path:
-    """The same drift split by temperature route."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10, 5), layout="constrained")
-        for axis, name in zip(figure.subplots(1, 2, sharey=True), drift.total, strict=True):
+            total.plot(drift.times, 100 * values, color=COLOURS[k], label=f"{text} at rest")
+            total.plot(observed[0], 100 * observed[1][name], ".", color=COLOURS[k], label=f"{text} as it moves in the run")
+        total.set_title("all routes together", loc="left")
+        total.set_ylabel("drift from 20 °C [%]")
+        total.legend()
+        for axis, name in zip(axes[1:], drift.total, strict=True):
             for k, (route, values) in enumerate(drift.by_route.items()):
                 axis.plot(drift.times, 100 * values[name], color=COLOURS[k % len(COLOURS)], label=route)
             axis.plot(drift.times, 100 * drift.total[name], color="k", lw=2, label="all together")
-            axis.set_title(name.replace("_", " "), loc="left")
+            axis.set_title(f"{name.replace('_', ' ')} at rest, by route", loc="left")
+        axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        for axis in axes:
+            axis.axhline(0.0, color="0.6", lw=0.8)
             axis.set_xlabel("time [s]")
-            axis.set_ylabel("drift from 20 °C [%]")
-        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-        figure.suptitle(f"{title}: drift by route at {drift.current * 1e3:.3g} mA", fontsize=12)
+        low, high = drift.oil_temperature.min(), drift.oil_temperature.max()
+        figure.suptitle(f"{title}: drift at {drift.current * 1e3:.3g} mA, oil from {low:.4g} to {high:.4g} °C", fontsize=12)
         return _save(figure, path)
 
 
 def picture_characteristic(result: Result, path: Path) -> Path:
-    """Angle, spool position, load flow and leakage over current; colour is oil temperature, dashes the statics at 20 °C."""
+    """Angle, spool position, load flow and leakage over current; colour is oil temperature, dashes the rest at 20 °C."""
     scenario = result.scenario
     top = reference_current(scenario)
     currents = np.linspace(-top, top, 41)
     cold = static_solution(
         scenario.valve, current=currents, parts=PartTemperatures.uniform(20.0), routes=(), oil=scenario.oil
     )  # fmt: skip
+    span, end = _cycles(result), float(result.time[-1])
+    starts = np.linspace(0.0, end - span, 6) if span < 0.1 * end else np.array([0.0])
+    windows = [(result.time >= a) & (result.time <= a + (span if len(starts) > 1 else end)) for a in starts]
+    temperature = result["oil_temperature"].values
+    scale = matplotlib.colors.Normalize(temperature.min(), max(temperature.max(), temperature.min() + 1.0))
+    colours = matplotlib.cm.ScalarMappable(scale, "coolwarm")
+    current, _ = _display(result, "current")
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10, 7), layout="constrained")
+        figure = Figure(figsize=(10, 7))
         axes = figure.subplots(2, 2, sharex=True)
-        step = max(1, len(result.time) // 20_000)
-        temperature = result["oil_temperature"].values[::step]
-        current, _ = _display(result, "current")
-        for axis, name in zip(
-            axes.flat, ("armature_angle", "spool_position", "load_flow", "internal_leakage"), strict=True
-        ):
+        figure.subplots_adjust(left=0.08, right=0.86, top=0.92, bottom=0.08, wspace=0.22, hspace=0.1)
+        names = ("armature_angle", "spool_position", "load_flow", "internal_leakage")
+        for axis, name in zip(axes.flat, names, strict=True):
             values, unit = _display(result, name)
-            dots = axis.scatter(current[::step], values[::step], c=temperature, s=2, cmap="coolwarm", rasterized=True)
+            for window in windows:
+                axis.plot(current[window], values[window], color=colours.to_rgba(temperature[window].mean()))
             if name in ("armature_angle", "spool_position"):
-                axis.plot(currents * 1e3, getattr(cold, name) * 1e3, "k--", lw=1, label="static, 20 °C")
+                axis.plot(currents * 1e3, getattr(cold, name) * 1e3, "k--", lw=1, label="at rest, 20 °C")
                 axis.legend()
             axis.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
         for axis in axes[-1]:
             axis.set_xlabel("current [mA]")
         if np.ptp(temperature) > 0.0:
-            figure.colorbar(dots, ax=axes, label="oil temperature [°C]")
+            figure.colorbar(colours, cax=figure.add_axes((0.89, 0.15, 0.015, 0.7)), label="oil temperature [°C]")
         figure.suptitle(f"{scenario.title}: over current", fontsize=12)
         return _save(figure, path)
 
@@ -137,9 +136,9 @@ def _display(result: Result, name: str) -> tuple[np.ndarray, str]:
     return channel.values * factor, symbol(unit)
 
 
-def _last_cycles(result: Result, command: str) -> float:
-    """A span at the end of the run, s, with about three cycles of the command, or a twentieth of the run."""
-    values = result[command].values
+def _cycles(result: Result) -> float:
+    """A span, s, of about three cycles of the current at the end of the run, or a twentieth of the run."""
+    values = result["current"].values
     crossings = result.time[1:][np.diff(np.sign(values - values.mean())) != 0]
     if len(crossings) >= 8:
         return min(7.0 * float(crossings[-1] - crossings[-2]), float(result.time[-1]))

@@ -61,7 +61,7 @@ DENSE = np.array(
 
 RATE_SPAN = 0.02  # share of a step over which df/dt is taken
 
-DONE, TOO_MANY_STEPS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
+DONE, TOO_MANY_STEPS, STEP_TOO_SMALL = 0, 1, 2
 
 
 def factor(W, order):
@@ -185,7 +185,7 @@ def integrate(
                     for j in range(n):
                         W[i, j] = -J[i, j]
                     W[i, i] += 1.0 / (GAMMA * h)
-                error = np.inf
+                error = 1e10  # of a step that cannot be made
                 if factor(W, order):
                     for s in range(STAGES):
                         if s == 0:
@@ -214,9 +214,8 @@ def integrate(
                     for i in range(n):
                         new[i] += K[STAGES - 1, i]
                         size = atol + rtol * max(abs(y[i]), abs(new[i]))
-                        error = max(error, abs(K[STAGES - 1, i]) / size)
-                if not np.isfinite(error):
-                    error = 1e10
+                        share = abs(K[STAGES - 1, i]) / size
+                        error = max(error, share) if np.isfinite(share) else 1e10
                 if error <= 1.0:
                     break
                 count[1] += 1

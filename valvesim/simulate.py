@@ -20,7 +20,7 @@ from .errors import SolveError, unknown_name
 from .files import write_atomically
 from .model import VoltageDrive
 from .parameters import PART_NAMES, Coefficients, PartTemperatures
-from .rosenbrock import NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS
+from .rosenbrock import STEP_TOO_SMALL, TOO_MANY_STEPS
 from .scenario import Scenario
 from .static import solve_rest
 from .thermal import TemperaturePath, temperature_path
@@ -29,7 +29,7 @@ from .units import DISPLAY, symbol
 MAX_STEPS = 50_000_000
 SLICES = 64  # of a run, between which progress is told
 JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
-KNOT_ERROR = 1e-6  # relative error of the coefficients between the knots of the temperature path
+KNOT_ERROR = 1e-5  # relative error of the coefficients between the knots of the temperature path
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,7 @@ class Result:
 
     def to_netcdf(self, path: str | Path) -> Path:
         """Write all channels as netCDF-4 (HDF5): labelled arrays with units that Python, MATLAB and others open."""
-        encoding = {name: {"zlib": True, "complevel": 1} for name in self.names}
-        return write_atomically(
-            Path(path), lambda temporary: self.dataset.to_netcdf(temporary, engine="netcdf4", encoding=encoding)
-        )
+        return write_atomically(Path(path), lambda temporary: self.dataset.to_netcdf(temporary, engine="netcdf4"))
 
 
 @dataclass(frozen=True)
@@ -140,7 +137,7 @@ def _prepare(scenario: Scenario) -> _Problem:
     path, c = _temperature_knots(scenario)
     flat = model.flat_coefficients(c, scenario.effects)
     knots = np.stack(np.broadcast_arrays(*flat), axis=-1).astype(float)
-    knots = np.ascontiguousarray(np.broadcast_to(knots, (*knots.shape[:-2], len(path.times), knots.shape[-1])))
+    knots = np.array(np.broadcast_to(knots, (*knots.shape[:-2], len(path.times), knots.shape[-1])))
     knots = knots.reshape(-1, *knots.shape[-2:])
     commands = (scenario.command, *scenario.pressures())
     starts, intervals = merge(commands, end)
@@ -262,7 +259,6 @@ def _integrate(problem: _Problem, member: int, progress: Callable[[float], None]
 _REASONS = {
     TOO_MANY_STEPS: f"more than {MAX_STEPS} steps were needed",
     STEP_TOO_SMALL: "the step became too small",
-    NOT_FINITE: "a value is no longer finite",
 }
 
 
@@ -308,11 +304,10 @@ def _dataset(problem: _Problem, states: np.ndarray) -> Any:
 
     scenario, times, at = problem.scenario, problem.times, problem.path.times
     command, *pressures = (evaluate(each, times) for each in (scenario.command, *scenario.pressures()))
-    c = tuple(_between(times, at, column) for column in problem.knots[0].T)
+    c = _between(times, at, problem.knots[0])
     signals = scenario.model.signals(tuple(states.T), Inputs(command, np.zeros_like(times), *pressures), c)
-    temperatures = [
-        _between(times, at, np.broadcast_to(getattr(problem.path.parts, name), at.shape)) for name in PART_NAMES
-    ]
+    parts = np.column_stack([np.broadcast_to(getattr(problem.path.parts, name), at.shape) for name in PART_NAMES])
+    temperatures = _between(times, at, parts)
     voltage = [command] if isinstance(scenario.drive, VoltageDrive) else []
     columns = (*voltage, *temperatures, *pressures, *states.T, *signals)
     return xarray.Dataset(
@@ -325,12 +320,11 @@ def _dataset(problem: _Problem, states: np.ndarray) -> Any:
     )
 
 
-def _between(times: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Straight lines between knots; after a jump (two equal knots) the later value."""
+def _between(times: np.ndarray, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Straight lines between knots for columns (m, n_columns), as (n_columns, n_t); after a jump the later value."""
     if len(at) == 1:
-        return np.full(times.shape, values[0])
+        return np.repeat(columns.T, len(times), axis=1)
     k = np.clip(np.searchsorted(at, times, side="right") - 1, 0, len(at) - 2)
     width = at[k + 1] - at[k]
-    share = np.divide(times - at[k], width, out=np.ones_like(times), where=width > 0.0)
-    return values[k] + np.clip(share, 0.0, 1.0) * (values[k + 1] - values[k])
-
+    share = np.clip(np.divide(times - at[k], width, out=np.ones_like(times), where=width > 0.0), 0.0, 1.0)
+    return np.array([column[k] + share * (column[k + 1] - column[k]) for column in columns.T])

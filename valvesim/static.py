@@ -182,7 +182,7 @@ def solve_rest(
     return StaticSolution(real_roots=real_roots, **{n: np.array(f) for n, f in zip(names, fields, strict=True)})
 
 
-def follow_branch(c: Coefficients, current, pressures, friction=0.0, *, steps: int = 24) -> np.ndarray:
+def follow_branch(c: Coefficients, current, pressures, friction=0.0, *, steps: int = 10) -> np.ndarray:
     """The angle that the valve reaches when the current rises from zero to `current`, by continuation on the balances.
 
     Raises SolveError where the branch leaves the null gap or the torque balance loses its stable slope (a fold).

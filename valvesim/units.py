@@ -17,6 +17,11 @@ from .errors import InputError, unknown_name
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER}|[-+]?(?:nan|inf))\s*(.*?)\s*")
+# What a unit may look like. Nothing else reaches pint, which would work out a text such as 9**9**9 for days.
+_UNIT = re.compile(
+    r"(?:[A-Za-z_°Δ\u00b5\u03bcΩ%‰\s/·.()]|\*(?!\*)|(?<=[A-Za-z])\d(?!\d)|(?<![\w.])1(?![\w.])"
+    r"|(?<=[A-Za-z°Ω%)])\s*(?:(?:\^|\*\*)\s*(?:-?\d(?:\.\d)?|\(-?\d/\d\))(?![\d.])|⁻?[¹²³])){1,60}"
+)
 _SYMBOLS = {"delta_degC": "K", "1": "-", "degC": "°C"}
 
 # Unit of a quantity -> the units in which people rather read it, with the factor from SI.
@@ -30,7 +35,10 @@ DISPLAY = {
 def _registry() -> Any:
     import pint
 
-    return pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
+    try:
+        return pint.UnitRegistry(autoconvert_offset_to_baseunit=True, cache_folder=":auto:")
+    except OSError:  # no writable cache: the definitions are read anew, 0.3 s
+        return pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
 
 
 @functools.cache
@@ -39,20 +47,30 @@ def _unit(text: str) -> Any:
 
 
 def convert(value: Any, unit: str, to: str, where: str = "") -> Any:
-    """Convert numbers from one unit to another ("bar" to "Pa"); InputError for a wrong dimension or unknown unit."""
+    """Convert numbers from one unit to another ("bar" to "Pa").
+
+    Raises InputError for a wrong dimension, an unknown unit, and where a number leaves the range of a float.
+    """
     import pint
 
     prefix = f"{where}: " if where else ""
     try:
+        if _UNIT.fullmatch(unit) is None:
+            raise ValueError(unit)
         source = _unit(unit)
-    except (pint.errors.PintError, AssertionError, ValueError, TypeError) as error:
+    except Exception as error:  # pint raises errors of many kinds on nonsense
         raise InputError(f"{prefix}unknown unit {unit!r}; expected one that converts to {to!r}") from error
     try:
-        return _registry().Quantity(value, source).to(_unit(to)).magnitude
-    except pint.errors.PintError as error:
+        with np.errstate(all="ignore"):
+            converted = _registry().Quantity(value, source).to(_unit(to)).magnitude
+    except (pint.errors.PintError, AssertionError, ArithmeticError) as error:
         raise InputError(
             f"{prefix}{unit!r} has the wrong dimension; expected a unit that converts to {to!r}"
         ) from error
+    lost = np.isfinite(value) & ~np.isfinite(converted)
+    if lost.any():
+        raise InputError(f"{prefix}{np.asarray(value)[lost].flat[0]:.6g} {unit} is too large a number in {to!r}")
+    return converted
 
 
 def parse(text: Any, unit: str, where: str = "") -> float:
@@ -60,12 +78,12 @@ def parse(text: Any, unit: str, where: str = "") -> float:
 
     Raises InputError (no number, unit missing, wrong dimension, not finite), naming `where`.
     """
-    prefix = f"{where}: " if where else ""
+    prefix, example = f"{where}: " if where else "", "0.5" if unit == "1" else f"1 {unit}"
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-        raise InputError(f"{prefix}expected a quantity such as '1 {unit}', got {text!r}")
+        raise InputError(f"{prefix}expected a quantity such as '{example}', got {text!r}")
     match = _QUANTITY.fullmatch(str(text))
     if match is None:
-        raise InputError(f"{prefix}cannot read {text!r} as a number with a unit, such as '1 {unit}'")
+        raise InputError(f"{prefix}cannot read {text!r} as a number with a unit, such as '{example}'")
     number, source = float(match[1]), match[2]
     if not np.isfinite(number):
         raise InputError(f"{prefix}{text!r} is not a finite number")
@@ -78,10 +96,10 @@ def parse(text: Any, unit: str, where: str = "") -> float:
 
 def parse_list(text: str, unit: str, where: str = "") -> np.ndarray:
     """Read `"20, 100, 270 degC"` (or one unit each, `"1 mA, 0.002 A"`) as an array in `unit`."""
-    words = [word for word in str(text).split(",")]
+    words = [word.strip() for word in str(text).split(",")]
     last = _QUANTITY.fullmatch(words[-1])
     shared = last[2] if last else ""
-    return np.array([parse(f"{w} {shared}" if re.fullmatch(rf"\s*{_NUMBER}\s*", w) else w, unit, where) for w in words])
+    return np.array([parse(f"{w} {shared}".strip() if re.fullmatch(_NUMBER, w) else w, unit, where) for w in words])
 
 
 def quantity(
@@ -114,11 +132,12 @@ def range_text(field: dataclasses.Field) -> str:
 def check_bounds(instance: Any) -> None:
     """Raise InputError for the first declared quantity of a dataclass instance that leaves its bounds or is not finite.
 
-    A quantity may be an array of any shape (a batch of valves); then each of its values must be inside.
+    Infinity is allowed only as a default. A quantity may be an array of any shape (a batch of valves); then each of its
+    values must be inside.
     """
     for name, field in quantities(instance).items():
         value, (low, high) = np.asarray(getattr(instance, name), dtype=float), field.metadata["bounds"]
-        outside = ~((value >= low) & (value <= high))  # NaN is outside
+        outside = ~((value >= low) & (value <= high)) | (np.isinf(value) & (value != field.default))  # NaN is outside
         if outside.any():
             worst = value[outside].flat[0]
             raise InputError(

@@ -1,0 +1,25 @@
+"""What every test starts from: no validity warning given yet, none of them an error, hypothesis without clock or dice."""
+
+import pytest
+from hypothesis import settings
+
+from valvesim.errors import forget_warnings
+
+# derandomize: the same examples in every run, so that a failure is never a matter of luck
+settings.register_profile("valvesim", deadline=None, max_examples=50, derandomize=True, database=None)
+settings.load_profile("valvesim")
+
+
+def pytest_collection_modifyitems(items):
+    """Ignore `ValidityWarning` unless the test sets its own filters (`pytest.warns` sees it either way)."""
+    for item in items:
+        if item.get_closest_marker("filterwarnings") is None:
+            item.add_marker(pytest.mark.filterwarnings("ignore::valvesim.errors.ValidityWarning"))
+
+
+@pytest.fixture(autouse=True)
+def _validity_warnings_forgotten():
+    """Each test sees the once-only warnings as a new process would."""
+    forget_warnings()
+    yield
+    forget_warnings()
