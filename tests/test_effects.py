@@ -278,7 +278,7 @@ def test_hysteresis_magnetises_as_a_current_less_by_its_coercive_current():
     assert signals(active, memory=0.8).drive_torque == pytest.approx(
         signals(inputs=INPUTS._replace(command=3e-3 - 0.8e-4)).drive_torque, rel=1e-12
     )
-    assert signals(active, memory=0.8).coil_current == 3e-3
+    assert signals(active, memory=0.8).current == 3e-3
 
 
 def test_hysteresis_turns_over_its_turning_current():

@@ -86,9 +86,7 @@ def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
     names = ("current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle")
     names += ("nozzle_pressure_1", "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage")
     for name in names:
-        channel = result[name]
-        unit, factor = DISPLAY.get(channel.attrs["units"], (channel.attrs["units"], 1.0))
-        values = channel.values * factor
+        values, unit = result.display(name)
         figures = (f"{v:.5g}" for v in (values.min(), values.max(), values[-1]))
         table.add_row(name.replace("_", " "), symbol(unit), *figures)
     console = _console()

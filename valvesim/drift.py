@@ -45,7 +45,7 @@ def static_drift(result: Result, *, points: int = 101) -> Drift:
     """
     scenario = result.scenario
     pick = np.unique(np.linspace(0, len(result.time) - 1, points).astype(int))
-    parts = PartTemperatures(**{name: result[f"{name}_temperature"].values[pick] for name in PART_NAMES})
+    parts = PartTemperatures(**{name: result.values[f"{name}_temperature"][pick] for name in PART_NAMES})
     current = reference_current(scenario)
 
     def solve(temperatures: PartTemperatures, routes: tuple[str, ...]):
@@ -85,7 +85,7 @@ def observed_drift(result: Result, cold: Result, *, windows: int = 60) -> tuple[
     centres = np.array([result.time[a:b].mean() for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a])
     drifts = {}
     for name in QUANTITIES:
-        warm_values, cold_values = result[name].values, cold[name].values
+        warm_values, cold_values = result.values[name], cold.values[name]
         floor = 1e-3 * np.max(np.abs(cold_values)) ** 2
         gains = []
         for a, b in zip(edges[:-1], edges[1:], strict=True):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -14,7 +13,7 @@ from .model import VoltageDrive
 from .parameters import PART_NAMES, PartTemperatures
 from .simulate import Result
 from .static import static_solution
-from .units import DISPLAY, symbol
+from .units import symbol
 
 matplotlib.use("Agg")
 from matplotlib.figure import Figure  # noqa: E402 - the backend comes first
@@ -104,7 +103,7 @@ def picture_characteristic(result: Result, path: Path) -> Path:
     span, end = _cycles(result), float(result.time[-1])
     starts = np.linspace(0.0, end - span, 6) if span < 0.1 * end else np.array([0.0])
     windows = [(result.time >= a) & (result.time <= a + (span if len(starts) > 1 else end)) for a in starts]
-    temperature = result["oil_temperature"].values
+    temperature = result.values["oil_temperature"]
     scale = matplotlib.colors.Normalize(temperature.min(), max(temperature.max(), temperature.min() + 1.0))
     colours = matplotlib.cm.ScalarMappable(scale, "coolwarm")
     current, _ = _display(result, "current")
@@ -130,15 +129,14 @@ def picture_characteristic(result: Result, path: Path) -> Path:
 
 
 def _display(result: Result, name: str) -> tuple[np.ndarray, str]:
-    """(values, unit) as people read them."""
-    channel: Any = result[name]
-    unit, factor = DISPLAY.get(channel.attrs["units"], (channel.attrs["units"], 1.0))
-    return channel.values * factor, symbol(unit)
+    """(values, unit) as an axis shows them."""
+    values, unit = result.display(name)
+    return values, symbol(unit)
 
 
 def _cycles(result: Result) -> float:
     """A span, s, of about three cycles of the current at the end of the run, or a twentieth of the run."""
-    values = result["current"].values
+    values = result.values["current"]
     crossings = result.time[1:][np.diff(np.sign(values - values.mean())) != 0]
     if len(crossings) >= 8:
         return min(7.0 * float(crossings[-1] - crossings[-2]), float(result.time[-1]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -37,50 +36,83 @@ class Result:
     """What a run gave: `result["spool_position"]` is an xarray.DataArray over time, with its unit in `attrs["units"]`.
 
     Names: every state, every signal, the inputs, and `<part>_temperature` of oil and parts (°C). SI throughout.
+    `values[name]` is the bare array (n_t,), `time` the samples' times in s.
     """
 
     scenario: Scenario
-    dataset: Any
+    time: np.ndarray
+    channels: tuple[Channel, ...]
+    values: dict[str, np.ndarray]
     statistics: dict[str, float]
 
     def __getitem__(self, name: str) -> Any:
-        if name not in self.dataset:
-            raise unknown_name("channel", name, self.names)
-        return self.dataset[name]
+        return self.select((name,)).dataset[name]
 
     @property
     def names(self) -> tuple[str, ...]:
         """All channels, in order."""
-        return tuple(str(name) for name in self.dataset.data_vars)
+        return tuple(channel.name for channel in self.channels)
+
+    @property
+    def dataset(self) -> Any:
+        """All channels as one xarray.Dataset with units."""
+        import xarray
+
+        return xarray.Dataset(
+            {
+                channel.name: ("time", self.values[channel.name], {"units": channel.unit, "long_name": channel.doc})
+                for channel in self.channels
+            },
+            coords={"time": ("time", self.time, {"units": "s", "long_name": "time"})},
+            attrs=self._attributes(),
+        )
+
+    def display(self, name: str) -> tuple[np.ndarray, str]:
+        """(values, unit) of a channel as people read it: mm, bar, mA, L/min."""
+        (channel,) = self.select((name,)).channels
+        unit, factor = DISPLAY.get(channel.unit, (channel.unit, 1.0))
+        return self.values[name] * factor, unit
 
     def select(self, names: Sequence[str]) -> Result:
         """The result with these channels alone; all of them if none is named. InputError for an unknown name."""
-        return replace(self, dataset=self.dataset[[self[name].name for name in names]]) if names else self
-
-    @property
-    def time(self) -> np.ndarray:
-        """Times of the samples, s."""
-        return self.dataset["time"].values
+        for name in names:
+            if name not in self.values:
+                raise unknown_name("channel", name, self.names)
+        return replace(self, channels=tuple(c for c in self.channels if c.name in names)) if names else self
 
     def to_csv(self, path: str | Path) -> Path:
         """Write all channels, one column each with its unit in the header (mm, bar, mA, L/min). Returns the path."""
         columns, header = [self.time], ["time [s]"]
         for name in self.names:
-            unit, factor = DISPLAY.get(self[name].attrs["units"], (self[name].attrs["units"], 1.0))
+            values, unit = self.display(name)
             header.append(f"{name} [{unit}]")
-            columns.append(self[name].values * factor)
+            columns.append(values)
 
         def write(temporary: Path) -> None:
-            with open(temporary, "w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file)
-                writer.writerow(header)
-                writer.writerows([f"{value:.9g}" for value in row] for row in np.column_stack(columns))
+            np.savetxt(
+                temporary, np.column_stack(columns), "%.9g", ",", header=",".join(header), comments="", encoding="utf-8"
+            )  # fmt: skip
 
         return write_atomically(Path(path), write)
 
     def to_netcdf(self, path: str | Path) -> Path:
         """Write all channels as netCDF-4 (HDF5): labelled arrays with units that Python, MATLAB and others open."""
-        return write_atomically(Path(path), lambda temporary: self.dataset.to_netcdf(temporary, engine="netcdf4"))
+
+        def write(temporary: Path) -> None:
+            from netCDF4 import Dataset
+
+            with Dataset(temporary, "w") as file:
+                file.setncatts(self._attributes())
+                file.createDimension("time", len(self.time))
+                for channel in (Channel("time", "s", "time"), *self.channels):
+                    variable = file.createVariable(channel.name, "f8", ("time",))
+                    variable.setncatts({"units": channel.unit, "long_name": channel.doc})
+                    variable[:] = self.time if channel.name == "time" else self.values[channel.name]
+
+        return write_atomically(Path(path), write)
+
+    def _attributes(self) -> dict[str, str]:
+        return {"title": self.scenario.title, "source": "valvesim", "oil": self.scenario.oil.name}
 
 
 @dataclass(frozen=True)
@@ -107,7 +139,7 @@ def simulate(scenario: Scenario, *, progress: Callable[[float], None] | None = N
     states, count = _integrate(problem, 0, progress)
     seconds = time.perf_counter() - begin
     statistics = {"accepted_steps": float(count[0]), "rejected_steps": float(count[1]), "solver_seconds": seconds}
-    return Result(scenario, _dataset(problem, states), statistics)
+    return Result(scenario, problem.times, output_channels(scenario), _values(problem, states), statistics)
 
 
 def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[str, np.ndarray]:
@@ -298,26 +330,19 @@ def check_channels(scenario: Scenario) -> None:
             raise unknown_name("channel", name, names, "outputs.channels")
 
 
-def _dataset(problem: _Problem, states: np.ndarray) -> Any:
-    """All channels over time as an xarray.Dataset with units; signals from the same lines as the derivatives."""
-    import xarray
-
+def _values(problem: _Problem, states: np.ndarray) -> dict[str, np.ndarray]:
+    """All channels over time by name; signals from the same lines as the derivatives."""
     scenario, times, at = problem.scenario, problem.times, problem.path.times
     command, *pressures = (evaluate(each, times) for each in (scenario.command, *scenario.pressures()))
     c = _between(times, at, problem.knots[0])
     signals = scenario.model.signals(tuple(states.T), Inputs(command, np.zeros_like(times), *pressures), c)
     parts = np.column_stack([np.broadcast_to(getattr(problem.path.parts, name), at.shape) for name in PART_NAMES])
-    temperatures = _between(times, at, parts)
     voltage = [command] if isinstance(scenario.drive, VoltageDrive) else []
-    columns = (*voltage, *temperatures, *pressures, *states.T, *signals)
-    return xarray.Dataset(
-        {
-            channel.name: ("time", np.broadcast_to(values, times.shape), {"units": channel.unit, "long_name": channel.doc})
-            for channel, values in zip(output_channels(scenario), columns, strict=True)
-        },
-        coords={"time": ("time", times, {"units": "s", "long_name": "time"})},
-        attrs={"title": scenario.title, "source": "valvesim", "oil": scenario.oil.name},
-    )
+    columns = (*voltage, *_between(times, at, parts), *pressures, *states.T, *signals)
+    return {
+        channel.name: np.broadcast_to(column, times.shape)
+        for channel, column in zip(output_channels(scenario), columns, strict=True)
+    }
 
 
 def _between(times: np.ndarray, at: np.ndarray, columns: np.ndarray) -> np.ndarray:

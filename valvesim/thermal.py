@@ -15,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
 from .commands import Command, evaluate
 from .fluid import Oil
@@ -128,6 +127,8 @@ def temperature_path(
 
 def _propagator(M: np.ndarray, N: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """T(step) = E T(0) + F u(0) + G (u(step) - u(0)) for u straight in between: exact, by one matrix exponential."""
+    from scipy.linalg import expm  # 0.2 s to import, which an isothermal run need not wait for
+
     n, m = N.shape
     block = np.zeros((n + 2 * m, n + 2 * m))
     block[:n, :n], block[:n, n : n + m] = M * step, N * step
