@@ -104,7 +104,7 @@ HEAD = "time [s],current [mA]\n"
         (HEAD + "0,1e999\n", ", line 2: 1e999 in column 'current' is not a finite number"),
         ("time [s],current [bar]\n0,1\n",
          ", column 'current': 'bar' has the wrong dimension; expected a unit that converts to 'A'"),
-        ("time [s],current [mAh/]\n0,1\n", ", column 'current': unknown unit 'mAh/'; expected one that converts to 'A'"),
+        ("time [s],current [ma/]\n0,1\n", ", column 'current': unknown unit 'ma/'; expected one that converts to 'A'"),
         ("time [s],current [kA]\n0,1e307\n", ", column 'current': 1e+307 kA is too large a number in 'A'"),
     ],
 )  # fmt: skip

@@ -24,10 +24,8 @@ import numpy as np
 
 from . import commands, rosenbrock
 from .channels import INPUT_CHANNELS
+from .effects import CATALOGUE
 from .model import Model
-
-_LAYOUT = 1  # raise when the printed source changes its form
-
 
 @dataclass(frozen=True)
 class CompiledModel:
@@ -72,7 +70,7 @@ def derivatives(model: Model) -> Any:
 @functools.lru_cache(maxsize=64)
 def compile_model(model: Model) -> CompiledModel:
     """The compiled model; a few seconds the first time on a machine, well under one second after that."""
-    module = _load(source(model))
+    module = _load(model)
     scale = np.array([channel.scale for channel in model.state_channels])
     n, n_c = len(scale), len(model.coefficient_names)
     module.run(  # to nowhere, so that it is compiled here and not in somebody's first run
@@ -99,7 +97,7 @@ def source(model: Model) -> str:
     zeros = [(i, j) for i in range(n) for j in range(n) if (i, j) not in set(zip(rows, columns, strict=True))]
     return "\n".join(
         [
-            f'"""Printed by valvesim.compiled from {model.state_channels[-1].name} and others. Layout {_LAYOUT}."""',
+            f'"""Printed by valvesim.compiled from {model.state_channels[-1].name} and others."""',
             "import numpy as np",
             "from math import copysign, exp, log, sqrt, tanh, sin, cos, fabs",
             "from numba import njit",
@@ -113,17 +111,22 @@ def source(model: Model) -> str:
     )
 
 
+def _make_callable() -> None:
+    """Let compiled code call the plain functions that `integrate` calls."""
+    from numba.extending import register_jitable
+
+    for function in (
+        commands.piece_value, rosenbrock.factor, rosenbrock.back_substitute, rosenbrock.set_inputs,
+        rosenbrock.set_coefficients,
+    ):  # fmt: skip
+        register_jitable(function)
+
+
 def _integrator_source() -> str:
     """`rosenbrock.integrate` as `run`, which finds `derivative` and `jacobian` in its own module.
 
-    Printed rather than called with them as arguments, since numba keeps no compiled code of a function that takes functions.
+    Printed rather than called with them as arguments: numba keeps no compiled code of a function that takes functions.
     """
-    from numba.extending import register_jitable
-
-    for function in (commands.piece_value, rosenbrock.factor, rosenbrock.back_substitute):
-        register_jitable(function)
-    for function in (rosenbrock.set_inputs, rosenbrock.set_coefficients):
-        register_jitable(function)
     text = inspect.getsource(rosenbrock.integrate)
     return text.replace("def integrate(", "def run(", 1).replace("derivative, jacobian, ", "", 1)
 
@@ -164,10 +167,16 @@ def _operations(casadi: ModuleType) -> dict[int, str]:
     }  # fmt: skip
 
 
-def _load(text: str) -> ModuleType:
-    """Import the source from the cache directory (a temporary one where that cannot be written)."""
-    own = "".join(inspect.getsource(module) for module in (rosenbrock, commands))
-    name = "model_" + hashlib.sha256((text + own).encode()).hexdigest()[:20]
+def _load(model: Model) -> ModuleType:
+    """Import the printed source from the cache directory, printing it first where it is not there.
+
+    A model of this package alone is known by the package's own text, without a new trace; one with a user's effect is
+    known by what it prints, since nothing else tells what the user's functions hold.
+    """
+    own = all(CATALOGUE.get(effect.name) is effect for effect in model.effects)
+    text = None if own else source(model)
+    parts = [type(model.drive).__name__, *(effect.name for effect in model.effects)] if text is None else [text]
+    name = "model_" + hashlib.sha256("\n".join([*parts, _package_text()]).encode()).hexdigest()[:20]
     for folder in _cache_folders():
         path = folder / f"{name}.py"
         try:
@@ -175,16 +184,27 @@ def _load(text: str) -> ModuleType:
                 folder.mkdir(parents=True, exist_ok=True)
                 handle, temporary = tempfile.mkstemp(suffix=".py", dir=folder)
                 with os.fdopen(handle, "w", encoding="utf-8") as file:
-                    file.write(text)
+                    file.write(text or source(model))
                 os.replace(temporary, path)
             break
         except OSError:
             continue
+    _make_callable()
     spec = importlib.util.spec_from_file_location(f"valvesim_cache.{name}", path)
     module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
     sys.modules[spec.name] = module  # type: ignore[union-attr]
     spec.loader.exec_module(module)  # type: ignore[union-attr]
     return module
+
+
+def _package_text() -> str:
+    """The text of the modules that make up a compiled model, and the versions of what prints and compiles it."""
+    from importlib.metadata import version
+
+    folder = Path(__file__).parent
+    versions = [version("numba"), version("casadi"), version("numpy"), sys.version]
+    names = ("channels", "commands", "compiled", "effects", "fluid", "laws", "model", "parameters", "rosenbrock")
+    return "\n".join([*versions, *((folder / f"{name}.py").read_text(encoding="utf-8") for name in names)])
 
 
 def _cache_folders() -> list[Path]:

@@ -23,7 +23,7 @@ STYLE = {
     "lines.linewidth": 1.1, "legend.frameon": False, "legend.fontsize": 8, "figure.dpi": 100,
 }  # fmt: skip
 COLOURS = ("#1f5fa8", "#d1495b", "#2e8b57", "#e09f3e", "#7a5195", "#5c677d", "#17a2b8", "#8d5524")
-MOST_POINTS = 2000  # of a line: beyond it the extremes of each stretch are drawn, which looks the same
+MOST_POINTS = 1200  # of a line: beyond it the extremes of each stretch are drawn, which looks the same
 
 
 def picture_run(result: Result, path: Path) -> Path:
@@ -157,4 +157,4 @@ def _thin(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    return write_atomically(path, lambda temporary: figure.savefig(temporary))
+    return write_atomically(path, lambda temporary: figure.savefig(temporary, pil_kwargs={"compress_level": 1}))

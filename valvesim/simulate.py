@@ -28,7 +28,7 @@ from .units import DISPLAY, symbol
 MAX_STEPS = 50_000_000
 SLICES = 64  # of a run, between which progress is told
 JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
-KNOT_ERROR = 1e-5  # relative error of the coefficients between the knots of the temperature path
+KNOT_ERROR = 3e-5  # relative error of the coefficients between the knots of the temperature path
 
 
 @dataclass(frozen=True)

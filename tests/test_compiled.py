@@ -1,0 +1,254 @@
+"""The traced and compiled model against `Model.rhs`, finite differences and the oracle, and where its code is kept."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valvesim import compiled, rosenbrock
+from valvesim.channels import INPUT_CHANNELS, Inputs, State
+from valvesim.commands import Constant, Sine, merge
+from valvesim.compiled import compile_model, derivatives
+from valvesim.effects import CATALOGUE
+from valvesim.model import NOMINAL, Model, VoltageDrive
+from valvesim.parameters import PartTemperatures, Valve, reference_valve
+from valvesim.static import static_solution
+
+valve = reference_valve()
+C20 = valve.at(PartTemperatures.uniform(20.0))
+U_SCALE = np.array([channel.scale for channel in INPUT_CHANNELS])
+
+
+def active_effects():
+    """Every effect of the catalogue, at a tenth of its largest amplitude."""
+    return tuple(e(**{e.amplitude.name: 0.1 * e.amplitude.bounds[1]}) for e in CATALOGUE.values())
+
+
+FULL = Model(drive=VoltageDrive(), effects=tuple(CATALOGUE.values()))
+CASES = {
+    "nominal": (NOMINAL, ()),
+    "voltage": (Model(drive=VoltageDrive()), ()),
+    "all effects": (Model(effects=FULL.effects), active_effects()),
+    "voltage and all effects": (FULL, active_effects()),
+}
+COMPILED = ("nominal", "voltage and all effects")  # of each model's terms; compiling takes seconds
+
+
+def flat(name, temperature=20.0):
+    model, active = CASES[name]
+    return np.array(model.flat_coefficients(valve.at(PartTemperatures.uniform(temperature)), active), dtype=float)
+
+
+def random_point(model, seed):
+    """State and inputs away from kinks: open nozzles, spool off its stops, every memory within its range."""
+    rng = np.random.default_rng(seed)
+    low, high = State(-3e-3, -3.0, 2e6, 2e6, 1e-5, 1e-3), State(3e-3, 3.0, 19e6, 19e6, 4e-4, 0.3)
+    extra = len(model.state_channels) - 6
+    state = np.append(rng.uniform(low, high), rng.uniform(-0.8, 0.8, extra))
+    state *= np.where(rng.random(len(state)) < 0.5, -1, 1) * np.array([1, 1, 0, 0, 1, 1, *[1] * extra]) + np.array(
+        [0, 0, 1, 1, 0, 0, *[0] * extra]
+    )
+    for k, channel in enumerate(model.state_channels):
+        if channel.name == "drive_current":
+            state[k] *= 0.01
+    command = 1e-2 if model.drive.command_unit == "A" else 6.0
+    inputs = np.array([rng.uniform(0.1, 1) * command, rng.uniform(0.1, 1.0), 21e6, 0.5e6, rng.uniform(-8e6, 8e6)])
+    return state, inputs
+
+
+def differences(f, at, size):
+    """Central differences of a vector function, one column an argument."""
+    columns = []
+    for k, scale in enumerate(size):
+        step = np.zeros(len(at))
+        step[k] = 1e-5 * scale
+        columns.append((f(at + step) - f(at - step)) / (2e-5 * scale))
+    return np.array(columns).T
+
+
+def close(exact, numeric, rates, size):
+    """Largest difference of two Jacobians (rates, arguments), as a share of each rate's largest dependence."""
+    weight = np.abs(numeric * size).max(axis=1, keepdims=True) + 1e-12 * np.abs(rates)[:, None] + 1e-30
+    return np.abs((exact - numeric) * size / weight).max()
+
+
+# ---------------------------------------------------------------- traced derivatives
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("seed", range(6))
+def test_traced_derivatives_match_finite_differences(name, seed):
+    model, _ = CASES[name]
+    c = flat(name, temperature=20.0 + 40.0 * seed)
+    state, inputs = random_point(model, seed)
+    exact = derivatives(model)(state, inputs, c)
+    rates = np.array(model.rhs(state, inputs, c))
+
+    def rhs(x=state, u=inputs, p=c):
+        return np.array(model.rhs(x, u, p), dtype=float)
+
+    sizes = (
+        np.array([channel.scale for channel in model.state_channels]) * 0.1,
+        U_SCALE * 0.1,
+        np.where(c == 0.0, 1.0, np.abs(c)),
+    )
+    changes = (lambda x: rhs(x=x), lambda u: rhs(u=u), lambda p: rhs(p=p))
+    for matrix, change, at, size in zip(exact, changes, (state, inputs, c), sizes, strict=True):
+        assert matrix.shape == (len(state), len(at))
+        assert close(np.array(matrix), differences(change, at, size), rates, size) < 1e-5
+
+
+def test_traced_derivatives_are_named_by_their_argument():
+    function = derivatives(NOMINAL)
+    assert [function.name_out(k) for k in range(3)] == ["by_state", "by_inputs", "by_coefficients"]
+    assert derivatives(NOMINAL) is function  # kept
+
+
+def test_open_loop_modes_are_published():
+    rest = static_solution(valve, current=2e-3)
+    state = [rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2, rest.spool_position, 0.0]
+    c = C20._replace(bulk_modulus_at_zero=1.63e9, bulk_modulus_slope=0.0)
+    A = np.array(derivatives(NOMINAL)(np.array(state, dtype=float), Inputs(2e-3, 0.0, 21e6, 0.5e6, 0.0), c)[0])
+    modes = np.linalg.eigvals(A)
+    modes = modes[modes.imag >= 0.0]
+    # model.md section 5, "about", rad/s at 20 °C and 2 mA with beta 1.63e9 Pa
+    for published in (-3041 + 50600j, -2806 + 3370j, -1056, -5931):
+        assert np.abs(modes - published).min() < 0.02 * abs(published)
+    assert len(modes) == 4
+
+
+# ---------------------------------------------------------------- compiled functions
+
+
+def compiled_values(name, state, inputs, c):
+    """Rates and Jacobian in SI from the compiled, scaled functions."""
+    machine = compile_model(CASES[name][0])
+    n = len(machine.scale)
+    rates, jacobian = np.empty(n), np.empty((n, n))
+    machine.derivative(state / machine.scale, inputs, c, rates)
+    machine.jacobian(state / machine.scale, inputs, c, jacobian)
+    return rates * machine.scale, jacobian * machine.scale[:, None] / machine.scale
+
+
+@pytest.mark.parametrize("name", COMPILED)
+@pytest.mark.parametrize("seed", range(10))
+def test_compiled_derivative_is_that_of_the_model(name, seed):
+    model, _ = CASES[name]
+    state, inputs = random_point(model, seed)
+    c = flat(name)
+    rates, _ = compiled_values(name, state, inputs, c)
+    assert rates == pytest.approx(np.array(model.rhs(state, inputs, c), dtype=float), rel=1e-8, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", COMPILED)
+@pytest.mark.parametrize("seed", range(10))
+def test_compiled_jacobian_is_the_traced_one(name, seed):
+    model, _ = CASES[name]
+    state, inputs = random_point(model, seed)
+    c = flat(name)
+    _, jacobian = compiled_values(name, state, inputs, c)
+    traced = np.array(derivatives(model)(state, inputs, c)[0])
+    scale = np.array([channel.scale for channel in model.state_channels])
+    assert close(jacobian, traced, np.zeros(len(state)), scale) < 1e-10
+
+
+@pytest.mark.parametrize("name", COMPILED)
+@pytest.mark.parametrize("beyond", [-1.0, 1.0])
+def test_compiled_derivative_is_that_of_the_model_on_its_stops(name, beyond):
+    model, _ = CASES[name]
+    state, inputs = random_point(model, 3)
+    state[0], state[4] = beyond * 4.5e-3, beyond * 4.3e-4
+    c = flat(name)
+    rates, jacobian = compiled_values(name, state, inputs, c)
+    assert rates == pytest.approx(np.array(model.rhs(state, inputs, c), dtype=float), rel=1e-8, abs=1e-9)
+    scale = np.array([channel.scale for channel in model.state_channels])
+    numeric = differences(lambda x: np.array(model.rhs(x, inputs, c), dtype=float), state, 0.1 * scale)
+    assert close(jacobian, numeric, rates, 0.1 * scale) < 1e-5
+
+
+@settings(max_examples=20)
+@given(st.floats(-9e-3, 9e-3), st.floats(-9e-3, 9e-3))
+def test_compiled_run_is_the_plain_run(before, amplitude):
+    machine = compile_model(NOMINAL)
+    commands = [Sine(offset=before, amplitude=amplitude, frequency=50.0), *(Constant(value=p) for p in (21e6, 5e5, 0))]
+    starts, intervals = merge(commands, 2e-3)
+    knots = np.array([0.0, 2e-3]), np.array([flat("nominal"), flat("nominal", 60.0)])
+    rest = static_solution(valve, current=before)
+    state = [rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2, rest.spool_position, 0.0]
+    t_out = np.linspace(0.0, 2e-3, 5)
+
+    def run(integrate, *functions):
+        y, clock, out = np.array(state, dtype=float) / machine.scale, np.array([0.0, 1e-5, 0.0, 0.0]), np.empty((5, 6))
+        count = np.zeros(2, np.int64)
+        status = integrate(
+            *functions, y, clock, 2e-3, starts, intervals.rows, *knots, t_out, out, 1e-5, 1e-7, 10_000, count
+        )
+        assert status == rosenbrock.DONE
+        return out, count
+
+    fast, fast_count = run(machine.run)
+    plain, plain_count = run(rosenbrock.integrate, machine.derivative, machine.jacobian)
+    assert fast == pytest.approx(plain, abs=1e-9)  # in scaled states; the same steps but for rounding
+    assert fast_count.tolist() == plain_count.tolist()
+
+
+def test_model_is_compiled_once():
+    assert compile_model(NOMINAL) is compile_model(Model())
+
+
+# ---------------------------------------------------------------- where the code is kept
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """A temporary folder of its own, to see what is written there; modules loaded meanwhile are forgotten again."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    known = dict(compiled.sys.modules)
+    yield folder
+    for name in set(compiled.sys.modules) - set(known):
+        del compiled.sys.modules[name]
+
+
+def test_code_is_kept_in_the_named_folder_and_found_again(tmp_path, monkeypatch, temporary):
+    monkeypatch.setenv("VALVESIM_CACHE_DIR", str(tmp_path / "new" / "cache"))
+    first = compiled._load("value = 42\n")
+    again = compiled._load("value = 42\n")
+    assert first.value == again.value == 42
+    assert first.__file__ == again.__file__
+    assert [path.name for path in (tmp_path / "new" / "cache").glob("*.py")] == [Path(first.__file__).name]
+    assert not list(temporary.iterdir())
+
+
+def test_other_code_has_another_file(tmp_path, monkeypatch, temporary):
+    monkeypatch.setenv("VALVESIM_CACHE_DIR", str(tmp_path))
+    assert compiled._load("value = 1\n").__file__ != compiled._load("value = 2\n").__file__
+
+
+@pytest.mark.parametrize("below", ["", "below"])
+def test_folder_that_cannot_be_written_falls_back_to_a_temporary_one(tmp_path, monkeypatch, temporary, below):
+    file = tmp_path / "file"
+    file.write_text("not a folder")
+    monkeypatch.setenv("VALVESIM_CACHE_DIR", str(file / below))
+    module = compiled._load("value = 42\n")
+    assert module.value == 42
+    assert Path(module.__file__).is_relative_to(temporary)
+    assert file.read_text() == "not a folder"
+
+
+def test_source_is_the_same_text_for_the_same_model():
+    # the name of the cached file is its hash: text that varied would be compiled again every time
+    assert compiled.source(NOMINAL) == compiled.source(Model())
+    assert compiled.source(NOMINAL) != compiled.source(Model(drive=VoltageDrive()))
+
+
+def test_valve_figures_are_no_part_of_the_compiled_code():
+    # one compiled model serves every valve: a wider nozzle changes the coefficients only
+    wider = np.array(Valve(nozzle_diameter=0.33e-3).at(PartTemperatures.uniform(20.0)), dtype=float)
+    state, inputs = random_point(NOMINAL, 1)
+    rates, _ = compiled_values("nominal", state, inputs, wider)
+    assert rates == pytest.approx(np.array(NOMINAL.rhs(state, inputs, wider), dtype=float), rel=1e-8, abs=1e-9)
