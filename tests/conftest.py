@@ -1,4 +1,4 @@
-"""What every test starts from: no validity warning given yet, none of them an error, hypothesis without clock or dice."""
+"""What every test starts from: no validity warning given yet, none an error, hypothesis without clock or dice."""
 
 import pytest
 from hypothesis import settings

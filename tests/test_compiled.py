@@ -1,9 +1,11 @@
 """The traced and compiled model against `Model.rhs`, finite differences and the oracle, and where its code is kept."""
 
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
+import oracle
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,12 +14,13 @@ from valvesim import compiled, rosenbrock
 from valvesim.channels import INPUT_CHANNELS, Inputs, State
 from valvesim.commands import Constant, Sine, merge
 from valvesim.compiled import compile_model, derivatives
-from valvesim.effects import CATALOGUE
+from valvesim.effects import CATALOGUE, Effect, Parameter, Ports
 from valvesim.model import NOMINAL, Model, VoltageDrive
 from valvesim.parameters import PartTemperatures, Valve, reference_valve
 from valvesim.static import static_solution
 
 valve = reference_valve()
+sharp = Valve(transition_pressure=1.0)  # roots of the oracle
 C20 = valve.at(PartTemperatures.uniform(20.0))
 U_SCALE = np.array([channel.scale for channel in INPUT_CHANNELS])
 
@@ -107,17 +110,22 @@ def test_traced_derivatives_are_named_by_their_argument():
     assert derivatives(NOMINAL) is function  # kept
 
 
-def test_open_loop_modes_are_published():
-    rest = static_solution(valve, current=2e-3)
+def test_open_loop_modes_are_those_of_the_oracle_and_about_the_published():
+    rest = static_solution(sharp, current=2e-3)
     state = [rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2, rest.spool_position, 0.0]
-    c = C20._replace(bulk_modulus_at_zero=1.63e9, bulk_modulus_slope=0.0)
-    A = np.array(derivatives(NOMINAL)(np.array(state, dtype=float), Inputs(2e-3, 0.0, 21e6, 0.5e6, 0.0), c)[0])
-    modes = np.linalg.eigvals(A)
-    modes = modes[modes.imag >= 0.0]
-    # model.md section 5, "about", rad/s at 20 °C and 2 mA with beta 1.63e9 Pa
+    state = np.array(state, dtype=float)
+    c = sharp.at(PartTemperatures.uniform(20.0))._replace(bulk_modulus_at_zero=1.63e9, bulk_modulus_slope=0.0)
+    A = np.array(derivatives(NOMINAL)(state, Inputs(2e-3, 0.0, 21e6, 0.5e6, 0.0), c)[0])
+    theirs = oracle.coefficients(*[20.0] * 5)
+    B = differences(
+        lambda x: np.array(oracle.derivatives(x, 2e-3, theirs, c.density, 1.63e9, 1.63e9)), state,
+        [channel.scale for channel in NOMINAL.state_channels],
+    )  # fmt: skip
+    modes = np.sort_complex(np.linalg.eigvals(A))
+    assert np.abs(modes / np.sort_complex(np.linalg.eigvals(B)) - 1).max() < 1e-6
+    # model.md section 5, "about", rad/s at 20 °C and 2 mA with beta 1.63e9 Pa; the oracle itself is up to 10 % away
     for published in (-3041 + 50600j, -2806 + 3370j, -1056, -5931):
-        assert np.abs(modes - published).min() < 0.02 * abs(published)
-    assert len(modes) == 4
+        assert np.abs(modes - published).min() < 0.11 * abs(published)
 
 
 # ---------------------------------------------------------------- compiled functions
@@ -208,25 +216,29 @@ def temporary(tmp_path, monkeypatch):
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    known = dict(compiled.sys.modules)
+    known = {name: module for name, module in sys.modules.items() if name.startswith("valvesim_cache")}
     yield folder
-    for name in set(compiled.sys.modules) - set(known):
-        del compiled.sys.modules[name]
+    for name in [name for name in sys.modules if name.startswith("valvesim_cache")]:
+        del sys.modules[name]
+    sys.modules.update(known)
+
+
+def user_effect(factor, name="own"):
+    return Effect(
+        name=name, doc="d", location="l", signature="s",
+        parameters=(Parameter(name="size", unit="1", doc="size", default=0.0, bounds=(0.0, 1.0), neutral=0.0),),
+        balance=lambda s, p, memory: (Ports(spool_force=factor * p.size), ()),
+    )  # fmt: skip
 
 
 def test_code_is_kept_in_the_named_folder_and_found_again(tmp_path, monkeypatch, temporary):
-    monkeypatch.setenv("VALVESIM_CACHE_DIR", str(tmp_path / "new" / "cache"))
-    first = compiled._load("value = 42\n")
-    again = compiled._load("value = 42\n")
-    assert first.value == again.value == 42
+    folder = tmp_path / "new" / "cache"
+    monkeypatch.setenv("VALVESIM_CACHE_DIR", str(folder))
+    first = compiled._load(NOMINAL)
+    again = compiled._load(Model())
     assert first.__file__ == again.__file__
-    assert [path.name for path in (tmp_path / "new" / "cache").glob("*.py")] == [Path(first.__file__).name]
+    assert [path.name for path in folder.glob("*.py")] == [Path(first.__file__).name]
     assert not list(temporary.iterdir())
-
-
-def test_other_code_has_another_file(tmp_path, monkeypatch, temporary):
-    monkeypatch.setenv("VALVESIM_CACHE_DIR", str(tmp_path))
-    assert compiled._load("value = 1\n").__file__ != compiled._load("value = 2\n").__file__
 
 
 @pytest.mark.parametrize("below", ["", "below"])
@@ -234,10 +246,18 @@ def test_folder_that_cannot_be_written_falls_back_to_a_temporary_one(tmp_path, m
     file = tmp_path / "file"
     file.write_text("not a folder")
     monkeypatch.setenv("VALVESIM_CACHE_DIR", str(file / below))
-    module = compiled._load("value = 42\n")
-    assert module.value == 42
+    module = compiled._load(NOMINAL)
     assert Path(module.__file__).is_relative_to(temporary)
     assert file.read_text() == "not a folder"
+    assert callable(module.run) and callable(module.derivative)
+
+
+def test_models_that_differ_have_files_of_their_own(tmp_path, monkeypatch, temporary):
+    monkeypatch.setenv("VALVESIM_CACHE_DIR", str(tmp_path / "cache"))
+    models = [NOMINAL, Model(drive=VoltageDrive()), *(Model(effects=(e,)) for e in CATALOGUE.values())]
+    models += [Model(effects=(user_effect(1.0),)), Model(effects=(user_effect(2.0),))]
+    models += [Model(effects=(user_effect(3.0, name="entrained_air"),))]  # not the one of the catalogue
+    assert len({compiled._load(model).__file__ for model in models}) == len(models)
 
 
 def test_source_is_the_same_text_for_the_same_model():

@@ -1,4 +1,4 @@
-"""Every effect of the catalogue: neutral at its neutral value, refused outside its bounds, and its own sign and size."""
+"""Every effect of the catalogue: neutral at its neutral value, refused outside its bounds, its own sign and size."""
 
 import dataclasses
 
@@ -100,12 +100,12 @@ def test_missing_amplitude_is_refused_by_name(name):
 
 
 def test_unknown_parameter_is_refused_with_the_nearest_name():
-    with pytest.raises(InputError, match="unknown parameter of effect .* 'friction_forse'; did you mean 'friction_forc"):
+    with pytest.raises(InputError, match="unknown parameter of effect .* 'friction_forse'; did you mean 'friction_fo"):
         effect("spool_coulomb_friction")(friction_forse=1.0)
 
 
 def test_unknown_effect_is_refused_with_the_nearest_name():
-    with pytest.raises(InputError, match="unknown effect 'magnet_demagnetisation'; did you mean 'magnet_demagnetizatio"):
+    with pytest.raises(InputError, match="unknown effect 'magnet_demagnetisation'; did you mean 'magnet_demagnetiz"):
         effect("magnet_demagnetisation")
 
 
@@ -362,7 +362,9 @@ def test_effects_add_up_and_keep_their_own_memories_and_parameters():
 
 def test_memory_of_a_users_effect_is_a_state_of_the_model():
     lag = dataclasses.replace(
-        own(), memory=(Channel("lag", "N", "", 1.0),), balance=lambda s, p, z: (Ports(spool_force=z[0]), (p.size - z[0],))
+        own(),
+        memory=(Channel("lag", "N", "", 1.0),),
+        balance=lambda s, p, z: (Ports(spool_force=z[0]), (p.size - z[0],)),
     )
     with_lag = rates(lag(size=0.5), memory=0.2)
     assert with_lag[N] == pytest.approx(0.3, rel=1e-12)

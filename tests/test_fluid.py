@@ -1,4 +1,4 @@
-"""The oils against the figures of field.md section 3 (marked [V], [D] or [M] there) and against their own definitions."""
+"""The oils against the figures of field.md section 3 (marked [V], [D] or [M] there) and their own definitions."""
 
 import warnings
 
@@ -28,7 +28,7 @@ def test_walther_line_through_two_points_has_the_published_coefficients():
     law = viscosity_walther(((40.0, 13.5), (100.0, 5.1)))
     A, B = 5.92281, 2.34849
     for t in (20.0, 60.0, 270.0):
-        assert law(t) == pytest.approx((10 ** 10 ** (A - B * np.log10(t + 273.15)) - 0.7) * 1e-6, rel=1e-4)
+        assert law(t) == pytest.approx((10**10 ** (A - B * np.log10(t + 273.15)) - 0.7) * 1e-6, rel=1e-4)
     assert law(20.0) == pytest.approx(21.5e-6, rel=0.005)
 
 

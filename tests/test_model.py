@@ -38,7 +38,14 @@ temperatures = st.floats(-40.0, 270.0)
 @given(states, currents, temperatures, temperatures, temperatures, temperatures, temperatures)
 def test_derivatives_match_the_oracle(state, current, T_m, T_s, T_f, T_n, T_o):
     parts = PartTemperatures(
-        oil=T_o, pilot_metal=T_n, spool=20.0, sleeve=20.0, body=20.0, torque_motor=T_m, spring_tube=T_s, feedback_rod=T_f
+        oil=T_o,
+        pilot_metal=T_n,
+        spool=20.0,
+        sleeve=20.0,
+        body=20.0,
+        torque_motor=T_m,
+        spring_tube=T_s,
+        feedback_rod=T_f,
     )
     c = sharp.at(parts)
     theirs = oracle.derivatives(
@@ -55,7 +62,13 @@ def test_derivatives_match_the_oracle_at_other_supplies(state, supply, back):
     state = state._replace(nozzle_pressure_1=0.6 * supply, nozzle_pressure_2=0.3 * supply)
     beta = SHARP.bulk_modulus_at_zero + SHARP.bulk_modulus_slope * np.array([0.6, 0.3]) * supply
     theirs = oracle.derivatives(
-        state, 2e-3, oracle.coefficients(*[20.0] * 5), SHARP.density, *beta, supply_pressure=supply, return_pressure=back
+        state,
+        2e-3,
+        oracle.coefficients(*[20.0] * 5),
+        SHARP.density,
+        *beta,
+        supply_pressure=supply,
+        return_pressure=back,
     )
     mine = NOMINAL.rhs(state, INPUTS._replace(supply_pressure=supply, return_pressure=back), SHARP)
     assert np.abs(np.subtract(mine, theirs) / SCALE).max() < 1e-9
@@ -80,9 +93,7 @@ def test_mirrored_valve_moves_mirrored(state, current, temperature, load):
 @given(states, currents)
 def test_uneven_valve_mirrors_into_the_valve_of_the_opposite_differences(state, current):
     names = ("air_gap_difference", "null_gap_difference", "nozzle_diameter_difference", "fixed_orifice_difference")
-    uneven, opposite = (
-        Valve(**{n: s * 5e-6 for n in names}).at(PartTemperatures.uniform(20.0)) for s in (1.0, -1.0)
-    )
+    uneven, opposite = (Valve(**{n: s * 5e-6 for n in names}).at(PartTemperatures.uniform(20.0)) for s in (1.0, -1.0))
     here = NOMINAL.rhs(state, INPUTS._replace(command=current), uneven)
     there = NOMINAL.rhs(mirrored(state), INPUTS._replace(command=-current), opposite)
     assert np.abs(np.subtract(mirrored(here), there) / SCALE).max() < 1e-9
@@ -133,7 +144,10 @@ def test_channels_are_in_the_order_of_states_and_coefficients():
     names = [channel.name for channel in model.state_channels]
     assert names == [*State._fields, "drive_current", "magnetic_hysteresis_state"]
     assert model.coefficient_names[: len(Coefficients._fields)] == Coefficients._fields
-    assert model.coefficient_names[-2:] == ("magnetic_hysteresis.coercive_current", "magnetic_hysteresis.turning_current")
+    assert model.coefficient_names[-2:] == (
+        "magnetic_hysteresis.coercive_current",
+        "magnetic_hysteresis.turning_current",
+    )
     assert len(STATE_CHANNELS) == len(NOMINAL.rhs(REST, INPUTS, C20))
     assert Inputs._fields == tuple(channel.name for channel in INPUT_CHANNELS)
 

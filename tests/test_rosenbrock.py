@@ -1,6 +1,6 @@
-"""The integrator in pure Python on small problems with known solutions: order, stability, breaks, dense output, statuses.
+"""The integrator in pure Python on small problems with known solutions: order, stability, breaks, output, statuses.
 
-Source of what Rodas5P should do: G. Steinebach, BIT 63 (2023): order 5, L-stable, stiffly accurate, dense output order 4.
+What Rodas5P should do: G. Steinebach, BIT 63 (2023): order 5, L-stable, stiffly accurate, dense output of order 4.
 """
 
 import numpy as np
@@ -13,12 +13,13 @@ from valvesim.commands import Constant, Pulse, Ramp, Sine, Step, merge
 from valvesim.rosenbrock import DONE, STEP_TOO_SMALL, TOO_MANY_STEPS, back_substitute, factor
 
 NO_KNOTS = (np.array([0.0]), np.zeros((1, 1)))
+STILL = (Constant(),)
 
 
 class Run:
     """One call of `rosenbrock.integrate`, or several in slices, with everything it returns."""
 
-    def __init__(self, derivative, jacobian, y, *, commands=(Constant(),), end=1.0, knots=NO_KNOTS, t_out=(), rtol=1e-6,
+    def __init__(self, derivative, jacobian, y, *, commands=STILL, end=1.0, knots=NO_KNOTS, t_out=(), rtol=1e-6,
                  atol=1e-9, step=1e-3, max_steps=100_000, breaks=None, slices=()):  # fmt: skip
         starts, intervals = merge(list(commands), end)
         rows = intervals.rows
@@ -391,6 +392,7 @@ def test_derivative_that_is_not_finite_never_gets_into_the_solution(bad, value):
 
 
 # ---------------------------------------------------------------- linear solver
+
 
 @given(st.integers(1, 8), st.integers(0, 10**6), st.booleans())
 def test_factors_solve_as_numpy_does(n, seed, exchange):

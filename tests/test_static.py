@@ -1,4 +1,4 @@
-"""The valve at rest: the figures of model.md section 5, the oracle, and the dynamic model that must stand still there."""
+"""The valve at rest: the figures of model.md section 5, the oracle, and the dynamic model that stands still there."""
 
 import dataclasses
 

@@ -1,11 +1,11 @@
 """valvesim: a two-stage electro-hydraulic servo valve over temperature and time.
 
-    import valvesim as vs
+import valvesim as vs
 
-    valve = vs.reference_valve()
-    vs.static_solution(valve, current=1e-3, temperature=20.0).spool_position     # m
-    result = vs.simulate(vs.load_scenario("scenarios/launch_shock.toml"))
-    result["spool_position"]                                                     # over time, with its unit
+valve = vs.reference_valve()
+vs.static_solution(valve, current=1e-3, temperature=20.0).spool_position     # m
+result = vs.simulate(vs.load_scenario("scenarios/launch_shock.toml"))
+result["spool_position"]                                                     # over time, with its unit
 """
 
 from .commands import Chirp, Constant, Pulse, Ramp, Sine, Staircase, Step, Sum, Table
@@ -20,4 +20,49 @@ from .simulate import Result, simulate, simulate_batch
 from .static import StaticSolution, static_solution, tad_polynomial
 from .thermal import ThermalNetwork, temperature_path
 
-__all__ = [name for name in dir() if not name.startswith("_") and name not in ("annotations",)]
+__all__ = [
+    "ActiveEffect",
+    "CATALOGUE",
+    "Chirp",
+    "Coefficients",
+    "Constant",
+    "CurrentDrive",
+    "Effect",
+    "InputError",
+    "MIL_PRF_5606",
+    "Model",
+    "OILS",
+    "Oil",
+    "Parameter",
+    "PartTemperatures",
+    "Ports",
+    "Pulse",
+    "ROUTES",
+    "Ramp",
+    "Result",
+    "Scenario",
+    "Sine",
+    "SolveError",
+    "Staircase",
+    "StaticSolution",
+    "Step",
+    "Sum",
+    "Table",
+    "Thermal",
+    "ThermalNetwork",
+    "ValidityWarning",
+    "Valve",
+    "ValvesimError",
+    "VoltageDrive",
+    "YH12_PAPER",
+    "compile_model",
+    "derivatives",
+    "effect",
+    "load_scenario",
+    "reference_valve",
+    "simulate",
+    "simulate_batch",
+    "static_solution",
+    "tad_polynomial",
+    "temperature_path",
+]

@@ -1,7 +1,6 @@
 """The command line: `valvesim run | static | effects | parameters`.
 
-Exit codes: 0 done, 1 a solve failed, 2 the input is wrong. Figures carry units; tables go to standard output, everything
-else to standard error.
+Exit codes: 0 done, 1 a solve failed, 2 the input is wrong. Tables go to standard output, all else to standard error.
 """
 
 from __future__ import annotations
@@ -79,13 +78,17 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
     _print_run(result, drift, written)
 
 
+_TABLE = (
+    "current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle", "nozzle_pressure_1",
+    "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage",
+)  # fmt: skip
+
+
 def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
     table = Table(title=result.scenario.title, title_justify="left", title_style="bold")
     for heading in ("channel", "unit", "least", "greatest", "at the end"):
         table.add_column(heading, justify="left" if heading in ("channel", "unit") else "right")
-    names = ("current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle")
-    names += ("nozzle_pressure_1", "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage")
-    for name in names:
+    for name in _TABLE:
         values, unit = result.display(name)
         figures = (f"{v:.5g}" for v in (values.min(), values.max(), values[-1]))
         table.add_row(name.replace("_", " "), symbol(unit), *figures)
@@ -123,7 +126,8 @@ def static(current: str, oil_temperature: str, routes: str | None, form: str, se
         "current_A": rest.current, "oil_temperature_degC": rest.temperature, "armature_angle_rad": rest.armature_angle,
         "spool_position_m": rest.spool_position, "load_differential_pressure_Pa": rest.load_differential_pressure,
     }  # fmt: skip
-    rows = [dict(zip(fields, map(float, row), strict=True)) for row in zip(*(f.flat for f in fields.values()), strict=True)]
+    columns = (values.flat for values in fields.values())
+    rows = [dict(zip(fields, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
     if form == "json":
         click.echo(json.dumps(rows, indent=1))
     elif form == "csv":

@@ -283,7 +283,7 @@ class Intervals:
 
 
 def merge(commands: Sequence[Command], end: float) -> tuple[np.ndarray, Intervals]:
-    """All commands on the union of their breaks before `end`: (starts, Intervals with rows (interval, input, width))."""
+    """All commands on the union of their breaks before `end`: starts, and rows (interval, input, width)."""
     pieces = [c.pieces(end) for c in commands]
     starts = np.unique(np.concatenate([p[:, 0] for p in pieces]))
     starts = np.unique(np.concatenate([[0.0], starts[(starts > 0.0) & (starts < end)]]))

@@ -1,6 +1,6 @@
 """The model as machine code: traced once by CasADi, with exact derivatives, printed as Python and compiled by numba.
 
-`Model.rhs` runs on symbols; what comes out is a straight line of arithmetic. From it CasADi takes the Jacobian, and each
+`Model.rhs` runs on symbols; what comes out is a straight line of arithmetic. CasADi takes its Jacobian, and each
 line is printed as Python source, kept in the user's cache directory under a hash of the text, so that numba finds its
 compiled code again in the next process. States in the compiled functions are scaled by the channels' scales.
 """
@@ -27,6 +27,7 @@ from .channels import INPUT_CHANNELS
 from .effects import CATALOGUE
 from .model import Model
 
+
 @dataclass(frozen=True)
 class CompiledModel:
     """A model ready to integrate: `run` is `rosenbrock.integrate` with the model's own functions built in."""
@@ -46,7 +47,8 @@ def trace(model: Model) -> tuple[Any, dict[str, Any]]:
     sizes = (len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names))
     x, u, c = (casadi.SX.sym(name, size) for name, size in zip("xuc", sizes, strict=True))
     rates = model.rhs(_split(x), _split(u), _split(c))
-    return casadi.vertcat(*rates), {"state": x, "inputs": u, "coefficients": c}
+    vector: Any = casadi.vertcat
+    return vector(*rates), {"state": x, "inputs": u, "coefficients": c}
 
 
 def _split(vector: Any) -> tuple:
@@ -89,10 +91,11 @@ def source(model: Model) -> str:
     y = casadi.SX.sym("y", at["state"].shape[0])
     scaled = casadi.substitute(rates, at["state"], y * scale) / scale
     arguments = [y, at["inputs"], at["coefficients"]]
-    jacobian = casadi.jacobian(scaled, y)
+    jacobian: Any = casadi.jacobian(scaled, y)
+    join: Any = casadi.vertcat
     rows, columns = jacobian.sparsity().get_triplet()
     rate = casadi.Function("rate", arguments, [casadi.cse(scaled)])
-    slope = casadi.Function("slope", arguments, [casadi.cse(casadi.vertcat(*jacobian.nonzeros()))])
+    slope = casadi.Function("slope", arguments, [casadi.cse(join(*jacobian.nonzeros()))])
     n = y.shape[0]
     zeros = [(i, j) for i in range(n) for j in range(n) if (i, j) not in set(zip(rows, columns, strict=True))]
     return "\n".join(
@@ -161,8 +164,9 @@ def _operations(casadi: ModuleType) -> dict[int, str]:
         casadi.OP_POW: "{0} ** {1}", casadi.OP_CONSTPOW: "{0} ** {1}", casadi.OP_FABS: "fabs({0})",
         casadi.OP_SIGN: "np.sign({0})", casadi.OP_FMAX: "max({0}, {1})", casadi.OP_FMIN: "min({0}, {1})",
         casadi.OP_TANH: "tanh({0})", casadi.OP_SIN: "sin({0})", casadi.OP_COS: "cos({0})",
-        casadi.OP_LT: "(1.0 if {0} < {1} else 0.0)", casadi.OP_LE: "(1.0 if {0} <= {1} else 0.0)", casadi.OP_NOT: "(1.0 if {0} == 0.0 else 0.0)",
-        casadi.OP_IF_ELSE_ZERO: "({1} if {0} != 0.0 else 0.0)", casadi.OP_AND: "(1.0 if {0} != 0.0 and {1} != 0.0 else 0.0)",
+        casadi.OP_LT: "(1.0 if {0} < {1} else 0.0)", casadi.OP_LE: "(1.0 if {0} <= {1} else 0.0)",
+        casadi.OP_NOT: "(1.0 if {0} == 0.0 else 0.0)", casadi.OP_IF_ELSE_ZERO: "({1} if {0} != 0.0 else 0.0)",
+        casadi.OP_AND: "(1.0 if {0} != 0.0 and {1} != 0.0 else 0.0)",
         casadi.OP_OR: "(1.0 if {0} != 0.0 or {1} != 0.0 else 0.0)",
     }  # fmt: skip
 

@@ -262,7 +262,7 @@ CATALOGUE: dict[str, Effect] = {
         ),
         Effect(
             name="magnetic_hysteresis",
-            doc="part of the current magnetises for good until it turns: -i_c z with z' = (i' - |i'| z)/i_t (Dahl, Duhem)",
+            doc="the iron holds back part of the current: -i_c z with z' = (i' - |i'| z)/i_t (Dahl, Duhem)",
             location="magnetic circuit",
             signature="rate-independent loop of angle and spool over current that grows with amplitude",
             parameters=(

@@ -41,7 +41,7 @@ def viscosity_walther(table: tuple[tuple[float, float], ...]) -> Callable:
 
 
 def viscosity_yan_2019(temperature):
-    """The paper's Eq. 18 read in °C (model.md 6.3): nu = 48.46 exp(-0.03 T) mm^2/s, in m^2/s. Unphysical above 150 °C."""
+    """The paper's Eq. 18 read in °C (model.md 6.3): 48.46 exp(-0.03 T) mm^2/s, in m^2/s. Unphysical above 150 °C."""
     return 48.46e-6 * np.exp(-0.03 * np.asarray(temperature, dtype=float))
 
 

@@ -126,12 +126,7 @@ class Model:
 
         # torque motor
         N = c.coil_turns * (i + added.coil_current)
-        R1 = (c.upper_air_gap_1 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
-        R2 = (c.upper_air_gap_2 + c.armature_arm * theta) / (MU_0 * c.air_gap_area)
-        R3 = (c.lower_air_gap_2 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
-        R4 = (c.lower_air_gap_1 + c.armature_arm * theta) / (MU_0 * c.air_gap_area)
-        Phi = bridge_flux(c.polarization_mmf, N, R1, R2, R3, R4, c.magnet_reluctance, c.flux_share)
-        T_drive = magnetic_torque(Phi, N, R1, R2, R3, R4, c.armature_arm, c.air_gap_area)
+        T_drive = drive_torque(theta, N, c)
 
         # armature with flapper, and feedback rod
         r, b, g1, g2 = c.nozzle_arm, c.feedback_arm, c.null_gap_1, c.null_gap_2
@@ -140,9 +135,7 @@ class Model:
         T_damping = -c.armature_damping * omega
         T_tube = -c.spring_tube_stiffness * theta
         T_rod = -(r + b) * F_rod
-        A_N1, A_N2 = np.pi * c.nozzle_diameter_1**2 / 4.0, np.pi * c.nozzle_diameter_2**2 / 4.0
-        T_nozzles = -r * (A_N1 * (p1 - u.return_pressure) - A_N2 * (p2 - u.return_pressure))
-        T_jets = 4.0 * np.pi * r**2 * c.nozzle_flow_coefficient**2 * (g1 + g2) * u.supply_pressure * theta
+        T_nozzles, T_jets = flapper_torques(theta, p1, p2, u.supply_pressure, u.return_pressure, c)
         T_stop = r * contact_force(x_f, r * omega, -g2, g1, c.flapper_stop_stiffness, c.stop_damping)
         torque = T_drive + T_damping + T_tube + T_rod + T_nozzles + T_jets + T_stop + added.armature_torque
 
@@ -204,6 +197,24 @@ class Model:
                 total = Ports(*(a + b for a, b in zip(total, added, strict=True)))
                 rates += own_rates
         return total, rates
+
+
+def drive_torque(theta, N, c: Coefficients):
+    """T_d of the torque motor at angle theta and coil magnetomotive force N, N m (model.md section 2)."""
+    R1 = (c.upper_air_gap_1 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
+    R2 = (c.upper_air_gap_2 + c.armature_arm * theta) / (MU_0 * c.air_gap_area)
+    R3 = (c.lower_air_gap_2 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
+    R4 = (c.lower_air_gap_1 + c.armature_arm * theta) / (MU_0 * c.air_gap_area)
+    Phi = bridge_flux(c.polarization_mmf, N, R1, R2, R3, R4, c.magnet_reluctance, c.flux_share)
+    return magnetic_torque(Phi, N, R1, R2, R3, R4, c.armature_arm, c.air_gap_area)
+
+
+def flapper_torques(theta, p1, p2, supply_pressure, return_pressure, c: Coefficients) -> tuple[Any, Any]:
+    """(torque of the nozzle pressures, torque of the jets) on the flapper, N m (paper Eq. 33)."""
+    A_N1, A_N2 = np.pi * c.nozzle_diameter_1**2 / 4.0, np.pi * c.nozzle_diameter_2**2 / 4.0
+    T_nozzles = -c.nozzle_arm * (A_N1 * (p1 - return_pressure) - A_N2 * (p2 - return_pressure))
+    jet = 4.0 * np.pi * c.nozzle_arm**2 * c.nozzle_flow_coefficient**2 * (c.null_gap_1 + c.null_gap_2)
+    return T_nozzles, jet * supply_pressure * theta
 
 
 def main_stage(x_v, supply_pressure, load_pressure, c: Coefficients) -> tuple[Any, Any]:

@@ -216,8 +216,10 @@ class Valve:
     @property
     def is_symmetric(self) -> bool:
         """True where no side differs from the other: the TAD polynomial then holds."""
-        sides = (self.air_gap_difference, self.null_gap_difference)
-        sides += (self.nozzle_diameter_difference, self.fixed_orifice_difference)
+        sides = (
+            self.air_gap_difference, self.null_gap_difference, self.nozzle_diameter_difference,
+            self.fixed_orifice_difference,
+        )  # fmt: skip
         return not any(np.any(np.asarray(side) != 0.0) for side in sides)
 
     def at(self, parts: PartTemperatures, *, oil: Oil = MIL_PRF_5606, routes: Iterable[str] = ROUTES) -> Coefficients:

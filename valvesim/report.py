@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -18,7 +19,7 @@ from .units import symbol
 matplotlib.use("Agg")
 from matplotlib.figure import Figure  # noqa: E402 - the backend comes first
 
-STYLE = {
+STYLE: Any = {
     "font.size": 9, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False, "axes.spines.right": False,
     "lines.linewidth": 1.1, "legend.frameon": False, "legend.fontsize": 8, "figure.dpi": 100,
 }  # fmt: skip
@@ -27,7 +28,7 @@ MOST_POINTS = 1200  # of a line: beyond it the extremes of each stretch are draw
 
 
 def picture_run(result: Result, path: Path) -> Path:
-    """The whole run on the left and its last cycles on the right: command, temperatures, angle, pressures, spool, flow."""
+    """The whole run left, its last cycles right: command, temperatures, angle, pressures, spool and flow."""
     scenario, t = result.scenario, result.time
     command = "voltage" if isinstance(scenario.drive, VoltageDrive) else "current"
     temperatures = [f"{name}_temperature" for name in PART_NAMES]
@@ -71,10 +72,10 @@ def picture_drift(
         axes = figure.subplots(1, 3, sharey=True)
         figure.subplots_adjust(left=0.06, right=0.9, top=0.84, bottom=0.1, wspace=0.08)
         total = axes[0]
-        for k, (name, values) in enumerate(drift.total.items()):
+        for k, (name, shares) in enumerate(drift.total.items()):
             text = name.replace("_", " ")
-            total.plot(drift.times, 100 * values, color=COLOURS[k], label=f"{text} at rest")
-            total.plot(observed[0], 100 * observed[1][name], ".", color=COLOURS[k], label=f"{text} as it moves in the run")
+            total.plot(drift.times, 100 * shares, color=COLOURS[k], label=f"{text} at rest")
+            total.plot(observed[0], 100 * observed[1][name], ".", color=COLOURS[k], label=f"{text} in the run")
         total.set_title("all routes together", loc="left")
         total.set_ylabel("drift from 20 °C [%]")
         total.legend()
@@ -88,12 +89,13 @@ def picture_drift(
             axis.axhline(0.0, color="0.6", lw=0.8)
             axis.set_xlabel("time [s]")
         low, high = drift.oil_temperature.min(), drift.oil_temperature.max()
-        figure.suptitle(f"{title}: drift at {drift.current * 1e3:.3g} mA, oil from {low:.4g} to {high:.4g} °C", fontsize=12)
+        heading = f"{title}: drift at {drift.current * 1e3:.3g} mA, oil from {low:.4g} to {high:.4g} °C"
+        figure.suptitle(heading, fontsize=12)
         return _save(figure, path)
 
 
 def picture_characteristic(result: Result, path: Path) -> Path:
-    """Angle, spool position, load flow and leakage over current; colour is oil temperature, dashes the rest at 20 °C."""
+    """Angle, spool, load flow and leakage over current; colour is oil temperature, dashes are the rest at 20 °C."""
     scenario = result.scenario
     top = reference_current(scenario)
     currents = np.linspace(-top, top, 41)

@@ -1,6 +1,6 @@
-"""The integrator: Rodas5P, a stiffly accurate, L-stable Rosenbrock method of order 5 for stiff systems.
+"""The integrator: Rodas5P, an L-stable, stiffly accurate Rosenbrock method of order 5.
 
-Chosen since the lightly damped 8 kHz mode of the chambers defeats high-order BDF, because one linear solve with an exact
+Chosen since the lightly damped 8 kHz mode of the chambers defeats high-order BDF, because a linear solve with an exact
 Jacobian a stage needs no Newton iteration, and because its order does not collapse under time dependent coefficients.
 Source of the method and its figures: G. Steinebach, "Construction of Rosenbrock-Wanner method Rodas5P", BIT 63 (2023).
 
@@ -123,7 +123,7 @@ def set_coefficients(knot_times, knots, at, t, c):
 def integrate(
     derivative, jacobian, y, clock, t_end, starts, rows, knot_times, knots, t_out, out, rtol, atol, max_steps, count
 ):
-    """Advance scaled states `y` in place from clock[0] to t_end; fill `out` at the times `t_out` inside; return a status.
+    """Advance scaled states `y` in place from clock[0] to t_end; fill `out` at the times `t_out`; return a status.
 
     clock: [time, next step, next output index, step of failure]; all updated, so that a run can go on in slices.
     starts, rows: input pieces between breaks; knot_times (m,), knots (m, n_c): coefficients, straight in between.
@@ -172,7 +172,7 @@ def integrate(
                 if h < 1e-14 * max(abs(t), 1.0) and h < limit - t:
                     status = STEP_TOO_SMALL
                     break
-                # df/dt along the inputs and coefficients: second-order difference, long enough to stay clear of rounding
+                # df/dt by a second-order difference, long enough to stay clear of rounding
                 for k in range(2):
                     delta = (k + 1) * RATE_SPAN * h
                     set_inputs(row, t + delta, u)

@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .commands import COMMANDS, VALUE, Command, Constant, Sum, largest, read_table
+import numpy as np
+
+from .commands import COMMANDS, VALUE, Command, Constant, Sum, evaluate, largest, read_table
 from .effects import CATALOGUE, ActiveEffect
 from .errors import InputError, unknown_name, warn_once
 from .fluid import MIL_PRF_5606, OILS, Oil
@@ -37,6 +39,12 @@ class Thermal:
     def __post_init__(self):
         check_bounds(self)
         check_routes(self.routes)
+        low, high = quantities(self)["ambient_temperature"].metadata["bounds"]
+        if self.initial_temperature is not None and not low <= self.initial_temperature <= high:
+            raise InputError(
+                f"thermal.initial_temperature = {self.initial_temperature:.6g} °C is outside [{low:g}, {high:g}] °C "
+                "(every part at the start)"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +69,25 @@ class Scenario:
 
     def __post_init__(self):
         check_bounds(self)
+        self._check_pressures()
+
+    def _check_pressures(self) -> None:
+        """At the start the commanded pressures must make sense as the valve's own do; later none may be negative."""
+        names = ("supply", "return", "load")
+        for name in names:
+            if np.ndim(getattr(self.valve, f"{name}_pressure")):
+                raise InputError(f"valve.{name}_pressure is an array: the valves of a batch run at one {name} pressure")
+        times = np.linspace(0.0, self.duration, 101)
+        values = {}
+        for name, command in zip(names, self.pressures(), strict=True):
+            starts = command.pieces(self.duration)[:, 0]
+            values[name] = evaluate(command, np.append(times, np.clip(starts, 0.0, self.duration)))
+            if name != "load" and np.min(values[name]) < 0.0:
+                raise InputError(f"pressures.{name}: {np.min(values[name]):.6g} Pa is negative; it is absolute")
+        try:
+            dataclasses.replace(self.valve, **{f"{name}_pressure": float(v[0]) for name, v in values.items()})
+        except InputError as error:
+            raise InputError(f"pressures: at the start of the run, {error}") from None
 
     @property
     def model(self) -> Model:
@@ -84,10 +111,10 @@ class Scenario:
         """Warn once where the command goes beyond the rated current."""
         top, rated = largest(self.command, self.duration), self.valve.rated_current
         if isinstance(self.drive, VoltageDrive):
-            top, rated = top / self.valve.coil_resistance, rated * (1 + 1e-9)
-        if top > rated * (1 + 1e-9):
+            top = top / np.min(self.valve.coil_resistance)
+        if top > np.min(rated) * (1 + 1e-9):
             warn_once(
-                f"command: up to {top * 1e3:.4g} mA is beyond the rated current of {rated * 1e3:.4g} mA; "
+                f"command: up to {top * 1e3:.4g} mA is beyond the rated current of {np.min(rated) * 1e3:.4g} mA; "
                 "spool and flapper may reach their stops"
             )
 
@@ -99,7 +126,7 @@ def load_scenario(path: str | Path, *, settings: Sequence[str] = ()) -> Scenario
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         table = tomllib.loads(text)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
@@ -112,8 +139,30 @@ def load_scenario(path: str | Path, *, settings: Sequence[str] = ()) -> Scenario
     try:
         return _Reader(path.parent).scenario(table)
     except InputError as error:
-        line = _line_of(text, str(error))
-        raise InputError(f"{path}{f', line {line}' if line else ''}: {error}") from None
+        message = str(error)
+        for own, key in _KEYS.items():
+            message = message.replace(own, key)
+        for setting in settings:
+            if _speaks_of(_dotted(message), setting.partition("=")[0].strip()):
+                raise InputError(f"--set {setting!r}: {message}") from None
+        line = _line_of(text, message)
+        raise InputError(f"{path}{f', line {line}' if line else ''}: {message}") from None
+
+
+_KEYS = {
+    "scenario.duration": "duration", "scenario.output_rate": "outputs.rate", "scenario.tolerance": "solver.tolerance",
+    "valve: valve.": "valve.", "oil: oil.": "oil.", "thermal: thermalnetwork.": "thermal.",
+}  # fmt: skip
+"""How a message names a figure -> its key in a scenario file."""
+
+
+def _dotted(message: str) -> str:
+    """The message with an unknown name written as a dotted key: `valve: unknown key 'x'` as `valve.x`."""
+    return re.sub(r"([\w.]+): unknown [\w ]+ '([^']+)'", r"\1.\2", message).removeprefix("scenario.")
+
+
+def _speaks_of(message: str, key: str) -> bool:
+    return re.search(rf"(?<![\w.]){re.escape(key)}(?![\w])", message) is not None
 
 
 def read_tables(settings: Sequence[str]) -> tuple[Valve, Oil]:
@@ -143,7 +192,7 @@ def _override(table: dict[str, Any], setting: str) -> None:
 
 def _line_of(text: str, message: str) -> int | None:
     """The line of the TOML text that a message speaks of by its dotted key, where there is one."""
-    section, found, best = "", None, 0
+    section, found, best, message = "", None, 0, _dotted(message)
     for number, line in enumerate(text.splitlines(), start=1):
         if header := re.match(r"\s*\[([^\]]+)\]", line):
             section = header[1].strip()
@@ -152,14 +201,11 @@ def _line_of(text: str, message: str) -> int | None:
             dotted = f"{section}.{match[1]}" if section else match[1]
             inner = re.findall(r"([\w-]+)\s*=", line.partition("=")[2])
             keys = [dotted, *(f"{dotted}.{name}" for name in inner)]
-            keys += [key.rpartition(".")[0] + f": {match[1]!r}" for key in keys[:1]]
         else:
             continue
         for key in keys:
-            if len(key) > best and re.search(rf"(?<![\w.]){re.escape(key)}(?![\w])", message):
+            if len(key) > best and _speaks_of(message, key):
                 found, best = number, len(key)
-        if found is None and (name := re.search(r"unknown [\w ]+ '([^']+)'", message)) and f"{name[1]}" in line:
-            found = number
     return found
 
 
@@ -199,7 +245,8 @@ class _Reader:
                 options[key] = parse(source[name], fields[key].metadata["unit"], where)
         for name in ("supply", "return", "load"):
             if name in pressures:
-                options[f"{name}_pressure"] = self.command(pressures[name], "Pa", f"pressures.{name}", f"{name}_pressure")
+                key = f"{name}_pressure"
+                options[key] = self.command(pressures[name], "Pa", f"pressures.{name}", key)
         if oil_temperature is not None:
             options["oil_temperature"] = self.command(
                 oil_temperature, "degC", "thermal.oil_temperature", "oil_temperature"
@@ -212,24 +259,27 @@ class _Reader:
             command=self.command(command, "A" if kind == "current" else "V", f"command.{kind}", kind),
             drive=CurrentDrive() if kind == "current" else VoltageDrive(),
             effects=self.effects(table.get("effects", {})),
-            channels=tuple(outputs.get("channels", ())),
+            channels=self._names(outputs.get("channels", []), "outputs.channels", "channel"),
             **options,
         )
 
     _SECTIONS = ("valve", "oil", "thermal", "command", "pressures", "effects", "outputs", "solver")
 
+    _THERMAL_KEYS = (
+        "routes", "isothermal", "throttling_heat", "initial_temperature", "ambient_temperature", "oil_temperature",
+    )  # fmt: skip
+
     def oil(self, table: dict[str, Any]) -> Oil:
         figures = dict(table)
         name = figures.pop("name", MIL_PRF_5606.name)
-        if name not in OILS:
+        if not isinstance(name, str) or name not in OILS:
             raise unknown_name("oil", str(name), OILS, "oil.name")
         return change(OILS[name], figures, "oil")
 
     def thermal(self, table: dict[str, Any]) -> Thermal:
         figures = dict(table)
         routes = figures.pop("routes", list(ROUTES))
-        if not isinstance(routes, list):
-            raise InputError(f"thermal.routes: expected a list of route names, got {routes!r}")
+        self._names(routes, "thermal.routes", "route")
         isothermal, heat = (self._switch(figures, name) for name in ("isothermal", "throttling_heat"))
         initial = figures.pop("initial_temperature", None)
         ambient = figures.pop("ambient_temperature", None)
@@ -239,9 +289,7 @@ class _Reader:
             if "unknown parameter" not in str(error):
                 raise
             wrong = next(name for name in figures if name not in quantities(ThermalNetwork))
-            others = ("routes", "isothermal", "throttling_heat", "initial_temperature", "ambient_temperature")
-            others += ("oil_temperature",)
-            raise unknown_name("key", wrong, (*quantities(ThermalNetwork), *others), "thermal") from None
+            raise unknown_name("key", wrong, (*quantities(ThermalNetwork), *self._THERMAL_KEYS), "thermal") from None
         try:
             routes = tuple(sorted(check_routes(routes), key=ROUTES.index))
         except InputError as error:
@@ -303,13 +351,23 @@ class _Reader:
         try:
             return kind(**values)
         except InputError as error:
-            raise InputError(f"{where}: {error}") from None
+            message = str(error).replace("value/s", f"{difference}/s")  # a figure in the unit of what is commanded
+            raise InputError(f"{where.rpartition('.')[0]}.{message}") from None
 
     def _table(self, figures: Any, unit: str, where: str, column: str) -> Command:
         if not isinstance(figures, dict) or not isinstance(figures.get("file"), str):
             raise InputError(f"{where}: expected {{ file = 'name.csv' }}, got {figures!r}")
         self.known(figures, ("file", "column"), where)
-        return read_table(self.folder / figures["file"], str(figures.get("column", column)), unit)
+        try:
+            return read_table(self.folder / figures["file"], str(figures.get("column", column)), unit)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+
+    @staticmethod
+    def _names(given: Any, where: str, what: str) -> tuple[str, ...]:
+        if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
+            raise InputError(f"{where}: expected a list of {what} names, got {given!r}")
+        return tuple(given)
 
     @staticmethod
     def _switch(table: dict[str, Any], name: str, where: str = "thermal") -> bool:

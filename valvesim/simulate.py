@@ -1,4 +1,4 @@
-"""A scenario in, a result out: temperatures first, then the valve, interval by interval between the command's breaks."""
+"""A scenario in, a result out: temperatures first, then the valve, piece by piece between the command's breaks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .rosenbrock import STEP_TOO_SMALL, TOO_MANY_STEPS
 from .scenario import Scenario
 from .static import solve_rest
 from .thermal import TemperaturePath, temperature_path
-from .units import DISPLAY, symbol
+from .units import DISPLAY, quantities, symbol
 
 MAX_STEPS = 50_000_000
 SLICES = 64  # of a run, between which progress is told
@@ -186,10 +186,11 @@ def _prepare(scenario: Scenario) -> _Problem:
 def _temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficients]:
     """The temperature path on knots close enough that straight lines between them hold the coefficients."""
     thermal, valve = scenario.thermal, scenario.valve
-    batch = {name: np.asarray(v)[:, None] for name in valve.__dataclass_fields__ if np.ndim(v := getattr(valve, name))}
+    figures = {name: getattr(valve, name) for name in quantities(valve)}
+    batch: Any = {name: np.asarray(value)[:, None] for name, value in figures.items() if np.ndim(value)}
     valve = replace(valve, **batch) if batch else valve
     spacing = 0.5
-    for _ in range(8):
+    for _ in range(5):
         path = temperature_path(
             scenario.oil_temperature,
             scenario.duration,
@@ -205,7 +206,7 @@ def _temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficient
         c = valve.at(path.parts, oil=scenario.oil, routes=thermal.routes)
         if _bend(path.times, c) <= KNOT_ERROR:
             break
-        spacing /= 2.0
+        spacing /= 4.0
     return path, c
 
 
@@ -249,8 +250,9 @@ def _rest(scenario: Scenario, compiled: CompiledModel, c: Coefficients, flat: np
     memory = model.drive.rest(value[0], c)
     current = memory[0] if memory else value[0]
     rest = solve_rest(c, current, 0.0, *value[1:])
-    columns = [rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2, rest.spool_position, 0.0]
-    columns += [*memory, *(0.0 for effect in model.effects for _ in effect.memory)]
+    pressures = (rest.nozzle_pressure_1, rest.nozzle_pressure_2)
+    columns: list[Any] = [rest.armature_angle, 0.0, *pressures, rest.spool_position, 0.0, *memory]
+    columns += [0.0 for effect in model.effects for _ in effect.memory]
     y = np.column_stack([np.broadcast_to(column, rest.armature_angle.shape or (1,)) for column in columns])
     y = np.ascontiguousarray(y / compiled.scale)
     if not any(effect.balance for effect in model.effects):
@@ -334,7 +336,7 @@ def _values(problem: _Problem, states: np.ndarray) -> dict[str, np.ndarray]:
     """All channels over time by name; signals from the same lines as the derivatives."""
     scenario, times, at = problem.scenario, problem.times, problem.path.times
     command, *pressures = (evaluate(each, times) for each in (scenario.command, *scenario.pressures()))
-    c = _between(times, at, problem.knots[0])
+    c = tuple(_between(times, at, problem.knots[0]))
     signals = scenario.model.signals(tuple(states.T), Inputs(command, np.zeros_like(times), *pressures), c)
     parts = np.column_stack([np.broadcast_to(getattr(problem.path.parts, name), at.shape) for name in PART_NAMES])
     voltage = [command] if isinstance(scenario.drive, VoltageDrive) else []

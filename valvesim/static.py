@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from .errors import InputError, SolveError
 from .fluid import MIL_PRF_5606, Oil
-from .laws import MU_0, bridge_flux, magnetic_torque
-from .model import FLOW_FORCE_FACTOR
+from .laws import MU_0
+from .model import FLOW_FORCE_FACTOR, drive_torque, flapper_torques
 from .parameters import ROUTES, Coefficients, PartTemperatures, Valve
 
 
@@ -103,30 +104,16 @@ def nozzle_pressures(theta, c: Coefficients, supply_pressure, return_pressure):
 
 def _rest(theta, current, c: Coefficients, supply_pressure, return_pressure, load_pressure, friction):
     """(torque residual, x_v, p1, p2) at a held angle: pressures and spool follow from their own balances."""
-    R = [
-        (gap + sign * c.armature_arm * theta) / (MU_0 * c.air_gap_area)
-        for gap, sign in (
-            (c.upper_air_gap_1, -1.0), (c.upper_air_gap_2, 1.0), (c.lower_air_gap_2, -1.0), (c.lower_air_gap_1, 1.0)
-        )
-    ]  # fmt: skip
-    N = c.coil_turns * current
-    flux = bridge_flux(c.polarization_mmf, N, *R, c.magnet_reluctance, c.flux_share)
-    T_drive = magnetic_torque(flux, N, *R, c.armature_arm, c.air_gap_area)
     p1, p2 = nozzle_pressures(theta, c, supply_pressure, return_pressure)
-    r, arm, K_f = c.nozzle_arm, c.nozzle_arm + c.feedback_arm, c.feedback_rod_stiffness
+    arm, K_f = c.nozzle_arm + c.feedback_arm, c.feedback_rod_stiffness
     force = c.spool_area * (p1 - p2) - K_f * arm * theta - friction
     # the flow force is 0.43 w (p_s x - p_L |x|): its stiffness depends on the side to which the force pushes
     K_flow = FLOW_FORCE_FACTOR * c.port_width * (supply_pressure - np.sign(force) * load_pressure)
     x_v = force / (K_f + K_flow)
-    A_N1, A_N2 = np.pi * c.nozzle_diameter_1**2 / 4, np.pi * c.nozzle_diameter_2**2 / 4
-    jets = 4 * np.pi * r**2 * c.nozzle_flow_coefficient**2 * (c.null_gap_1 + c.null_gap_2) * supply_pressure
-    residual = (
-        T_drive
-        - c.spring_tube_stiffness * theta
-        - arm * K_f * (arm * theta + x_v)
-        - r * (A_N1 * (p1 - return_pressure) - A_N2 * (p2 - return_pressure))
-        + jets * theta
-    )
+    T_nozzles, T_jets = flapper_torques(theta, p1, p2, supply_pressure, return_pressure, c)
+    T_rod = -arm * K_f * (arm * theta + x_v)
+    T_drive = drive_torque(theta, c.coil_turns * current, c)
+    residual = T_drive - c.spring_tube_stiffness * theta + T_rod + T_nozzles + T_jets
     return residual, x_v, p1, p2
 
 
@@ -177,12 +164,22 @@ def solve_rest(
         theta = _nearest_root(K, np.asarray(c.null_gap_1) / c.nozzle_arm, theta)
     _, x_v, p1, p2 = _rest(theta, current, c, *pressures, friction)
     fields = np.broadcast_arrays(current, temperature, theta, x_v, p1, p2, p1 - p2)
-    names = ("current", "temperature", "armature_angle", "spool_position", "nozzle_pressure_1", "nozzle_pressure_2")
-    names += ("load_differential_pressure",)
-    return StaticSolution(real_roots=real_roots, **{n: np.array(f) for n, f in zip(names, fields, strict=True)})
+    i, T, angle, position, pressure_1, pressure_2, difference = (np.array(field) for field in fields)
+    return StaticSolution(
+        current=i,
+        temperature=T,
+        armature_angle=angle,
+        spool_position=position,
+        nozzle_pressure_1=pressure_1,
+        nozzle_pressure_2=pressure_2,
+        load_differential_pressure=difference,
+        real_roots=real_roots,
+    )
 
 
-def follow_branch(c: Coefficients, current, pressures, friction=0.0, *, steps: int = 10) -> np.ndarray:
+def follow_branch(
+    c: Coefficients, current, pressures: tuple[Any, Any, Any], friction=0.0, *, steps: int = 10
+) -> np.ndarray:
     """The angle that the valve reaches when the current rises from zero to `current`, by continuation on the balances.
 
     Raises SolveError where the branch leaves the null gap or the torque balance loses its stable slope (a fold).

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .commands import Command, evaluate
-from .fluid import Oil
+from .commands import PIECE_WIDTH, WAVE_WIDTH, Command, evaluate
+from .errors import InputError
+from .fluid import KELVIN, Oil
 from .parameters import PART_NAMES, PartTemperatures
 from .units import POSITIVE, check_bounds, quantity
 
@@ -102,9 +103,12 @@ def temperature_path(
 
     `network` None holds every part at the oil's temperature (the paper's assumption). `initial` (°C) is where all parts
     start, by default with the oil. `throttling(T)` is added to the oil temperature, K. Knots are at most `spacing` s
-    apart, and at every break of the oil temperature.
+    apart, at every break of the oil temperature, and 20 or more to each of its periods.
+    Raises InputError where the oil is colder than absolute zero.
     """
     times, oil = _knots(oil_temperature, end, spacing)
+    if np.min(oil) <= -KELVIN:
+        raise InputError(f"thermal.oil_temperature: {np.min(oil):.6g} °C is below absolute zero")
     if throttling is not None:
         oil = oil + throttling(oil)
     if network is None:
@@ -139,15 +143,25 @@ def _propagator(M: np.ndarray, N: np.ndarray, step: float) -> tuple[np.ndarray, 
 
 def _knots(command: Command, end: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """(times, values) of a command within `spacing`, with both values at each of its breaks."""
-    starts = command.pieces(end)[:, 0]
+    rows = command.pieces(end)
+    starts = rows[:, 0]
     edges = np.unique(np.concatenate([[0.0, end], starts[(starts > 0.0) & (starts < end)]]))
     times, values = [], []
     for a, b in zip(edges[:-1], edges[1:], strict=True):
-        t = np.linspace(a, b, int(np.ceil((b - a) / spacing)) + 1)
+        row = rows[max(int(np.searchsorted(starts, a, side="right")) - 1, 0)]
+        fine = min(spacing, 0.05 / max(_fastest(row, a), _fastest(row, b), 1e-9))
+        t = np.linspace(a, b, int(np.ceil((b - a) / fine)) + 1)
         late = np.append(t[:-1], np.nextafter(b, a) if b < end else b)  # the value just before a jump at b
         times.append(t)
         values.append(evaluate(command, late))
     return np.concatenate(times), np.concatenate(values)
+
+
+def _fastest(row: np.ndarray, t: float) -> float:
+    """Highest frequency of the waves of a piece at time t, Hz."""
+    amplitude, frequency, sweep, growth, _ = row[PIECE_WIDTH:].reshape(-1, WAVE_WIDTH).T
+    now = np.abs(frequency * np.exp(growth * (t - row[0])) + sweep * (t - row[0]))
+    return float(np.max(now, initial=0.0, where=amplitude != 0.0))
 
 
 def throttling_rise(oil: Oil, pressure_drop: float) -> Callable:
