@@ -9,14 +9,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .commands import Constant, evaluate, largest
+from .channels import STATE_CHANNELS
+from .commands import Constant, largest
 from .model import VoltageDrive
 from .parameters import PART_NAMES, REFERENCE_TEMPERATURE, ROUTES, PartTemperatures
 from .scenario import Scenario, Thermal
 from .simulate import Result
 from .static import static_solution
+from .thermal import temperature_path
 
 QUANTITIES = ("armature_angle", "spool_position")
+SCALES = {channel.name: channel.scale for channel in STATE_CHANNELS}
+STILL = 1e-3  # share of its scale below which a quantity counts as not moving
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,14 +83,14 @@ def nominal(scenario: Scenario) -> Scenario:
 def observed_drift(result: Result, cold: Result, *, windows: int = 60) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """(window centres s, drift by quantity): gain of a run over the same run at 20 °C, least squares per window.
 
-    NaN where the cold run hardly moves in a window.
+    NaN where the cold run hardly moves in a window, or not at all.
     """
     edges = np.linspace(0, len(result.time), windows + 1).astype(int)
     centres = np.array([result.time[a:b].mean() for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a])
     drifts = {}
     for name in QUANTITIES:
         warm_values, cold_values = result.values[name], cold.values[name]
-        floor = 1e-3 * np.max(np.abs(cold_values)) ** 2
+        floor = 1e-3 * max(np.max(np.abs(cold_values)), STILL * SCALES[name]) ** 2
         gains = []
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             if b > a:
@@ -97,6 +101,15 @@ def observed_drift(result: Result, cold: Result, *, windows: int = 60) -> tuple[
 
 
 def temperature_varies(scenario: Scenario) -> bool:
-    """True where the oil is ever away from 20 °C, so that there is a drift to show."""
-    oil = evaluate(scenario.oil_temperature, np.linspace(0.0, scenario.duration, 101))
-    return bool(np.any(np.abs(oil - REFERENCE_TEMPERATURE) > 1e-9))
+    """True where the oil or a part is ever away from 20 °C, so that there is a drift to show."""
+    thermal = scenario.thermal
+    path = temperature_path(
+        scenario.oil_temperature,
+        scenario.duration,
+        network=thermal.network,
+        initial=thermal.initial_temperature,
+        ambient=thermal.ambient_temperature,
+        throttling=scenario.throttling(),
+        spacing=0.5,
+    )
+    return any(np.any(np.abs(getattr(path.parts, name) - REFERENCE_TEMPERATURE) > 1e-9) for name in PART_NAMES)

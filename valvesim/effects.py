@@ -162,10 +162,10 @@ def _demagnetization(c: Coefficients, p):
 
 def _clogging(c: Coefficients, p):
     """Diameters whose area is smaller by the clogged share, on the one side."""
-    first = p.side < 1.5
+    first = 1.0 * (p.side < 1.5)
     return c._replace(
         fixed_orifice_diameter_1=c.fixed_orifice_diameter_1 * np.sqrt(1.0 - p.clogged_share * first),
-        fixed_orifice_diameter_2=c.fixed_orifice_diameter_2 * np.sqrt(1.0 - p.clogged_share * (not first)),
+        fixed_orifice_diameter_2=c.fixed_orifice_diameter_2 * np.sqrt(1.0 - p.clogged_share * (1.0 - first)),
     )
 
 

@@ -323,13 +323,16 @@ class Valve:
     def _closed_clearance(self, parts: PartTemperatures, oil: Oil, c: Coefficients) -> InputError:
         """Which clearance closes, and at which temperature of which part: each is linear in its temperatures."""
         cold = self.at(PartTemperatures.uniform(REFERENCE_TEMPERATURE), oil=oil, routes=())
-        for name, part in _CLEARANCES.items():
-            hot_value = np.asarray(getattr(c, name))
-            if np.min(hot_value) > 0.0:
+        for name, driving in _CLEARANCES.items():
+            if np.min(getattr(c, name)) > 0.0:
                 continue
-            cold_value, hot_value, temperature = (
-                a.flat[np.argmin(hot_value)]
-                for a in np.broadcast_arrays(getattr(cold, name), hot_value, getattr(parts, part))
+            values = np.broadcast_arrays(
+                getattr(cold, name), getattr(c, name), *(getattr(parts, part) for part in driving)
+            )  # fmt: skip
+            worst = np.argmin(values[1])
+            cold_value, hot_value, *temperatures = (float(value.flat[worst]) for value in values)
+            part, temperature = max(
+                zip(driving, temperatures, strict=True), key=lambda pair: abs(pair[1] - REFERENCE_TEMPERATURE)
             )
             share = cold_value / (cold_value - hot_value)
             closes = REFERENCE_TEMPERATURE + share * (temperature - REFERENCE_TEMPERATURE)
@@ -340,18 +343,19 @@ class Valve:
         raise AssertionError("no clearance is closed")  # pragma: no cover - the caller has seen one
 
 
-_CLEARANCES = {
-    "null_gap_1": "pilot_metal",
-    "null_gap_2": "pilot_metal",
-    "nozzle_diameter_1": "pilot_metal",
-    "nozzle_diameter_2": "pilot_metal",
-    "fixed_orifice_diameter_1": "pilot_metal",
-    "fixed_orifice_diameter_2": "pilot_metal",
-    "upper_air_gap_1": "torque_motor",
-    "upper_air_gap_2": "torque_motor",
-    "lower_air_gap_1": "torque_motor",
-    "lower_air_gap_2": "torque_motor",
-    "radial_clearance": "spool",
+_PILOT, _MOTOR = ("pilot_metal",), ("torque_motor", "spring_tube")
+_CLEARANCES: dict[str, tuple[str, ...]] = {  # what can close, and the parts whose temperatures do it
+    "null_gap_1": _PILOT,
+    "null_gap_2": _PILOT,
+    "nozzle_diameter_1": _PILOT,
+    "nozzle_diameter_2": _PILOT,
+    "fixed_orifice_diameter_1": _PILOT,
+    "fixed_orifice_diameter_2": _PILOT,
+    "upper_air_gap_1": _MOTOR,
+    "upper_air_gap_2": _MOTOR,
+    "lower_air_gap_1": _MOTOR,
+    "lower_air_gap_2": _MOTOR,
+    "radial_clearance": ("spool", "sleeve"),
 }
 
 

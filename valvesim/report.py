@@ -40,7 +40,7 @@ def picture_run(result: Result, path: Path) -> Path:
         ("spool position", ["spool_position"]),
         ("flow", ["load_flow", "internal_leakage"]),
     ]
-    zoom = t >= t[-1] - _cycles(result)
+    zoom = t >= t[-1] - (_cycles(result) or t[-1] / 20.0)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11, 11))
         axes = figure.subplots(len(rows), 2, sharex="col", gridspec_kw={"width_ratios": [2.2, 1]})
@@ -103,8 +103,9 @@ def picture_characteristic(result: Result, path: Path) -> Path:
         scenario.valve, current=currents, parts=PartTemperatures.uniform(20.0), routes=(), oil=scenario.oil
     )  # fmt: skip
     span, end = _cycles(result), float(result.time[-1])
-    starts = np.linspace(0.0, end - span, 6) if span < 0.1 * end else np.array([0.0])
-    windows = [(result.time >= a) & (result.time <= a + (span if len(starts) > 1 else end)) for a in starts]
+    few = span is not None and span < 0.1 * end  # of many alike: six of them show the drift
+    starts = np.linspace(0.0, end - (span or 0.0), 6) if few else np.array([0.0])
+    windows = [(result.time >= start) & (result.time <= start + (span if few else end)) for start in starts]
     temperature = result.values["oil_temperature"]
     scale = matplotlib.colors.Normalize(temperature.min(), max(temperature.max(), temperature.min() + 1.0))
     colours = matplotlib.cm.ScalarMappable(scale, "coolwarm")
@@ -136,26 +137,20 @@ def _display(result: Result, name: str) -> tuple[np.ndarray, str]:
     return values, symbol(unit)
 
 
-def _cycles(result: Result) -> float:
-    """A span, s, of about three cycles of the current at the end of the run, or a twentieth of the run."""
+def _cycles(result: Result) -> float | None:
+    """A span at the end of the run, s, of about three cycles of the current; None where it has no such cycles."""
     values = result.values["current"]
     crossings = result.time[1:][np.diff(np.sign(values - values.mean())) != 0]
-    if len(crossings) >= 8:
-        return min(7.0 * float(crossings[-1] - crossings[-2]), float(result.time[-1]))
-    return float(result.time[-1]) / 20.0
+    return min(7.0 * float(crossings[-1] - crossings[-2]), float(result.time[-1])) if len(crossings) >= 8 else None
 
 
 def _thin(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest and highest value of each stretch of a long line."""
+    """The lowest and highest value of each stretch of a long line, drawn at its start; a short line as it is."""
     if len(t) <= MOST_POINTS:
         return t, y
-    stretches = MOST_POINTS // 2
-    length = len(t) // stretches
-    cut = y[: stretches * length].reshape(stretches, length)
-    first = np.arange(stretches) * length
-    low, high = first + cut.argmin(axis=1), first + cut.argmax(axis=1)
-    pick = np.unique(np.concatenate([[0], low, high, [len(t) - 1]]))
-    return t[pick], y[pick]
+    starts = np.linspace(0, len(t), MOST_POINTS // 2, endpoint=False).astype(int)
+    extremes = np.column_stack([np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)])
+    return np.append(np.repeat(t[starts], 2), t[-1]), np.append(extremes.ravel(), y[-1])
 
 
 def _save(figure: Figure, path: Path) -> Path:

@@ -84,8 +84,9 @@ class Scenario:
             values[name] = evaluate(command, np.append(times, np.clip(starts, 0.0, self.duration)))
             if name != "load" and np.min(values[name]) < 0.0:
                 raise InputError(f"pressures.{name}: {np.min(values[name]):.6g} Pa is negative; it is absolute")
+        first: Any = {f"{name}_pressure": float(v[0]) for name, v in values.items()}
         try:
-            dataclasses.replace(self.valve, **{f"{name}_pressure": float(v[0]) for name, v in values.items()})
+            dataclasses.replace(self.valve, **first)
         except InputError as error:
             raise InputError(f"pressures: at the start of the run, {error}") from None
 

@@ -255,7 +255,8 @@ def _rest(scenario: Scenario, compiled: CompiledModel, c: Coefficients, flat: np
     columns += [0.0 for effect in model.effects for _ in effect.memory]
     y = np.column_stack([np.broadcast_to(column, rest.armature_angle.shape or (1,)) for column in columns])
     y = np.ascontiguousarray(y / compiled.scale)
-    if not any(effect.balance for effect in model.effects):
+    on_stop = np.any(np.abs(rest.spool_position) > c.spool_stroke)
+    if not on_stop and not any(effect.balance for effect in model.effects):
         return y
     u = np.array([value[0], 0.0, *value[1:]], dtype=float)
     f, J = np.empty(y.shape[1]), np.empty((y.shape[1], y.shape[1]))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, SolveError
+from .errors import InputError, SolveError, warn_once
 from .fluid import MIL_PRF_5606, Oil
 from .laws import MU_0
 from .model import FLOW_FORCE_FACTOR, drive_torque, flapper_torques
@@ -155,14 +155,20 @@ def solve_rest(
     theta = follow_branch(c, current, pressures, friction)
     real_roots = None
     if polynomial:
-        facing = np.sign(np.where(np.asarray(current) == 0.0, 1.0, current)) * load_pressure
+        facing = np.sign(_rest(theta, current, c, *pressures, friction)[1]) * load_pressure  # the side it opens to
         K = tad_polynomial(
             c, current, supply_pressure=supply_pressure, return_pressure=return_pressure, load_pressure=facing,
             friction=friction,
         )  # fmt: skip
+        K = np.broadcast_to(K, (*theta.shape, 10))
         real_roots = _real_roots(K, np.asarray(c.null_gap_1) / c.nozzle_arm)
         theta = _nearest_root(K, np.asarray(c.null_gap_1) / c.nozzle_arm, theta)
     _, x_v, p1, p2 = _rest(theta, current, c, *pressures, friction)
+    if np.any(np.abs(x_v) > c.spool_stroke):
+        warn_once(
+            f"static solution: the spool would rest at {np.max(np.abs(x_v)) * 1e3:.4g} mm, beyond its end stop at "
+            f"{np.min(c.spool_stroke) * 1e3:.4g} mm; the balances of rest know no stop"
+        )
     fields = np.broadcast_arrays(current, temperature, theta, x_v, p1, p2, p1 - p2)
     i, T, angle, position, pressure_1, pressure_2, difference = (np.array(field) for field in fields)
     return StaticSolution(

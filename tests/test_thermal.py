@@ -1,0 +1,263 @@
+"""The thermal network against closed forms of one node, balances of the whole and the time constants of model.md 5."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from valvesim.commands import Constant, Pulse, Ramp, Sine, Step, Table
+from valvesim.errors import InputError
+from valvesim.fluid import MIL_PRF_5606
+from valvesim.parameters import PART_NAMES
+from valvesim.thermal import NODES, ThermalNetwork, temperature_path, throttling_rise
+from valvesim.units import quantities
+
+NETWORK = ThermalNetwork()
+SEALED = ThermalNetwork(torque_motor_to_ambient=0.0, body_to_ambient=0.0)  # nothing lost to the air
+LINKS = [name for name in quantities(NETWORK) if "_to_" in name]
+LAUNCH = Ramp(start_value=20.0, end_value=270.0, rate=3.0)  # model.md 5: 3 °C/s from 20 to 270 °C
+
+
+def lone(part):
+    """A network in which one part hears the oil alone, and its time constant C/G."""
+    network = dataclasses.replace(NETWORK, **{name: 0.0 for name in LINKS if name != f"oil_to_{part}"})
+    return network, getattr(NETWORK, f"{part}_capacity") / getattr(NETWORK, f"oil_to_{part}")
+
+
+def capacities(network):
+    return np.array([getattr(network, f"{name}_capacity") for name in NODES])
+
+
+def values(path):
+    """Temperatures of the nodes, (knots, nodes)."""
+    return np.column_stack([getattr(path.parts, name) for name in NODES])
+
+
+def at_the_end(path):
+    return {name: float(getattr(path.parts, name)[-1]) for name in PART_NAMES}
+
+
+@pytest.mark.parametrize("part", ["pilot_metal", "spool", "sleeve", "body", "spring_tube", "feedback_rod"])
+@pytest.mark.parametrize("duration", [0.3, 7.0, 80.0])
+def test_a_lone_part_trails_a_ramp_by_the_closed_form_of_a_first_order_lag(part, duration):
+    network, tau = lone(part)
+    path = temperature_path(LAUNCH, duration, network=network)
+    end = at_the_end(path)
+    lag = 3.0 * tau * (1.0 - np.exp(-duration / tau))  # field.md 2
+    assert end["oil"] - end[part] == pytest.approx(lag, rel=1e-10)
+
+
+@pytest.mark.parametrize("part", ["pilot_metal", "spool", "body"])
+def test_a_lone_part_follows_a_step_of_the_oil_exponentially(part):
+    network, tau = lone(part)
+    path = temperature_path(Step(before=20.0, after=120.0, time=3.0), 3.0 + tau, network=network)
+    before = path.times < 3.0
+    assert np.ptp(getattr(path.parts, part)[before]) < 1e-9
+    assert at_the_end(path)[part] == pytest.approx(20.0 + 100.0 * (1.0 - np.exp(-1.0)), rel=1e-10)
+
+
+# model.md 5: oil -> pilot metal about 1 s, spool 2-8 s, sleeve 1-20 s, body 12-90 s
+@pytest.mark.parametrize(
+    "part, low, high", [("pilot_metal", 0.5, 2.0), ("spool", 2.0, 8.0), ("sleeve", 1.0, 20.0), ("body", 12.0, 90.0)]
+)
+def test_a_part_alone_against_the_oil_takes_the_time_of_its_estimate(part, low, high):
+    network, tau = lone(part)
+    assert low <= tau <= high
+    path = temperature_path(Step(before=0.0, after=1.0, time=0.0), tau, network=network, initial=0.0)
+    assert at_the_end(path)[part] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-10)
+
+
+def test_the_torque_motor_follows_the_body_within_the_time_of_its_estimate():
+    # model.md 5: body -> torque motor +10-40 s
+    assert 10.0 <= NETWORK.torque_motor_capacity / NETWORK.body_to_torque_motor <= 40.0
+
+
+def test_in_a_launch_the_spool_leads_the_sleeve_the_sleeve_the_body_and_the_body_the_torque_motor():
+    end = at_the_end(temperature_path(LAUNCH, 83.0, network=NETWORK))
+    order = ("oil", "pilot_metal", "spool", "sleeve", "body", "torque_motor")
+    falling = [end[name] for name in order]
+    assert falling == sorted(falling, reverse=True)
+    assert 6.0 <= end["oil"] - end["spool"] <= 24.0  # field.md 2: the spool trails by 6-24 K after 83 s
+    assert 45.0 <= end["oil"] - end["body"] <= 165.0  # the body by 45-165 K
+    assert end["body"] - end["torque_motor"] > 10.0  # the torque motor by more
+    assert end["spool"] - end["sleeve"] > 10.0  # so the spool leads the sleeve by tens of K
+
+
+def test_without_loss_to_the_air_every_part_ends_at_the_oil():
+    path = temperature_path(Constant(value=150.0), 2000.0, network=SEALED, initial=20.0, ambient=-50.0)
+    assert values(path)[-1] == pytest.approx(np.full(len(NODES), 150.0), rel=1e-9)
+
+
+def test_with_loss_to_the_air_the_steady_temperatures_balance_every_part():
+    path = temperature_path(Constant(value=150.0), 2000.0, network=NETWORK, ambient=20.0)
+    T = dict(zip(NODES, values(path)[-1], strict=True), oil=150.0, ambient=20.0)
+    for node in NODES:
+        flows = [0.0]
+        for link in LINKS:
+            one, _, other = link.partition("_to_")
+            if node in (one, other):
+                flows.append(getattr(NETWORK, link) * (T[one] - T[other]) * (1.0 if node == other else -1.0))
+        assert sum(flows) == pytest.approx(0.0, abs=1e-9 * sum(np.abs(flows)) + 1e-9), node
+    assert 20.0 < T["torque_motor"] < T["body"] < 150.0
+
+
+def test_the_steady_temperatures_do_not_depend_on_the_start():
+    # field.md 2, after a published valve model: steady temperature independent of initial temperature
+    ends = [
+        values(temperature_path(Constant(value=90.0), 3000.0, network=NETWORK, initial=start))[-1]
+        for start in (-40.0, 200.0)
+    ]
+    assert ends[0] == pytest.approx(ends[1], rel=1e-9)
+
+
+def test_the_heat_stored_is_the_heat_that_came_in():
+    path = temperature_path(LAUNCH, 60.0, network=NETWORK, ambient=-10.0, spacing=0.01)
+    T, C = values(path), capacities(NETWORK)
+    temperature = {name: T[:, k] for k, name in enumerate(NODES)} | {"oil": path.parts.oil, "ambient": -10.0}
+    power = np.zeros(len(path.times))
+    for link in LINKS:
+        one, _, other = link.partition("_to_")
+        flow = getattr(NETWORK, link) * (temperature[one] - temperature[other])
+        power += flow * (one not in NODES) - flow * (other not in NODES)
+    heat = np.trapezoid(power, path.times)
+    assert C @ (T[-1] - T[0]) == pytest.approx(heat, rel=1e-5)  # the trapezoidal rule's own error is 2e-6
+
+
+def test_heat_between_two_parts_is_lost_by_the_one_and_gained_by_the_other():
+    no_outside = {name: 0.0 for name in LINKS if name.startswith("oil") or name.endswith("ambient")}
+    M, N = dataclasses.replace(NETWORK, **no_outside).matrices()
+    assert np.count_nonzero(N) == 0 and np.count_nonzero(M) == 10  # 3 links between 4 of the parts, both ways
+    assert capacities(NETWORK) @ M == pytest.approx(np.zeros(len(NODES)), abs=1e-12)
+
+
+OILS = {
+    "ramp that ends": Ramp(start_value=20.0, end_value=80.0, rate=20.0, time=1.0),
+    "pulse": Pulse(base=20.0, height=200.0, width=0.05, time=1.013),
+    "table": Table(times=(0.0, 0.31, 2.77, 6.0), values=(20.0, 90.0, -10.0, 40.0)),
+}
+
+
+@pytest.mark.parametrize("oil", OILS.values(), ids=OILS.keys())
+def test_the_temperatures_do_not_depend_on_the_spacing_of_the_knots(oil):
+    coarse, fine = (
+        temperature_path(oil, 6.0, network=NETWORK, initial=0.0, spacing=spacing) for spacing in (6.0, 0.003)
+    )
+    assert values(coarse)[-1] == pytest.approx(values(fine)[-1], rel=1e-10)
+    assert len(coarse.times) < 12 < len(fine.times)
+
+
+@pytest.mark.parametrize("oil", OILS.values(), ids=OILS.keys())
+def test_the_temperatures_are_those_of_an_ordinary_integration(oil):
+    M, N = NETWORK.matrices()
+    breaks = [0.0, *(t for t in oil.pieces(6.0)[:, 0] if 0.0 < t < 6.0), 6.0]
+    T = np.zeros(len(NODES))
+    for a, b in zip(breaks[:-1], breaks[1:], strict=True):
+        row = [r for r in oil.pieces(6.0) if r[0] <= a][-1]
+
+        def rate(t, T, row=row):
+            return M @ T + N @ [row[1] + row[2] * (t - row[0]), 20.0]
+
+        T = solve_ivp(rate, (a, b), T, rtol=1e-10, atol=1e-10).y[:, -1]
+    path = temperature_path(oil, 6.0, network=NETWORK, initial=0.0)
+    assert values(path)[-1] == pytest.approx(T, rel=1e-8)
+
+
+def test_a_step_of_the_oil_stands_at_a_pair_of_equal_times():
+    path = temperature_path(Step(before=20.0, after=120.0, time=0.35), 1.0, network=None)
+    (k,) = np.flatnonzero(np.diff(path.times) == 0.0)
+    assert path.times[k] == 0.35
+    assert path.parts.oil[k : k + 2] == pytest.approx([20.0, 120.0], rel=1e-12)
+
+
+def test_a_part_does_not_jump_with_the_oil():
+    path = temperature_path(Step(before=20.0, after=120.0, time=0.35), 1.0, network=NETWORK)
+    (k,) = np.flatnonzero(np.diff(path.times) == 0.0)
+    assert values(path)[k] == pytest.approx(values(path)[k + 1], rel=1e-12)
+    assert path.parts.pilot_metal[-1] > 21.0
+
+
+@pytest.mark.parametrize("frequency", [0.9, 1.0, 2.0, 50.0])
+def test_a_wave_of_the_oil_is_never_missed_between_knots(frequency):
+    # at 1 and 2 Hz knots of 0.5 s all fall on the mean
+    oil = Sine(amplitude=10.0, frequency=frequency, offset=60.0)
+    path = temperature_path(oil, 4.0, network=None, spacing=0.5)
+    assert np.ptp(path.parts.oil) == pytest.approx(20.0, rel=0.02)
+    assert np.max(np.diff(path.times)) <= 0.05 / frequency * (1 + 1e-9)
+
+
+def test_a_lone_part_damps_a_wave_of_the_oil_as_a_first_order_lag():
+    network, tau = lone("pilot_metal")
+    frequency = 2.0
+    path = temperature_path(Sine(amplitude=10.0, frequency=frequency), 20.0, network=network, spacing=0.005)
+    late = path.times > 10.0
+    gain = 1.0 / np.hypot(1.0, 2 * np.pi * frequency * tau)
+    assert np.ptp(path.parts.pilot_metal[late]) == pytest.approx(20.0 * gain, rel=1e-3)
+
+
+def test_all_parts_start_with_the_oil_or_at_the_initial_temperature():
+    oil = Constant(value=60.0)
+    assert values(temperature_path(oil, 1.0, network=NETWORK))[0] == pytest.approx(np.full(len(NODES), 60.0), rel=1e-12)
+    cold = temperature_path(oil, 1.0, network=NETWORK, initial=-40.0)
+    assert values(cold)[0] == pytest.approx(np.full(len(NODES), -40.0), rel=1e-12)
+    assert cold.parts.oil[0] == 60.0
+
+
+def test_isothermal_every_part_is_at_the_oil():
+    path = temperature_path(LAUNCH, 50.0, network=None, initial=-40.0)
+    for name in PART_NAMES:
+        assert np.array_equal(getattr(path.parts, name), 20.0 + 3.0 * path.times), name
+
+
+def test_throttling_from_21_mpa_heats_the_oil_by_half_of_the_whole_rise():
+    # field.md 2: dp (1 - alpha T)/(rho cp) is 9.5 K for 21 MPa at 20 °C and about 5.4 K at 250 °C; the specific heat
+    # behind them is known to some 5 %
+    rise = throttling_rise(MIL_PRF_5606, 21e6)
+    assert 2.0 * rise(20.0) == pytest.approx(9.5, rel=0.05)
+    assert 2.0 * rise(250.0) == pytest.approx(5.4, rel=0.05)
+    # figures of field.md 3: alpha 8.3e-4/K, 866 kg/m^3 and 2010 - 3.7 * 40 J/(kg K) at 20 °C
+    assert rise(20.0) == pytest.approx(0.5 * 21e6 * (1 - 8.3e-4 * 293.15) / (866.0 * 1862.0), rel=1e-3)
+
+
+def test_throttling_heat_is_added_to_the_oil_and_warms_the_parts():
+    rise = throttling_rise(MIL_PRF_5606, 20.5e6)
+    plain, heated = (
+        temperature_path(LAUNCH, 10.0, network=SEALED, throttling=heat) for heat in (None, rise)
+    )
+    assert heated.parts.oil == pytest.approx(plain.parts.oil + rise(plain.parts.oil), rel=1e-12)
+    assert np.all(values(heated) > values(plain))
+
+
+def test_oil_below_absolute_zero_is_refused():
+    with pytest.raises(InputError, match=r"thermal\.oil_temperature: -300 °C is below absolute zero"):
+        temperature_path(Step(before=20.0, after=-300.0, time=0.1), 1.0, network=None)
+
+
+@pytest.mark.parametrize(
+    "name, value, text",
+    [
+        ("body_capacity", -1.0, r"thermalnetwork\.body_capacity = -1 J/K is outside \(0, 100000\] J/K"),
+        ("body_capacity", 0.0, r"thermalnetwork\.body_capacity = 0 J/K is outside"),
+        ("oil_to_body", -1.0, r"thermalnetwork\.oil_to_body = -1 W/K is outside \[0, 100000\] W/K"),
+        ("oil_to_body", np.nan, r"thermalnetwork\.oil_to_body = nan W/K is outside"),
+    ],
+)
+def test_a_network_figure_out_of_bounds_is_refused(name, value, text):
+    with pytest.raises(InputError, match=text):
+        ThermalNetwork(**{name: value})
+
+
+def test_every_network_figure_is_an_estimate_with_half_its_size_as_tolerance():
+    # model.md 5: estimates, every figure exposed with a +-50 % range
+    assert {field.metadata["tolerance"] for field in quantities(NETWORK).values()} == {0.5}
+
+
+@given(st.lists(st.floats(0.5, 1.5), min_size=len(quantities(NETWORK)), max_size=len(quantities(NETWORK))))
+def test_within_the_tolerances_no_part_ever_leaves_the_range_of_oil_and_air(factors):
+    figures = {name: getattr(NETWORK, name) * f for name, f in zip(quantities(NETWORK), factors, strict=True)}
+    oil = Pulse(base=20.0, height=200.0, width=5.0, time=1.0)
+    path = temperature_path(oil, 20.0, network=ThermalNetwork(**figures), ambient=-30.0, initial=50.0, spacing=1.0)
+    assert np.min(values(path)) >= -30.0 and np.max(values(path)) <= 200.0
+    assert np.min(np.ptp(values(path), axis=0)) > 0.1
