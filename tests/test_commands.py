@@ -30,7 +30,7 @@ from valvesim.errors import InputError
 END = 2.0
 
 values = st.floats(-10.0, 10.0)
-moments = st.one_of(st.just(0.0), st.floats(0.0, 2.5))
+moments = st.one_of(st.sampled_from([0.0, END]), st.floats(0.0, 2.5))
 durations = st.floats(0.01, 2.0)
 frequencies = st.floats(0.1, 20.0)
 

@@ -219,7 +219,6 @@ def test_clogging_lowers_the_tare_flow():
     assert signals(active).pilot_flow < signals().pilot_flow
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="reported: `not first` of an array of sides")
 def test_clogging_takes_an_array_of_sides():
     entry = effect("fixed_orifice_clogging")
     c = entry.coefficients(C20, entry.values((0.19, np.array([1.0, 2.0]))))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvesim.errors import InputError
-from valvesim.files import read_columns, write_atomically
+from valvesim.files import check_folder, read_columns, write_atomically
 
 WANTED = {"time": "s", "current": "A"}
 
@@ -246,3 +246,21 @@ def test_a_name_that_is_too_long_or_impossible_is_refused(tmp_path):
     assert "File name too long" in refusal(write_atomically, tmp_path / ("a" * 300), write_new)
     assert "cannot be written (embedded null byte)" in refusal(write_atomically, tmp_path / "a\0b", write_new)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_for_results_is_made_and_left_empty(tmp_path):
+    folder = tmp_path / "results" / "a"
+    check_folder(folder)
+    check_folder(folder)  # and may be there already
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "below, reason", [("", "File exists"), ("results", "Not a directory"), ("a\0b", "embedded null byte")]
+)
+def test_a_folder_for_results_that_cannot_be_made_is_refused(tmp_path, below, reason):
+    file = tmp_path / "file"
+    file.write_text("old", encoding="utf-8")
+    message = refusal(check_folder, file / below)
+    assert message.startswith(f"{file / below}: cannot be written (") and reason in message
+    assert list(tmp_path.iterdir()) == [file] and file.read_text(encoding="utf-8") == "old"

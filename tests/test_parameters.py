@@ -291,13 +291,11 @@ def test_closed_clearance_in_a_batch_is_reported_where_it_is_worst():
         batch.at(parts(pilot_metal=np.array([[100.0], [200.0]])))
 
 
-@pytest.mark.xfail(strict=True, reason="reported: an air gap closed by the spring tube is blamed on the torque motor")
 def test_air_gap_closed_by_the_spring_tube_is_reported_with_its_temperature():
     with pytest.raises(InputError, match="spring tube reaches 335"):  # 20 + 0.23 mm/(7.29 mm 1e-4)
         Valve(spring_tube_expansion=1e-4).at(parts(spring_tube=450.0))
 
 
-@pytest.mark.xfail(strict=True, reason="reported: a clearance closed by a cold sleeve is blamed on the spool")
 def test_clearance_closed_by_a_cold_sleeve_is_reported_with_its_temperature():
     with pytest.raises(InputError, match=r"sleeve reaches -88\.1"):  # 20 - 3e-6/(12e-6 2.3125e-3)
         valve.at(parts(sleeve=-120.0))

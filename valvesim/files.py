@@ -77,8 +77,8 @@ def check_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{folder}: cannot be written ({error})") from None
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import warn_once
+from .errors import InputError, warn_once
 from .units import check_bounds, quantity
 
 ATMOSPHERE = 101325.0
 KELVIN = 273.15
+COMPUTED_RANGE = (-100.0, 400.0)  # °C: beyond it the oil is solid or gone, and the laws mean nothing
 
 
 def viscosity_walther(table: tuple[tuple[float, float], ...]) -> Callable:
@@ -74,8 +75,14 @@ class Oil:
         check_bounds(self)
 
     def check_rated(self, temperature) -> None:
-        """Warn once, by the oil's name, where a temperature is outside the rated range."""
+        """Warn once, by the oil's name, outside the rated range; InputError for NaN or where no law can hold."""
         low, high = float(np.min(temperature)), float(np.max(temperature))
+        if not (low >= COMPUTED_RANGE[0] and high <= COMPUTED_RANGE[1]):  # NaN is outside
+            wrong = high if high > COMPUTED_RANGE[1] else low
+            raise InputError(
+                f"oil {self.name}: {wrong:.4g} °C is outside {COMPUTED_RANGE[0]:g} to {COMPUTED_RANGE[1]:g} °C, "
+                "beyond which no law of the oil is computed"
+            )
         if high > self.rated_high:
             warn_once(f"oil {self.name}: up to {high:.4g} °C is above its rated {self.rated_high:g} °C; extrapolated")
         if low < self.rated_low:

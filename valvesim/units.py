@@ -91,6 +91,8 @@ def parse(text: Any, unit: str, where: str = "") -> float:
         if unit != "1":
             raise InputError(f"{prefix}{text!r} has no unit; write it as text, such as '{text} {unit}'")
         return number
+    if unit == "delta_degC" and source in ("degC", "°C"):
+        source = unit  # a difference of temperatures: everybody writes 5 °C for 5 K
     return float(convert(number, source, unit, where))
 
 
