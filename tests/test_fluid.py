@@ -162,12 +162,17 @@ def test_oil_warns_by_name_once_outside_its_rated_range(name, temperature, side)
         OILS[name].check_rated(temperature)
 
 
-@pytest.mark.xfail(strict=True, reason="reported: the text holds the temperature, so each new one warns again")
 def test_oil_warns_once_while_the_temperature_goes_on_rising():
     with pytest.warns(ValidityWarning, match="mil_prf_5606") as given_warnings:
         for temperature in (140.0, 150.0, 160.0):
             oil.check_rated(temperature)
     assert len(given_warnings) == 1
+
+
+@pytest.mark.parametrize("temperature", [-101.0, 401.0, np.nan, np.inf, np.array([20.0, np.nan])])
+def test_temperature_at_which_there_is_no_oil_is_refused(temperature):
+    with pytest.raises(InputError, match="oil mil_prf_5606: .* °C is outside -100 to 400 °C"):
+        oil.check_rated(temperature)
 
 
 def test_oil_is_silent_inside_its_rated_range():

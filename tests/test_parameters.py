@@ -251,6 +251,12 @@ def test_oil_beyond_its_rating_is_warned_of_by_name():
         valve.at(parts(270.0))
 
 
+@pytest.mark.parametrize("part", sorted(set(PART_NAMES) - {"oil"}))
+def test_part_temperature_that_is_not_a_number_is_refused(part):
+    with pytest.raises(InputError, match="nan"):
+        valve.at(parts(**{part: np.nan}))
+
+
 # ---------------------------------------------------------------- clearances that close
 
 

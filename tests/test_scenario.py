@@ -34,7 +34,7 @@ def load(tmp_path):
 
 
 @pytest.fixture
-def refused(tmp_path):
+def refused(load, tmp_path):
     """The message with which a text is refused, with paths from the file's folder on."""
 
     def refused(text, *settings):
@@ -103,7 +103,8 @@ def test_a_rate_of_temperature_has_no_offset(load, rate):
 
 @pytest.mark.parametrize("amplitude", ["9 K", "9 delta_degC", "16.2 delta_degF"])
 def test_an_amplitude_of_temperature_has_no_offset(load, amplitude):
-    oil = f'[thermal.oil_temperature]\nsine = {{ amplitude = "{amplitude}", offset = "50 degC", frequency = "0.25 Hz" }}\n'
+    sine = f'sine = {{ amplitude = "{amplitude}", offset = "50 degC", frequency = "0.25 Hz" }}\n'
+    oil = "[thermal.oil_temperature]\n" + sine
     assert evaluate(load(BASE + oil).oil_temperature, 1.0) == pytest.approx(59.0, rel=1e-9)
 
 
@@ -148,7 +149,8 @@ def test_every_section_arrives_in_the_scenario(load):
         '[command.voltage]\nstep = { before = "0 V", after = "3 V", time = "10 ms" }\n'
         '[oil]\nname = "yh12_paper"\ndensity_at_20 = "850 kg/m^3"\n'
         '[thermal]\nroutes = ["mmf", "flow"]\nthrottling_heat = true\nambient_temperature = "-10 degC"\n'
-        '[pressures]\nsupply = "15 MPa"\nreturn = "0.2 MPa"\nload = { sine = { amplitude = "1 MPa", frequency = "3 Hz" } }\n'
+        '[pressures]\nsupply = "15 MPa"\nreturn = "0.2 MPa"\n'
+        'load = { sine = { amplitude = "1 MPa", frequency = "3 Hz" } }\n'
         '[effects.spool_stribeck_friction]\nbreakaway_force = "2 N"\nkinetic_share = 0.5\n'
         '[effects.entrained_air]\nair_fraction = "2 %"\n'
         '[outputs]\nrate = "2 kHz"\nchannels = ["spool_position", "current"]\n'
@@ -212,13 +214,25 @@ WRONG = {
         '[valve]\nflow_coefficients = "1"\n',
         "line 5: valve: unknown parameter of Valve 'flow_coefficients'",
     ),
-    "oil": ('[oil]\nname = "mil_prf_5605"\n', "line 5: oil.name: unknown oil 'mil_prf_5605'; did you mean 'mil_prf_5606'?"),
+    "oil": (
+        '[oil]\nname = "mil_prf_5605"\n',
+        "line 5: oil.name: unknown oil 'mil_prf_5605'; did you mean 'mil_prf_5606'?",
+    ),
     "oil as a list": ('[oil]\nname = ["x"]\n', "line 5: oil.name: unknown oil"),
-    "oil key": ('[oil]\ndensity = "9 kg/m^3"\n', "line 5: oil: unknown parameter of Oil 'density'; did you mean 'density_at_20'?"),
-    "thermal key": ("[thermal]\nisothermic = true\n", "line 5: thermal: unknown key 'isothermic'; did you mean 'isothermal'?"),
+    "oil key": (
+        '[oil]\ndensity = "9 kg/m^3"\n',
+        "line 5: oil: unknown parameter of Oil 'density'; did you mean 'density_at_20'?",
+    ),
+    "thermal key": (
+        "[thermal]\nisothermic = true\n",
+        "line 5: thermal: unknown key 'isothermic'; did you mean 'isothermal'?",
+    ),
     "pressure": ('[pressures]\nsuply = "1 MPa"\n', "line 5: pressures: unknown key 'suply'; did you mean 'supply'?"),
     "output key": ('[outputs]\nrat = "1 kHz"\n', "line 5: outputs: unknown key 'rat'; did you mean 'rate'?"),
-    "solver key": ("[solver]\ntoleranse = 1e-3\n", "line 5: solver: unknown key 'toleranse'; did you mean 'tolerance'?"),
+    "solver key": (
+        "[solver]\ntoleranse = 1e-3\n",
+        "line 5: solver: unknown key 'toleranse'; did you mean 'tolerance'?",
+    ),
     "effect": (
         '[effects.backlash]\nhalf_play = "1 um"\n',
         "line 4: effects: unknown effect 'backlash'; did you mean 'feedback_ball_backlash'?",
@@ -242,12 +256,21 @@ WRONG = {
         "line 5: valve.null_gap: 'bar' has the wrong dimension; expected a unit that converts to 'm'",
     ),
     "unknown unit": ('[valve]\nnull_gap = "3 mmm"\n', "line 5: valve.null_gap: unknown unit 'mmm'; expected one that"),
-    "bare number": ("[valve]\nnull_gap = 0.03\n", "line 5: valve.null_gap: 0.03 has no unit; write it as text, such as '0.03 m'"),
+    "bare number": (
+        "[valve]\nnull_gap = 0.03\n",
+        "line 5: valve.null_gap: 0.03 has no unit; write it as text, such as '0.03 m'",
+    ),
     "bare text": ('[valve]\nnull_gap = "0.03"\n', "line 5: valve.null_gap: '0.03' has no unit"),
-    "no number": ('[valve]\nnull_gap = "small"\n', "line 5: valve.null_gap: cannot read 'small' as a number with a unit"),
+    "no number": (
+        '[valve]\nnull_gap = "small"\n',
+        "line 5: valve.null_gap: cannot read 'small' as a number with a unit",
+    ),
     "nan": ('[valve]\nnull_gap = "nan mm"\n', "line 5: valve.null_gap: 'nan mm' is not a finite number"),
     "infinity": ('[valve]\nnull_gap = "inf mm"\n', "line 5: valve.null_gap: 'inf mm' is not a finite number"),
-    "list": ('[valve]\nnull_gap = ["1 mm"]\n', "line 5: valve.null_gap: expected a quantity such as '1 m', got ['1 mm']"),
+    "list": (
+        '[valve]\nnull_gap = ["1 mm"]\n',
+        "line 5: valve.null_gap: expected a quantity such as '1 m', got ['1 mm']",
+    ),
     "rate of pressure": ('[outputs]\nrate = "1 s"\n', "line 5: outputs.rate: 's' has the wrong dimension"),
     "temperature as pressure": (
         '[thermal]\noil_temperature = "300 bar"\n',
@@ -259,10 +282,19 @@ WRONG = {
     ),
     # sizes
     "negative size": ('[valve]\nnull_gap = "-0.03 mm"\n', "line 5: valve.null_gap = -3e-05 m is outside (0, 0.001] m"),
-    "zero size": ('[valve]\nnull_gap = "0 mm"\n', "line 5: valve.null_gap = 0 m is outside (0, 0.001] m (x_f0, nozzle to flapper)"),
+    "zero size": (
+        '[valve]\nnull_gap = "0 mm"\n',
+        "line 5: valve.null_gap = 0 m is outside (0, 0.001] m (x_f0, nozzle to flapper)",
+    ),
     "out of bounds": ('[valve]\nnull_gap = "10 mm"\n', "line 5: valve.null_gap = 0.01 m is outside (0, 0.001] m"),
-    "negative capacity": ('[thermal]\nbody_capacity = "-1 J/K"\n', "line 5: thermal.body_capacity = -1 J/K is outside (0, 100000] J/K"),
-    "oil out of bounds": ('[oil]\ndensity_at_20 = "1 kg/m^3"\n', "line 5: oil.density_at_20 = 1 kg/m³ is outside [500, 2000] kg/m³"),
+    "negative capacity": (
+        '[thermal]\nbody_capacity = "-1 J/K"\n',
+        "line 5: thermal.body_capacity = -1 J/K is outside (0, 100000] J/K",
+    ),
+    "oil out of bounds": (
+        '[oil]\ndensity_at_20 = "1 kg/m^3"\n',
+        "line 5: oil.density_at_20 = 1 kg/m³ is outside [500, 2000] kg/m³",
+    ),
     "effect out of bounds": (
         "[effects.magnet_demagnetization]\nloss = 0.95\n",
         "line 5: effects.magnet_demagnetization.loss = 0.95 - is outside [0, 0.9] -",
@@ -308,18 +340,36 @@ WRONG = {
         "line 4: pressures: at the start of the run, valve.load_pressure must be within the supply pressure",
     ),
     # form
-    "text for a table": ('[effects]\nspool_coulomb_friction = "2 N"\n', "line 5: effects.spool_coulomb_friction: expected a table of"),
-    "text for a switch": ('[thermal]\nisothermal = "yes"\n', "line 5: thermal.isothermal: expected true or false, got 'yes'"),
-    "text for a list of routes": ('[thermal]\nroutes = "flow"\n', "line 5: thermal.routes: expected a list of route names, got 'flow'"),
-    "numbers as routes": ("[thermal]\nroutes = [1]\n", "line 5: thermal.routes: expected a list of route names, got [1]"),
+    "text for a table": (
+        '[effects]\nspool_coulomb_friction = "2 N"\n',
+        "line 5: effects.spool_coulomb_friction: expected a table of",
+    ),
+    "text for a switch": (
+        '[thermal]\nisothermal = "yes"\n',
+        "line 5: thermal.isothermal: expected true or false, got 'yes'",
+    ),
+    "text for a list of routes": (
+        '[thermal]\nroutes = "flow"\n',
+        "line 5: thermal.routes: expected a list of route names, got 'flow'",
+    ),
+    "numbers as routes": (
+        "[thermal]\nroutes = [1]\n",
+        "line 5: thermal.routes: expected a list of route names, got [1]",
+    ),
     "text for a list of channels": (
         '[outputs]\nchannels = "current"\n',
         "line 5: outputs.channels: expected a list of channel names, got 'current'",
     ),
-    "a number as channels": ("[outputs]\nchannels = 3\n", "line 5: outputs.channels: expected a list of channel names, got 3"),
+    "a number as channels": (
+        "[outputs]\nchannels = 3\n",
+        "line 5: outputs.channels: expected a list of channel names, got 3",
+    ),
     "repeated section": ('[[valve]]\nnull_gap = "1 mm"\n', "case.toml: valve: expected a table, got"),
-    "two drives": ('[command.voltage]\nconstant = "1 V"\n', "command: give either [command.current] or [command.voltage]"),
-}  # fmt: skip
+    "two drives": (
+        '[command.voltage]\nconstant = "1 V"\n',
+        "command: give either [command.current] or [command.voltage]",
+    ),
+}
 
 
 @pytest.mark.parametrize("text, message", WRONG.values(), ids=WRONG.keys())
@@ -329,14 +379,29 @@ def test_a_wrong_line_is_refused_by_name_and_number(refused, text, message):
 
 WRONG_COMMANDS = {
     "no duration": ('[command.current]\nconstant = "1 mA"\n', "duration is missing, such as duration = '1 s'"),
-    "no time": ('duration = "0 s"\n[command.current]\nconstant = "1 mA"\n', "line 1: duration = 0 s is outside (0, 100000] s"),
-    "duration in metres": ('duration = "1 m"\n[command]\ncurrent = "1 mA"\n', "line 1: duration: 'm' has the wrong dimension"),
-    "unknown key at the top": ('duration = "1 s"\ntitel = "x"\n', "line 2: scenario: unknown key 'titel'; did you mean 'title'?"),
+    "no time": (
+        'duration = "0 s"\n[command.current]\nconstant = "1 mA"\n',
+        "line 1: duration = 0 s is outside (0, 100000] s",
+    ),
+    "duration in metres": (
+        'duration = "1 m"\n[command]\ncurrent = "1 mA"\n',
+        "line 1: duration: 'm' has the wrong dimension",
+    ),
+    "unknown key at the top": (
+        'duration = "1 s"\ntitel = "x"\n',
+        "line 2: scenario: unknown key 'titel'; did you mean 'title'?",
+    ),
     "no command": ("", "command: give either [command.current] or [command.voltage]"),
-    "no command in its section": ("[command.current]\n", "line 2: command.current: needs a command, one of constant, step"),
+    "no command in its section": (
+        "[command.current]\n",
+        "line 2: command.current: needs a command, one of constant, step",
+    ),
     "text for a section": ('valve = "big"\n', "line 2: valve: expected a table, got 'big'"),
     "drive": ("[command.curent]\n", "line 2: command: unknown key 'curent'; did you mean 'current'?"),
-    "command": ("[command.current]\nsin = {}\n", "line 3: command.current: unknown command 'sin'; did you mean 'sine'?"),
+    "command": (
+        "[command.current]\nsin = {}\n",
+        "line 3: command.current: unknown command 'sin'; did you mean 'sine'?",
+    ),
     "command key": (
         '[command.current]\nsine = { amplitud = "1 mA" }\n',
         "line 3: command.current.sine: unknown key 'amplitud'; did you mean 'amplitude'?",
@@ -345,7 +410,10 @@ WRONG_COMMANDS = {
         '[command.current]\nsine = { amplitude = "1 V" }\n',
         "line 3: command.current.sine.amplitude: 'V' has the wrong dimension; expected a unit that converts to 'A'",
     ),
-    "text for a command": ('[command.current]\nsine = "1 mA"\n', "line 3: command.current.sine: expected a table such as"),
+    "text for a command": (
+        '[command.current]\nsine = "1 mA"\n',
+        "line 3: command.current.sine: expected a table such as",
+    ),
     "falling rate": (
         '[command.current]\nramp = { end_value = "1 mA", rate = "-1 mA/s" }\n',
         "line 3: command.current.ramp.rate = -0.001 A/s is outside (0, inf) A/s (size of the slope)",
@@ -355,7 +423,7 @@ WRONG_COMMANDS = {
         "line 3: command.current.pulse.period = 0.5 s must be longer than pulse.width = 1 s",
     ),
     "half a step": (
-        '[command.current]\nstaircase = { steps = 2.5 }\n',
+        "[command.current]\nstaircase = { steps = 2.5 }\n",
         "line 3: command.current.staircase.steps = 2.5 must be a whole number",
     ),
     "text for a choice": (
@@ -370,7 +438,7 @@ WRONG_COMMANDS = {
         '[command.current]\ntable = { file = "a.csv", colum = "x" }\n',
         "line 3: command.current.table: unknown key 'colum'; did you mean 'column'?",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("text, message", WRONG_COMMANDS.values(), ids=WRONG_COMMANDS.keys())
@@ -432,10 +500,9 @@ def test_a_clearance_that_closes_names_part_and_temperature(load):
 def test_a_spool_that_is_pinched_in_its_sleeve_is_told(load):
     # radial clearance 3 um, spool diameter sqrt(4 * 16.8 mm^2/pi) = 4.625 mm: 3e-6/(2.3125e-3 * 1e-5/K) = 129.7 K
     scenario = load(
-        BASE + '[valve]\nspool_expansion = "2.2e-5 1/K"\n'
-        '[thermal]\nisothermal = true\noil_temperature = "270 degC"\n'
+        BASE + '[valve]\nspool_expansion = "2.2e-5 1/K"\n[thermal]\nisothermal = true\noil_temperature = "270 degC"\n'
     )
-    with pytest.raises(InputError, match=r"radial clearance closes when the spool reaches 149\.7 °C \(asked for 270 °C"):
+    with pytest.raises(InputError, match=r"radial clearance closes when the spool reaches 149\.7 °C \(asked for 270"):
         simulate(scenario)
 
 
@@ -529,7 +596,8 @@ def test_settings_override_and_add_keys(load):
 
 def test_a_setting_reaches_into_a_command(load):
     scenario = load(
-        'duration = "1 s"\n[command.current]\nstep = { after = "1 mA", time = "5 ms" }\n', "command.current.step.after=4 mA"
+        'duration = "1 s"\n[command.current]\nstep = { after = "1 mA", time = "5 ms" }\n',
+        "command.current.step.after=4 mA",
     )
     assert evaluate(scenario.command, [0.0, 0.5]) == pytest.approx([0.0, 4e-3])
 
@@ -548,11 +616,14 @@ def test_the_last_of_two_settings_rules(load):
         ("valve.null_gap=1 bar", "--set 'valve.null_gap=1 bar': valve.null_gap: 'bar' has the wrong dimension"),
         ("valve.null_gap=0.03", "--set 'valve.null_gap=0.03': valve.null_gap: 0.03 has no unit"),
         ("valve.null_gap=", "--set 'valve.null_gap=': valve.null_gap: cannot read ''"),
-        ("valve.nul_gap=1 mm", "--set 'valve.nul_gap=1 mm': valve: unknown parameter of Valve 'nul_gap'; did you mean 'null_gap'?"),
+        (
+            "valve.nul_gap=1 mm",
+            "--set 'valve.nul_gap=1 mm': valve: unknown parameter of Valve 'nul_gap'; did you mean 'null_gap'?",
+        ),
         ("vlave.null_gap=1 mm", "scenario: unknown key 'vlave'; did you mean 'valve'?"),
         ("valve=3", "--set 'valve=3': valve: expected a table, got 3"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_setting_is_refused_as_such(refused, setting, message):
     assert message in refused(BASE, setting)
 

@@ -26,10 +26,10 @@ class ValidityWarning(UserWarning):
 _already_warned: set[str] = set()
 
 
-def warn_once(message: str) -> None:
-    """Warn with a `ValidityWarning`, once per message and process."""
-    if message not in _already_warned:
-        _already_warned.add(message)
+def warn_once(message: str, *, about: str | None = None) -> None:
+    """Warn with a `ValidityWarning`, once per process and subject: the message, unless `about` names one."""
+    if (about or message) not in _already_warned:
+        _already_warned.add(about or message)
         warnings.warn(message, ValidityWarning, stacklevel=2)
 
 

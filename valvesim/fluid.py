@@ -84,9 +84,11 @@ class Oil:
                 "beyond which no law of the oil is computed"
             )
         if high > self.rated_high:
-            warn_once(f"oil {self.name}: up to {high:.4g} °C is above its rated {self.rated_high:g} °C; extrapolated")
+            message = f"oil {self.name}: up to {high:.4g} °C is above its rated {self.rated_high:g} °C; extrapolated"
+            warn_once(message, about=f"oil {self.name}, hot")
         if low < self.rated_low:
-            warn_once(f"oil {self.name}: down to {low:.4g} °C is below its rated {self.rated_low:g} °C; extrapolated")
+            message = f"oil {self.name}: down to {low:.4g} °C is below its rated {self.rated_low:g} °C; extrapolated"
+            warn_once(message, about=f"oil {self.name}, cold")
 
     def viscosity(self, temperature):
         """Kinematic viscosity m^2/s."""

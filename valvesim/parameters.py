@@ -34,7 +34,8 @@ def flow_coefficients_yan_2019(oil_temperature):
     """
     coldest = float(np.min(oil_temperature))
     if coldest < -40.0:
-        warn_once(f"flow coefficients (Eq. 19): {coldest:.4g} °C is below their fitted -40 °C; held at -40 °C")
+        message = f"flow coefficients (Eq. 19): {coldest:.4g} °C is below their fitted -40 °C; held at -40 °C"
+        warn_once(message, about="flow coefficients, cold")
     t = np.maximum(oil_temperature, -40.0)
     return 0.663 - 0.00136 * np.exp(-0.1473 * t), 0.752 - 0.1143 * np.exp(-0.03569 * t)
 
@@ -230,6 +231,9 @@ class Valve:
         """
         routes = check_routes(routes)
         oil.check_rated(parts.oil)
+        for name in PART_NAMES:
+            if not np.all(np.isfinite(getattr(parts, name))):
+                raise InputError(f"temperature of the {name.replace('_', ' ')} is nan or infinite")
 
         def rise(route: str, temperature):
             """dT = T - 20 °C along an active route, else zero."""

@@ -167,7 +167,8 @@ def solve_rest(
     if np.any(np.abs(x_v) > c.spool_stroke):
         warn_once(
             f"static solution: the spool would rest at {np.max(np.abs(x_v)) * 1e3:.4g} mm, beyond its end stop at "
-            f"{np.min(c.spool_stroke) * 1e3:.4g} mm; the balances of rest know no stop"
+            f"{np.min(c.spool_stroke) * 1e3:.4g} mm; the balances of rest know no stop",
+            about="static solution, spool stop",
         )
     fields = np.broadcast_arrays(current, temperature, theta, x_v, p1, p2, p1 - p2)
     i, T, angle, position, pressure_1, pressure_2, difference = (np.array(field) for field in fields)

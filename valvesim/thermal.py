@@ -103,7 +103,7 @@ def temperature_path(
 
     `network` None holds every part at the oil's temperature (the paper's assumption). `initial` (°C) is where all parts
     start, by default with the oil. `throttling(T)` is added to the oil temperature, K. Knots are at most `spacing` s
-    apart, at every break of the oil temperature, and 20 or more to each of its periods.
+    apart, at every break of the oil temperature and between any two, and 20 or more to each of its periods.
     Raises InputError where the oil is colder than absolute zero.
     """
     times, oil = _knots(oil_temperature, end, spacing)
@@ -150,7 +150,7 @@ def _knots(command: Command, end: float, spacing: float) -> tuple[np.ndarray, np
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         row = rows[max(int(np.searchsorted(starts, a, side="right")) - 1, 0)]
         fine = min(spacing, 0.05 / max(_fastest(row, a), _fastest(row, b), 1e-9))
-        t = np.linspace(a, b, int(np.ceil((b - a) / fine)) + 1)
+        t = np.linspace(a, b, max(int(np.ceil((b - a) / fine)), 2) + 1)
         late = np.append(t[:-1], np.nextafter(b, a) if b < end else b)  # the value just before a jump at b
         times.append(t)
         values.append(evaluate(command, late))
