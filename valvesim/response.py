@@ -1,7 +1,7 @@
 """What a valve does to a step, a sine and a chirp: figures of merit from a simulated or a measured record.
 
-The figures are those of SAE ARP490 and ISO 10770-1 (field.md section 4). Each is computed from plain arrays time, input
-and output, so that the model and a bench record go through the same lines; what cannot be had is `Absent`, never a guess.
+The figures are those of SAE ARP490 and ISO 10770-1 (field.md section 4). Each is computed from plain arrays time,
+input and output, so that the model and a bench record go through the same lines; what cannot be had is `Absent`.
 
 Symbols
     u input (current A, or voltage V), y output, s = (y - y_before)/(y_end - y_before) share of a step
@@ -128,7 +128,7 @@ def step_figures(
     """
     t, u, y = _record(time, command, output)
     try:
-        start = _step_index(t, u)
+        start, t_step = _step_instant(t, u)
         before, end = y[:start], y[t >= t[-1] - 0.1 * (t[-1] - t[start])]
         first = float(np.mean(before))
         last = _end_value(before, end) if steady is None else float(steady)
@@ -137,8 +137,6 @@ def step_figures(
             raise _Missing("the output does not move beyond its noise")
     except _Missing as missing:
         return tuple(Absent(name, str(missing)) for name in _STEP_DOCS)
-    jump = abs(u[start - 1] - u[:start].mean()) <= 0.1 * abs(u[-1] - u[0])
-    t_step = t[start] if jump else _crossing(t, (u - u[0]) / (u[-1] - u[0]), 0.5, start)
     after, s = t[start - 1 :], (y[start - 1 :] - first) / change
     measures: dict[str, tuple[str, Callable[[], float]]] = {
         "time_to_90_percent": ("s", lambda: _reach(after, s, 0.9, t_step) - t_step),
@@ -168,8 +166,10 @@ class _Missing(Exception):
     """Why a figure cannot be had."""
 
 
-def _step_index(t: np.ndarray, u: np.ndarray) -> int:
-    """The first sample at which the command has passed half of its one step."""
+def _step_instant(t: np.ndarray, u: np.ndarray) -> tuple[int, float]:
+    """(first sample at which the command has passed half of its one step, time of the step)."""
+    if len(u) < 14:
+        raise _Missing(f"only {len(u)} samples: 3 before the step and 10 after it are needed")
     head, tail = np.median(u[:3]), np.median(u[-max(3, len(u) // 20) :])
     size = tail - head
     if abs(size) <= 1e-9 * float(np.max(np.abs(u))):
@@ -183,11 +183,14 @@ def _step_index(t: np.ndarray, u: np.ndarray) -> int:
         raise _Missing("the command does not hold after its step: give a record of one step")
     if len(u) - start < 10:
         raise _Missing(f"only {len(u) - start} samples after the step")
-    return start
+    jump = share[start - 1] <= 0.1
+    return start, float(t[start]) if jump else _crossing(t, share, 0.5, start)
 
 
 def _end_value(before: np.ndarray, end: np.ndarray) -> float:
     """The mean of the last tenth, where that rests."""
+    if np.ptp(end) == 0.0 and np.ptp(before) > 0.0:
+        raise _Missing("the output is clipped: it carries noise before the step and none at its end")
     value, change = float(np.mean(end)), float(np.mean(end) - np.mean(before))
     half = len(end) // 2
     drift = abs(float(np.mean(end[half:]) - np.mean(end[:half]))) if half else 0.0
@@ -287,7 +290,8 @@ class FrequencyResponse:
     """Complex gain over frequency: all arrays (n_f,); `gain` in output unit per input unit.
 
     `amplitude` is that of the input (`share` of rated), `method` how it was taken, `oil_temperature` °C; NaN where a
-    measured record does not tell them. `distortion` is NaN for a chirp, `coherence` for sines.
+    measured record does not tell them. `distortion` and `residual` (see `SinePoint`) are NaN for a chirp, `coherence`
+    for sines.
     """
 
     method: str
@@ -298,6 +302,7 @@ class FrequencyResponse:
     frequency: np.ndarray
     gain: np.ndarray
     distortion: np.ndarray
+    residual: np.ndarray
     coherence: np.ndarray
 
     @property
@@ -357,8 +362,9 @@ class FrequencyResponse:
 
     def _distortion(self) -> Figure | Absent:
         if not np.any(np.isfinite(self.distortion)):
-            why = "more than 10 samples a cycle of a steady sine are needed"
-            return Absent("largest_distortion", f"no harmonics: {why}")
+            chirp = bool(np.any(np.isfinite(self.coherence)))
+            why = "a chirp does not tell harmonics apart" if chirp else "it needs more than 10 samples a cycle"
+            return Absent("largest_distortion", f"{why}: take steady sines")
         doc = "greatest harmonic distortion (harmonics 2 to 5)"
         return Figure("largest_distortion", 100.0 * float(np.nanmax(self.distortion)), "%", doc)
 
@@ -476,6 +482,7 @@ def join_points(
         frequency=frequency,
         gain=np.array([point.gain for point in ordered]),
         distortion=np.array([point.distortion for point in ordered]),
+        residual=np.array([point.residual for point in ordered]),
         coherence=np.full(len(ordered), np.nan),
     )
 
@@ -588,12 +595,13 @@ def spectral_response(
         frequency=f[inside],
         gain=(P_uy / P_uu)[inside],
         distortion=np.full(int(inside.sum()), np.nan),
+        residual=np.full(int(inside.sum()), np.nan),
         coherence=coherence[inside],
     )
 
 
 def chirp_response(
-    source: Source, *, amplitude: float, low: float = 5.0, high: float = 500.0, duration: float = 12.0,
+    source: Source, *, amplitude: float, low: float = 5.0, high: float = 500.0, duration: float = 6.0,
     oil_temperature: float | None = None, part_temperature: float | None = None, output: str = "spool_position",
     bias: float = 0.0, progress: Callable[[float], None] | None = None,
 ) -> FrequencyResponse:  # fmt: skip
@@ -610,8 +618,9 @@ def chirp_response(
     if low >= high:
         raise InputError(f"chirp response: low = {low:g} Hz must be below high = {high:g} Hz")
     start, end = low / 5.0, 1.1 * high
-    sweep = {"start_frequency": start, "end_frequency": end, "duration": duration}
-    command = Chirp(amplitude=amplitude, offset=bias, time=CHIRP_REST, **sweep)
+    command = Chirp(
+        amplitude=amplitude, start_frequency=start, end_frequency=end, duration=duration, offset=bias, time=CHIRP_REST
+    )
     case = replace(base, command=command, duration=duration + 2.0 * CHIRP_REST, output_rate=20.0 * end)
     result = simulate(case, progress=progress)
     taken = spectral_response(
@@ -808,8 +817,8 @@ def _record(time, command, output) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     t, u, y = (np.asarray(values, dtype=float) for values in (time, command, output))
     if t.ndim != 1 or t.shape != u.shape or t.shape != y.shape:
         raise InputError(f"record: time {t.shape}, command {u.shape} and output {y.shape} must be rows of one length")
-    if len(t) < 10:
-        raise InputError(f"record: {len(t)} samples are too few; 10 are the least")
+    if len(t) < 3:
+        raise InputError(f"record: {len(t)} samples are too few")
     for name, values in (("time", t), ("command", u), ("output", y)):
         if (bad := ~np.isfinite(values)).any():
             raise InputError(f"record: gap in the {name}: sample {int(np.argmax(bad)) + 1} is not a finite number")

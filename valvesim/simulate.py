@@ -15,7 +15,7 @@ import numpy as np
 from .channels import INPUT_CHANNELS, SIGNAL_CHANNELS, Channel, Inputs
 from .commands import evaluate, merge, piece_value
 from .compiled import CompiledModel, compile_model
-from .errors import SolveError, unknown_name
+from .errors import InputError, SolveError, unknown_name
 from .files import write_atomically
 from .model import VoltageDrive
 from .parameters import PART_NAMES, Coefficients, PartTemperatures
@@ -134,6 +134,8 @@ def simulate(scenario: Scenario, *, progress: Callable[[float], None] | None = N
 
     Raises InputError for input that makes no sense, SolveError (when, in which state, what to try) where it fails.
     """
+    if _array_figures(scenario):
+        raise InputError(f"valve.{_array_figures(scenario)[0]} is an array, a batch of valves: use simulate_batch")
     problem = _prepare(scenario)
     begin = time.perf_counter()
     states, count = _integrate(problem, 0, progress)
@@ -145,9 +147,12 @@ def simulate(scenario: Scenario, *, progress: Callable[[float], None] | None = N
 def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[str, np.ndarray]:
     """Run one scenario for a batch of valves: quantities of `scenario.valve` that are arrays (k,) hold one valve each.
 
-    Returns the states by name, each (k, n_t), with "time" (n_t,). Members run on `workers` threads (all cores).
-    Raises as `simulate` does.
+    Returns the states by name, each (k, n_t), with "time" (n_t,). Members run on `workers` threads (all cores); they
+    share command, oil and pressures. Raises as `simulate` does, and InputError for pressures that are arrays.
     """
+    for name in _array_figures(scenario):
+        if name in ("supply_pressure", "return_pressure", "load_pressure"):
+            raise InputError(f"valve.{name} is an array, but the members of a batch share their pressures")
     problem = _prepare(scenario)
     members, shape = len(problem.knots), (len(problem.times), len(problem.compiled.scale))
     states = np.empty((members, *shape))
@@ -161,6 +166,10 @@ def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[st
         list(pool.map(run, np.array_split(np.arange(members), min(threads, members))))
     names = [channel.name for channel in scenario.model.state_channels]
     return {"time": problem.times, **{name: states[:, :, k] for k, name in enumerate(names)}}
+
+
+def _array_figures(scenario: Scenario) -> list[str]:
+    return [name for name in quantities(scenario.valve) if np.ndim(getattr(scenario.valve, name))]
 
 
 def _prepare(scenario: Scenario) -> _Problem:
@@ -177,6 +186,7 @@ def _prepare(scenario: Scenario) -> _Problem:
     if any(effect.memory for effect in model.effects):
         starts, rows = _soften_jumps(starts, rows)
     times = np.arange(int(np.floor(end * scenario.output_rate * (1 + 1e-12))) + 1) / scenario.output_rate
+    times = np.minimum(times, end)  # rounding may carry the last sample past the end
     compiled = compile_model(model)
     first = Coefficients(*(knots[:, 0, k] for k in range(len(Coefficients._fields))))
     initial = _rest(scenario, compiled, first, knots[:, 0])
@@ -186,9 +196,8 @@ def _prepare(scenario: Scenario) -> _Problem:
 def _temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficients]:
     """The temperature path on knots close enough that straight lines between them hold the coefficients."""
     thermal, valve = scenario.thermal, scenario.valve
-    figures = {name: getattr(valve, name) for name in quantities(valve)}
-    batch: Any = {name: np.asarray(value)[:, None] for name, value in figures.items() if np.ndim(value)}
-    valve = replace(valve, **batch) if batch else valve
+    batch: Any = {name: np.asarray(getattr(valve, name))[:, None] for name in _array_figures(scenario)}
+    valve = replace(valve, **batch)
     spacing = 0.5
     for _ in range(5):
         path = temperature_path(
@@ -233,13 +242,11 @@ def _soften_jumps(starts: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.
         if np.any(np.abs(after - before) > 1e-6 * (np.abs(after) + np.abs(before))):
             ramp = np.zeros_like(rows[k])
             ramp[:, 0], ramp[:, 1], ramp[:, 2] = starts[k], before, (after - before) / JUMP_TIME
-            new_starts += [starts[k]]
-            new_rows += [ramp]
-            new_starts += [starts[k] + JUMP_TIME]
-            new_rows += [rows[k]]
+            new_starts += [starts[k], starts[k] + JUMP_TIME]
+            new_rows += [ramp, rows[k]]
         else:
-            new_starts += [starts[k]]
-            new_rows += [rows[k]]
+            new_starts.append(starts[k])
+            new_rows.append(rows[k])
     return np.array(new_starts), np.array(new_rows)
 
 
