@@ -169,10 +169,20 @@ def test_oil_warns_once_while_the_temperature_goes_on_rising():
     assert len(given_warnings) == 1
 
 
-@pytest.mark.parametrize("temperature", [-101.0, 401.0, np.nan, np.inf, np.array([20.0, np.nan])])
-def test_temperature_at_which_there_is_no_oil_is_refused(temperature):
-    with pytest.raises(InputError, match="oil mil_prf_5606: .* °C is outside -100 to 400 °C"):
+@pytest.mark.parametrize(
+    "temperature, shown",
+    [(-101.0, "-101"), (401.0, "401"), (np.nan, "nan"), (np.inf, "inf"), (np.array([20.0, np.nan]), "nan")],
+)
+def test_temperature_at_which_there_is_no_oil_is_refused(temperature, shown):
+    with pytest.raises(InputError, match=f"oil mil_prf_5606: {shown} °C is outside -100 to 400 °C"):
         oil.check_rated(temperature)
+
+
+def test_oil_is_computed_up_to_the_ends_of_its_range():
+    with pytest.warns(ValidityWarning, match="-100 °C.*-54 °C"):
+        oil.check_rated(-100.0)
+    with pytest.warns(ValidityWarning, match="400 °C.*135 °C"):
+        oil.check_rated(400.0)
 
 
 def test_oil_is_silent_inside_its_rated_range():

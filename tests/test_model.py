@@ -25,7 +25,7 @@ SCALE = np.array([1.0, 0.03 / valve.armature_inertia, *[BULK * 6e-6 / valve.cham
 
 pressure = st.floats(1e6, 20e6)
 states = st.builds(
-    State, st.floats(-3.9e-3, 3.9e-3), st.floats(-10.0, 10.0), pressure, pressure, st.floats(-4.1e-4, 4.1e-4),
+    State, st.floats(-3.7e-3, 3.7e-3), st.floats(-10.0, 10.0), pressure, pressure, st.floats(-4.1e-4, 4.1e-4),
     st.floats(-0.5, 0.5),
 )  # fmt: skip
 currents = st.floats(-0.02, 0.02)

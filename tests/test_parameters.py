@@ -239,6 +239,10 @@ def test_spool_clearance_shrinks_while_the_spool_leads_the_sleeve():
     assert even.radial_clearance == pytest.approx(3e-6, rel=1e-12)
 
 
+def test_spool_has_the_circumference_of_its_end_area():
+    assert valve.at(parts()).spool_circumference ** 2 == pytest.approx(4 * np.pi * 16.8e-6, rel=1e-12)
+
+
 def test_oil_coefficients_are_those_of_the_oil_at_mean_pressure():
     c = valve.at(parts(80.0), oil=YH12_PAPER)
     assert c.density == YH12_PAPER.density(80.0, 10.75e6)  # (p_s + p_0)/2, model.md section 5

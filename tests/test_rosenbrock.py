@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from valvesim import rosenbrock
-from valvesim.commands import Constant, Pulse, Ramp, Sine, Step, merge
+from valvesim.commands import Constant, Pulse, Ramp, Sine, Step, Sum, merge
 from valvesim.rosenbrock import DONE, STEP_TOO_SMALL, TOO_MANY_STEPS, back_substitute, factor
 
 NO_KNOTS = (np.array([0.0]), np.zeros((1, 1)))
@@ -291,7 +291,7 @@ def test_single_knot_holds_its_coefficients():
 def test_run_in_slices_goes_on_as_the_whole():
     t_out = np.linspace(0.0, 4.0, 41)
     knots = np.array([0.0, 2.5, 2.5, 4.0]), np.array([[0.1], [0.2], [0.0], [0.3]])
-    commands = (Step(before=0.3, after=-0.2, time=1.5),)
+    commands = (Sum((Step(before=0.3, after=-0.2, time=1.5), Pulse(height=0.5, width=0.2, time=2.0))),)
 
     def derivative(y, u, c, out):
         out[0], out[1] = y[1], -np.sin(y[0]) - c[0] * y[1] + u[0]

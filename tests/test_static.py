@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from valvesim import static
 from valvesim.channels import Inputs
 from valvesim.errors import InputError, SolveError, ValidityWarning
 from valvesim.model import NOMINAL
@@ -111,6 +112,14 @@ def test_polynomial_root_is_the_direct_solution():
     rest = static_solution(valve, current=current, temperature=T)
     direct = follow_branch(coefficients(T), current, PRESSURES)
     assert rest.armature_angle == pytest.approx(direct, rel=1e-9)
+
+
+@pytest.mark.parametrize("off", [0.9, 1.1])
+def test_polynomial_finds_its_root_from_a_start_beside_it(off):
+    rest = static_solution(valve, current=CURRENTS)
+    K = tad_polynomial(coefficients(), CURRENTS, supply_pressure=21e6, return_pressure=0.5e6)
+    found = static._nearest_root(K, valve.null_gap / valve.nozzle_arm, off * rest.armature_angle)
+    assert found == pytest.approx(rest.armature_angle, rel=1e-11)
 
 
 def test_polynomial_vanishes_on_the_branch():
@@ -274,6 +283,7 @@ def rates_at(rest, c, current, load=0.0):
 def test_dynamic_model_stands_still_at_rest(current, temperature, even, load):
     one = dataclasses.replace(sharp, load_pressure=load, **({} if even else UNEVEN))
     rest = static_solution(one, current=current, temperature=temperature)
+    assume(abs(rest.spool_position) < valve.spool_stroke)
     assert np.abs(rates_at(rest, coefficients(temperature, one), current, load)).max() < 1e-9
 
 

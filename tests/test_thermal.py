@@ -237,11 +237,6 @@ def test_throttling_heat_is_added_to_the_oil_and_warms_the_parts():
     assert np.all(values(heated) > values(plain))
 
 
-def test_oil_below_absolute_zero_is_refused():
-    with pytest.raises(InputError, match=r"thermal\.oil_temperature: -300 °C is below absolute zero"):
-        temperature_path(Step(before=20.0, after=-300.0, time=0.1), 1.0, network=None)
-
-
 @pytest.mark.parametrize(
     "name, value, text",
     [

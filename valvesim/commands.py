@@ -33,7 +33,7 @@ def piece_value(row, t):
     for k in range(3, row.shape[0], 5):
         amplitude, frequency, sweep, growth, phase = row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4]
         if amplitude != 0.0:
-            swelling = np.expm1(growth * tau)
+            swelling = 0.0 if growth == 0.0 else np.expm1(growth * tau)
             turns = frequency * tau if growth == 0.0 else frequency * swelling / growth
             angle = 2.0 * np.pi * (turns + 0.5 * sweep * tau * tau) + phase
             value += amplitude * np.sin(angle)

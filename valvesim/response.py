@@ -146,9 +146,7 @@ def step_figures(
         "dead_time": ("s", lambda: _dead(after, s, noise / abs(change), t_step) - t_step),
         "mean_rate": (
             f"{unit}/s",
-            lambda: (
-                0.8 * abs(change) / (_reach(after, s, 0.9, t_step) - _reach(after, s, 0.1, t_step, fewest=0))
-            ),
+            lambda: 0.8 * abs(change) / (_reach(after, s, 0.9, t_step) - _reach(after, s, 0.1, t_step, fewest=0)),
         ),
         "change": (unit, lambda: change),
     }
@@ -170,10 +168,10 @@ def _step_instant(t: np.ndarray, u: np.ndarray) -> tuple[int, float]:
     """(first sample at which the command has passed half of its one step, time of the step)."""
     if len(u) < 14:
         raise _Missing(f"only {len(u)} samples: 3 before the step and 10 after it are needed")
-    head, tail = np.median(u[:3]), np.median(u[-max(3, len(u) // 20) :])
+    head, tail = np.median(u[:3]), np.median(u[-3:])
     size = tail - head
     if abs(size) <= 1e-9 * float(np.max(np.abs(u))):
-        raise _Missing("there is no step in the command: it ends where it began")
+        raise _Missing("there is no step in the command after its third sample: it ends where it began")
     share = (u - head) / size
     start = int(np.argmax(share >= 0.5))
     if start < 3:
@@ -227,7 +225,9 @@ def _settled(t: np.ndarray, s: np.ndarray) -> float:
 
 def _overshoot(s: np.ndarray) -> float:
     top = float(np.max(s))
-    if top > 1.01 and _flat_share(s[s >= 1.0 + 0.5 * (top - 1.0)], top) > 0.5:
+    below, k = s < 1.0 + 0.5 * (top - 1.0), int(np.argmax(s))
+    peak = s[k - int(np.argmax(below[k::-1])) : k + int(np.argmax(below[k:]))]  # the upper half of the highest peak
+    if top > 1.01 and _flat_share(peak, top) > 0.4:
         raise _Missing("the output is clipped at its peak: it rests there at one value")
     return max(100.0 * (top - 1.0), 0.0)
 
@@ -317,8 +317,9 @@ class FrequencyResponse:
 
     @property
     def phase_lag(self) -> np.ndarray:
-        """Phase of the output behind the input, degrees, unwrapped from the lowest frequency; (n_f,)."""
-        return np.rad2deg(-np.unwrap(np.angle(self.gain)))
+        """Phase of the output behind the input, degrees; (n_f,). Unwrapped from the lowest frequency, there -90 to 270."""
+        lag = np.rad2deg(-np.unwrap(np.angle(self.gain)))
+        return lag + 360.0 * (lag[0] < -90.0)
 
     @property
     def figures(self) -> tuple[Figure | Absent, ...]:
@@ -410,7 +411,7 @@ def _sine_point(t: np.ndarray, u: np.ndarray, y: np.ndarray, frequency: float) -
         raise InputError(
             f"sine record: no complete cycle: {span:.4g} s hold {span * frequency:.2g} of a cycle at {frequency:.4g} Hz"
         )
-    if per_cycle < FEWEST_A_CYCLE:
+    if per_cycle < FEWEST_A_CYCLE * (1.0 - 1e-6):
         raise InputError(
             f"sine record: {per_cycle:.3g} samples a cycle at {frequency:.4g} Hz are too few: {FEWEST_A_CYCLE} for the "
             f"fundamental, more than {2 * HARMONICS} for the distortion; sample faster than "
@@ -726,7 +727,11 @@ def measure_responses(
         for share in sweeps:
             swept.append(
                 frequency_response(
-                    base, amplitude=share * rated, frequencies=frequencies, output=output, workers=workers,
+                    base,
+                    amplitude=share * rated,
+                    frequencies=frequencies,
+                    output=output,
+                    workers=workers,
                     progress=tell,
                 )  # fmt: skip
             )
@@ -739,9 +744,7 @@ def measure_responses(
                     )
                 )
                 done += 1
-        sets.append(
-            ResponseSet(oil_temperature=temperature, steps=stepped, sweeps=tuple(swept), chirps=tuple(chirped))
-        )
+        sets.append(ResponseSet(oil_temperature=temperature, steps=stepped, sweeps=tuple(swept), chirps=tuple(chirped)))
     return tuple(sets)
 
 

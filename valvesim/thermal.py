@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .commands import PIECE_WIDTH, WAVE_WIDTH, Command, evaluate
-from .errors import InputError
-from .fluid import KELVIN, Oil
+from .fluid import Oil
 from .parameters import PART_NAMES, PartTemperatures
 from .units import POSITIVE, check_bounds, quantity
 
@@ -104,11 +103,8 @@ def temperature_path(
     `network` None holds every part at the oil's temperature (the paper's assumption). `initial` (°C) is where all parts
     start, by default with the oil. `throttling(T)` is added to the oil temperature, K. Knots are at most `spacing` s
     apart, at every break of the oil temperature and between any two, and 20 or more to each of its periods.
-    Raises InputError where the oil is colder than absolute zero.
     """
     times, oil = _knots(oil_temperature, end, spacing)
-    if np.min(oil) <= -KELVIN:
-        raise InputError(f"thermal.oil_temperature: {np.min(oil):.6g} °C is below absolute zero")
     if throttling is not None:
         oil = oil + throttling(oil)
     if network is None:
