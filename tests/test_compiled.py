@@ -246,7 +246,9 @@ def test_folder_that_cannot_be_written_falls_back_to_a_temporary_one(tmp_path, m
     file = tmp_path / "file"
     file.write_text("not a folder")
     monkeypatch.setenv("VALVESIM_CACHE_DIR", str(file / below))
+    compiled._private_folder.cache_clear()
     module = compiled._load(NOMINAL)
+    compiled._private_folder.cache_clear()
     assert Path(module.__file__).is_relative_to(temporary)
     assert file.read_text() == "not a folder"
     assert callable(module.run) and callable(module.derivative)

@@ -77,6 +77,14 @@ def test_without_a_route_nothing_drifts():
     assert not drift.by_route and np.max(np.abs(drift.total["spool_position"])) < 1e-12
 
 
+def test_drift_is_told_at_the_commanded_pressure():
+    result = vs.simulate(scenario(supply_pressure=vs.Constant(value=7e6)))
+    rest = [vs.static_solution(vs.Valve(supply_pressure=7e6), current=1e-3, temperature=each) for each in (20.0, 270.0)]
+    drift = static_drift(result).total["spool_position"][-1]
+    assert drift == pytest.approx(float(rest[1].spool_position / rest[0].spool_position) - 1.0, rel=1e-9)
+    assert abs(100.0 * drift - TOTAL_AT_270[1]) > 0.1  # another one than at the valve's own 21 MPa
+
+
 def test_parts_that_lag_make_another_drift_than_the_oil_alone(launch):
     lagging = static_drift(vs.simulate(scenario(thermal=vs.Thermal())))
     # the torque motor is still cold, so that the flow coefficients and orifices act without its magnets

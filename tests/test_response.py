@@ -9,11 +9,14 @@ from scipy import signal
 import valvesim as vs
 from valvesim.channels import Inputs
 from valvesim.errors import InputError, ValidityWarning
+from valvesim.model import NOMINAL
 from valvesim.report_response import response_report
 from valvesim.response import (
     Absent,
     FrequencyResponse,
+    ResponseSet,
     SinePoint,
+    beside_class,
     chirp_response,
     class_figures,
     frequency_response,
@@ -384,7 +387,7 @@ def test_a_chirp_record_that_gives_nothing_is_refused(change, options, message):
 # ---------------------------------------------------------------- the valve
 
 
-def linearised(temperature, bias=0.0, drive=vs.CurrentDrive()):
+def linearised(temperature, bias=0.0, drive=NOMINAL.drive):
     """f -> spool position per unit of command of the valve linearised at rest, by its exact Jacobians."""
     c = valve.at(vs.PartTemperatures.uniform(temperature))
     rest = vs.static_solution(valve, current=bias, temperature=temperature)
@@ -460,6 +463,10 @@ def test_the_reference_valve_stands_among_its_class(quarter):
     for name in ("frequency_minus_3_db", "time_to_90_percent", "overshoot"):
         assert published[name].low <= of[name].value <= published[name].high
     assert of["frequency_minus_90_deg"].value < 1.1 * published["frequency_minus_90_deg"].high
+    one = ResponseSet(oil_temperature=20.0, steps=(), sweeps=(quarter,), chirps=())
+    pairs = beside_class(valve, one)
+    assert [theirs.name for theirs, _ in pairs] == [ours.name for _, ours in pairs] == list(published)
+    assert [ours.name for _, ours in pairs if isinstance(ours, Absent)] == ["time_to_90_percent", "overshoot"]
 
 
 def test_a_step_of_the_valve_ends_at_the_static_solution():
@@ -509,6 +516,7 @@ def test_a_command_beyond_rated_is_allowed_with_a_warning():
         ({"frequencies": [10.0, 10.0]}, "a frequency of its own"),
         ({"output": "spool_positon"}, "did you mean 'spool_position'"),
         ({"cycles": 0}, "cycles = 0"),
+        ({"workers": 0}, "workers = 0"),
     ],
 )
 def test_a_sweep_that_makes_no_sense_is_refused(options, message):

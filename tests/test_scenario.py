@@ -511,6 +511,17 @@ def test_oil_beyond_every_law_is_refused(load):
         simulate(load(BASE + '[thermal]\noil_temperature = "-300 degC"\n'))
 
 
+def test_throttling_heat_is_that_of_the_commanded_pressures(load):
+    # half of dp (1 - alpha T)/(rho cp), so in proportion to dp: 21 - 0.5 MPa of the valve's own, or 6 - 1 MPa
+    own, other = (
+        simulate(load(BASE + text + "[thermal]\nisothermal = true\nthrottling_heat = true\n")).values[
+            "oil_temperature"
+        ][0]
+        for text in ("", '[pressures]\nsupply = "6 MPa"\nreturn = "1 MPa"\n')
+    )
+    assert (other - 20.0) / (own - 20.0) == pytest.approx(5.0 / 20.5, rel=1e-9) and own > 22.0
+
+
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 TABLE = 'duration = "1 s"\n[command.current]\ntable = { file = "data/a.csv" }\n'

@@ -13,17 +13,16 @@ their null-free part); and the fit, by a jackknife over ten blocks, which also f
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .channels import Inputs, State
 from .commands import Command, Constant, Table
 from .effects import ActiveEffect
-from .errors import InputError, unknown_name
+from .errors import InputError, SolveError, ValidityWarning, unknown_name
 from .files import read_columns
 from .fluid import MIL_PRF_5606, Oil
 from .model import main_stage
@@ -44,7 +43,7 @@ BLOCKS = 10  # of the jackknife
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of merit in SI; `unit` "1" is a share (of rated current or flow). `uncertainty` is one sigma."""
+    """A figure of merit in SI; `unit` "1" is a share, shown in %, "-" a plain number. `uncertainty` is one sigma."""
 
     name: str
     value: float
@@ -85,12 +84,14 @@ class Record:
         if np.min(steps) < 0.0 or usual <= 0.0:
             raise InputError(f"{self.source}: time must rise")
         if steps[k] > GAP * usual:
-            raise InputError(f"{self.source}: gap of {steps[k]:.4g} s at {t[k]:.6g} s (samples come every {usual:.4g} s)")
+            where = f"{steps[k]:.4g} s at {t[k]:.6g} s (samples come every {usual:.4g} s)"
+            raise InputError(f"{self.source}: gap of {where}")
 
     def channel(self, name: str) -> np.ndarray:
         """The values of a channel; InputError where the record has no such column."""
         if name not in self.values:
-            raise InputError(f"{self.source}: no column {name!r}, which this test needs; it has {', '.join(self.values)}")
+            have = ", ".join(self.values)
+            raise InputError(f"{self.source}: no column {name!r}, which this test needs; it has {have}")
         return self.values[name]
 
 
@@ -153,10 +154,16 @@ class Cycle:
         """The resolution of the output near a value: as stated, else the distance to the next value that occurs."""
         if self.resolution is not None:
             return self.resolution
-        levels = np.concatenate([self.rising[1], self.falling[1]])
-        levels = np.unique(np.round(levels / (1e-6 * np.ptp(levels)))) * 1e-6 * np.ptp(levels)
-        near = np.sort(np.abs(levels - levels[np.argmin(np.abs(levels - output))]))[1:3]
-        return float(near[0])
+        return _spacing(np.concatenate([self.rising[1], self.falling[1]]), output)
+
+
+def _spacing(values: np.ndarray, at: float) -> float:
+    """The distance between the values that occur near `at`; 0 where hardly any occurs twice: not quantised."""
+    grain = 1e-6 * float(np.ptp(values))
+    levels = np.unique(np.round(values / grain)) * grain
+    if len(np.unique(values)) > 0.5 * len(values):
+        return 0.0
+    return float(np.sort(np.abs(levels - levels[np.argmin(np.abs(levels - at))]))[1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +213,8 @@ def cycle(record: Record, channel: str, *, resolution: float | None = None) -> C
         share = np.mean(np.abs(i - end) <= 1e-9 * span)
         if share > 0.02 + 4.0 * window / shortest:
             raise InputError(
-                f"{record.source}: the current is clipped or held at {end * 1e3:.4g} mA for {100 * share:.3g} % of the time"
+                f"{record.source}: the current is clipped or held at {end * 1e3:.4g} mA for {100 * share:.3g} % "
+                "of the time"
             )
     smooth = np.convolve(np.pad(i, window // 2, "edge"), np.full(window, 1.0 / window), "valid")
     trim = window // 2
@@ -293,13 +301,16 @@ def dead_zone_of(c: Cycle) -> tuple[float, float]:
         if len(z) < 2:
             return 0.0, 0.0
         still = 2.5 * c.resolution_at(float(sign * np.median(z)))
+        if still == 0.0:
+            return 0.0, 0.0
         starts = [0]
         for k in range(1, len(z)):
             if abs(z[k] - z[starts[-1]]) > still:
                 starts.append(k)
         ends = np.append(starts[1:], len(z)) - 1
-        k = int(np.argmax(i[ends] - i[starts]))
-        if gain * (i[ends[k]] - i[starts[k]]) < 10.0 * still:
+        first, last = i[np.array(starts)], i[ends]
+        k = int(np.argmax(last - first))
+        if gain * (last[k] - first[k]) < 10.0 * still:
             return 0.0, 0.0
         holds.append(abs(float(z[starts[k]])))
     return (holds[0] + holds[1]) / 2.0, abs(holds[0] - holds[1]) / 2.0
@@ -314,11 +325,16 @@ def _line(i: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     return float(slope), float(-offset / slope)
 
 
+def _slope_of(i: np.ndarray, y: np.ndarray) -> Callable[[np.ndarray], float]:
+    """The slope of the line through some of the points, as a function of which."""
+    return lambda keep: _line(i[keep], y[keep])[0]
+
+
 def _jackknife(function: Callable[[np.ndarray], float], points: int) -> float:
     """Standard error of a figure of `points` points, by leaving out one block of neighbours after another."""
     blocks = np.array_split(np.arange(points), min(BLOCKS, points // 2))
     values = [function(np.setdiff1d(np.arange(points), block)) for block in blocks]
-    return float(np.sqrt((len(values) - 1) / len(values) * np.sum((values - np.mean(values)) ** 2)))
+    return float(np.sqrt((len(values) - 1) * np.var(values)))
 
 
 def _total(*parts: float) -> float:
@@ -347,7 +363,7 @@ def flow_figures(
     null = float(np.interp(0.0, y[live], i[live]))
     null_error = _total(reading, float(np.min(np.abs(i[live]))) / 2 if dead else 0.0)
     figures: list[Figure | Absent] = [
-        Figure("polarity", c.polarity, 0.0, "1", "sign of flow at positive current"),
+        Figure("polarity", c.polarity, 0.0, "-", "sign of flow at positive current"),
         Figure("dead_zone", dead, dead_error, "m^3/s", "flow below which the meter does not follow"),
         Figure("meter_resolution", c.resolution_at(0.9 * y[-1]), 0.0, "m^3/s", "of the flow near its largest"),
     ]
@@ -357,11 +373,12 @@ def flow_figures(
         part = live & (sign * (i - null) > LINE[0] * rated) & (sign * i < LINE[1] * rated)
         side = live & (sign * (i - null) > 0.0)
         if not reaches or np.count_nonzero(part) < 10:
-            figures.append(Absent(f"flow_gain_{name}", f"the record reaches too little of rated current {rated * 1e3:.4g} mA"))
+            reason = f"the record reaches too little of the rated current of {rated * 1e3:.4g} mA"
+            figures.append(Absent(f"flow_gain_{name}", reason))
             continue
         at = {k: (v[part], y[part]) for k, v in (("mid", i), ("up", bend.rising), ("down", bend.falling))}
         slope, zero = lines[name] = _line(*at["mid"])
-        fit = _jackknife(lambda keep, p=at["mid"]: _line(p[0][keep], p[1][keep])[0], np.count_nonzero(part))
+        fit = _jackknife(_slope_of(*at["mid"]), len(at["mid"][0]))
         branches = (_line(*at["up"])[0] - _line(*at["down"])[0]) / 2.0
         flow_error = c.resolution_at(float(at["mid"][1][np.argmax(sign * at["mid"][1])])) / np.sqrt(12.0)
         length = (LINE[1] - LINE[0]) * rated
@@ -399,7 +416,7 @@ def flow_figures(
         lap = (lines["positive"][1] - lines["negative"][1]) / rated
         errors = [f.uncertainty / f.value for f in figures if isinstance(f, Figure) and "gain" in f.name]
         lap_error = _total(*(e * LINE[1] / 2 for e in errors), np.sqrt(2.0) * reading / rated)
-        figures.append(Figure("lap", lap, lap_error, "1", "distance of the lines at zero flow, + overlap, share of i_R"))
+        figures.append(Figure("lap", lap, lap_error, "1", "distance of the lines at zero flow, + overlap, % i_R"))
     else:
         figures.append(Absent("lap", "a polarity has no line"))
     return tuple(figures)
@@ -455,7 +472,7 @@ def pressure_gain_figures(c: Cycle, *, rated_current: float | None = None, lag: 
     y = np.linspace(-NULL_SHARE, NULL_SHARE, 41) * supply  # evenly, whatever the sampling
     mid, up, down = (np.interp(y, bend.output, v) for v in (bend.middle, bend.rising, bend.falling))
     slope = _line(mid, y)[0]
-    fit = _jackknife(lambda keep: _line(mid[keep], y[keep])[0], len(y))
+    fit = _jackknife(_slope_of(mid, y), len(y))
     branches = (_line(up, y)[0] - _line(down, y)[0]) / 2.0
     error = _total(fit, branches, slope * np.sqrt(2.0) * reading / np.ptp(mid))
     zeros = [float(np.interp(0.0, y, v)) for v in (up, down)]
@@ -463,7 +480,7 @@ def pressure_gain_figures(c: Cycle, *, rated_current: float | None = None, lag: 
     return (
         Figure("supply_pressure", supply, _total(step, (ends[0] - ends[1]) / 2), "Pa", "plateau of the load pressure"),
         Figure("pressure_gain", slope, error, "Pa/A", "slope of the mid-line over +-40 % of supply"),
-        Figure("pressure_gain_share", slope * rated / supply, error * rated / supply, "1",
+        Figure("pressure_gain_share", slope * rated / supply, error * rated / supply, "-",
                "share of supply pressure per share of i_R: % per 1 %"),
         Figure("zero_rising", zeros[0], reading, "A", "current at zero load pressure, rising"),
         Figure("zero_falling", zeros[1], reading, "A", "the same, falling"),
@@ -476,16 +493,16 @@ def leakage_figures(c: Cycle, *, lag: float | None = None) -> Figures:
     """The figures of the total leakage at blocked ports over a full cycle.
 
     null_leakage: greatest, mean of the branches' peaks. tare: least, mean over the outer 5 % of either end: pilot stage
-    and closed lands; absent where the curve still falls there. null_bias: middle between the peaks, A. half_split: half
-    the current between the branches' peaks, by the shift that lays one branch upon the other over the null region.
-    hysteresis: twice that, less 2 tau r; absent unless the lag is stated, since one record cannot part the two (see
+    and closed lands; absent where the curve still falls there. peak_current: middle between the peaks, A. half_split:
+    half the current between the branches, by the shift that lays one upon the other over the null region. hysteresis:
+    twice that, less 2 tau r; absent unless the lag is stated, since one record cannot part the two (see
     `common_hysteresis`). Source: ARP490, ISO 10770-1 (field.md 4).
     """
     grid, up, down = branch_curves(c)
     shift, null, shift_error = half_split(c)
     tops = [float(_peak(grid, v)[1]) for v in (up, down)]
     step = c.resolution_at(tops[0]) / np.sqrt(12.0)
-    noise = float(np.std(np.diff((up + down) / 2, 2)) / np.sqrt(6.0))
+    noise = float(1.4826 * np.median(np.abs(np.diff((up + down) / 2, 2))) / np.sqrt(6.0))
     outer = [np.abs(grid - end) <= 0.05 * np.ptp(grid) for end in (grid[0], grid[-1])]
     ends = np.array([[np.mean(v[o]) for o in outer] for v in (up, down)])
     inner = [np.abs(grid - end) <= 0.05 * np.ptp(grid) for end in (0.8 * grid[0], 0.8 * grid[-1])]
@@ -495,16 +512,18 @@ def leakage_figures(c: Cycle, *, lag: float | None = None) -> Figures:
     if saturated and abs(np.max(c.rising[1]) - np.mean(tops)) < 0.02 * np.mean(tops):
         figures.append(Absent("null_leakage", saturated))
     else:
-        figures.append(Figure("null_leakage", float(np.mean(tops)), _total(step, noise, (tops[0] - tops[1]) / 2), "m^3/s",
-                              "greatest leakage, mean of both branches"))  # fmt: skip
+        error = _total(step, noise, (tops[0] - tops[1]) / 2)
+        doc = "greatest leakage, mean of both branches"
+        figures.append(Figure("null_leakage", float(np.mean(tops)), error, "m^3/s", doc))
     if falls > 0.02 * (np.mean(tops) - np.mean(ends)):
         figures.append(Absent("tare", "the leakage still falls at the ends of the record: run to rated current"))
     else:
-        figures.append(Figure("tare", float(np.mean(ends)), _total(step, noise, float(np.std(ends))), "m^3/s",
-                              "least leakage: pilot stage and closed lands, outer 5 % of the current"))  # fmt: skip
+        error = _total(step, noise, float(np.std(ends)))
+        doc = "least leakage: pilot stage and closed lands, outer 5 % of the current"
+        figures.append(Figure("tare", float(np.mean(ends)), error, "m^3/s", doc))
     reading = c.current_resolution / np.sqrt(12.0)
     figures += [
-        Figure("null_bias", null, _total(reading, shift_error), "A", "middle between the branches' peaks"),
+        Figure("peak_current", null, _total(reading, shift_error), "A", "middle between the branches' peaks"),
         Figure("half_split", shift, shift_error, "A", "half the current between the branches, lag of the meter in it"),
         Figure("rate", c.rate, 0.0, "A/s", "rate of the current"),
     ]
@@ -518,11 +537,14 @@ def leakage_figures(c: Cycle, *, lag: float | None = None) -> Figures:
 
 
 def branch_curves(c: Cycle, *, points: int = 100) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(current, rising, falling), each (k,): the mean output of both branches in equal steps of current."""
+    """(current, rising, falling), each (k,): the mean output of both branches over as many samples each."""
     low, high = max(np.min(c.rising[0]), np.min(c.falling[0])), min(np.max(c.rising[0]), np.max(c.falling[0]))
-    if c.amplitude > 0.0:  # finer near null where the range is wide: a peak is narrow
-        points = max(points, int(8 * (high - low) / _peak_width(c)))
-    edges = np.linspace(low, high, points + 1)
+    current = np.concatenate([c.rising[0], c.falling[0]])
+    current = current[(current >= low) & (current <= high)]
+    quantised = c.resolution_at(float(np.median(c.rising[1]))) > 0.0
+    finest = len(c.rising[0]) // (4 if quantised else 2)
+    points = max(points, min(int(8 * (high - low) / _peak_width(c)), finest) if quantised else finest)
+    edges = np.quantile(current, np.linspace(0.0, 1.0, points + 1))  # finer where the current is slower
 
     def means(current: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         place = np.clip(np.digitize(current, edges) - 1, 0, points - 1)
@@ -542,9 +564,11 @@ def _peak_width(c: Cycle) -> float:
 
 
 def _peak(grid: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """(place, height) of the greatest value, by a parabola over its neighbourhood."""
-    k = int(np.clip(np.argmax(y), 4, len(y) - 5))
-    a, b, d = np.polyfit(grid[k - 4 : k + 5] - grid[k], y[k - 4 : k + 5], 2)
+    """(place, height) of the greatest value, by a parabola over three values, or nine where they are noisy."""
+    bend = np.abs(np.diff(y, 2))
+    n = 1 if np.median(bend) < 1e-4 * np.ptp(y) else 4
+    k = int(np.clip(np.argmax(y), n, len(y) - n - 1))
+    a, b, d = np.polyfit(grid[k - n : k + n + 1] - grid[k], y[k - n : k + n + 1], 2)
     if a >= 0.0:
         return float(grid[k]), float(y[k])
     return float(grid[k] - b / 2 / a), float(d - b * b / 4 / a)
@@ -577,7 +601,8 @@ def half_split(c: Cycle, *, lag: float = 0.0) -> tuple[float, float, float]:
         if reach <= 0.2 * width:
             raise InputError(f"{c.source}: the current hardly passes the leakage peak; sweep further")
         bounds = (by_peaks - 0.5 * width, by_peaks + 0.5 * width)
-        shifts.append(minimize_scalar(misfit, bounds=bounds, args=(reach,), method="bounded", options={"xatol": 1e-9}).x)
+        best = minimize_scalar(misfit, bounds=bounds, args=(reach,), method="bounded", options={"xatol": 1e-9})
+        shifts.append(best.x)
     shift = float(np.mean(shifts))
     error = _total(float(np.std(shifts)), (shift - by_peaks) / 2.0, c.current_resolution / np.sqrt(12.0) / 4.0)
     return shift, middle, error
@@ -644,14 +669,17 @@ def flow_load_figures(record: Record, *, resolution: float | None = None) -> Fig
         return (Absent("flow_exponent", reason), Absent("rated_flow", reason))
     x, z = np.log(pressure / RATED_DROP), np.log(flow)
     n, at = np.polyfit(x, z, 1)
-    step = float(np.median(np.diff(np.unique(np.round(flow, 9))))) if resolution is None else resolution
+    step = _spacing(q, float(np.median(q))) if resolution is None else resolution
     error = _jackknife(lambda keep: float(np.polyfit(x[keep], z[keep], 1)[0]), len(x))
-    level = _jackknife(lambda keep: float(np.exp(np.polyfit(x[keep], z[keep], 1)[1])), len(x))
     rated: Figure | Absent = Absent("rated_flow", "70 bar valve drop is outside the record")
     if np.min(p) <= RATED_DROP <= np.max(p):
+        near = np.abs(x) < 0.25 if np.count_nonzero(np.abs(x) < 0.25) >= 4 else np.full(x.shape, True)
+        x, z = x[near], z[near]
+        at = np.polyfit(x, z, 1)[1]
+        level = _jackknife(lambda keep: float(np.exp(np.polyfit(x[keep], z[keep], 1)[1])), len(x))
         error_at = _total(level, step / np.sqrt(12.0))
         rated = Figure("rated_flow", float(np.exp(at)), error_at, "m^3/s", "flow at full current, 70 bar valve drop")
-    return (Figure("flow_exponent", float(n), error, "1", "n of Q ~ p^n"), rated)
+    return (Figure("flow_exponent", float(n), error, "-", "n of Q ~ p^n"), rated)
 
 
 def measured(
@@ -678,3 +706,261 @@ def measured(
     if test == "flow-load":
         return flow_load_figures(record, resolution=resolution)
     raise unknown_name("test", test, TESTS)
+
+
+# ---------------------------------------------------------------- the simulated bench
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """A simulated bench: `figures` named `test.figure`, and the records they come from.
+
+    `flow` (no load) and `blocked` hold one full cycle each, `flow_load` one record per held current with `current`,
+    load_pressure, load_flow and pressure_drop.
+    """
+
+    valve: Valve
+    oil_temperature: float
+    figures: Figures
+    flow: Record
+    blocked: Record
+    flow_load: tuple[Record, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rig:
+    """A valve on the bench: everything that a test does not change."""
+
+    valve: Valve
+    oil: Oil
+    oil_temperature: float
+    effects: tuple[ActiveEffect, ...]
+    period: float
+    points: int
+
+    def run(self, command: Command, duration: float, *, load_pressure: Command | None = None) -> dict[str, np.ndarray]:
+        """All channels and "time" of an isothermal run."""
+        result = simulate(
+            Scenario(
+                title="bench",
+                duration=duration,
+                valve=self.valve,
+                oil=self.oil,
+                thermal=Thermal(network=None),
+                oil_temperature=Constant(value=self.oil_temperature),
+                command=command,
+                load_pressure=load_pressure,
+                effects=self.effects,
+                output_rate=1.25 * self.points / duration,
+                tolerance=1e-6,
+            )
+        )
+        return {"time": result.time, **result.values}
+
+    def full_cycle(self, *, null: float | None = None) -> dict[str, np.ndarray]:
+        """A triangle from i_R to -i_R and back; with `null` (A) half of the time is spent within 5 % of i_R of it."""
+        top, quarter = float(self.valve.rated_current), self.period / 4.0
+        times, currents = [0.0, quarter, 3 * quarter, 5 * quarter], [0.0, top, -top, top]
+        if null is not None:
+            slow = np.clip([null + 0.05 * top, null - 0.05 * top], -0.9 * top, 0.9 * top)
+            times[2:] = [1.5 * quarter, 2.5 * quarter, 3 * quarter, 3.5 * quarter, 4.5 * quarter, 5 * quarter]
+            currents[2:] = [*slow, -top, *slow[::-1], top]
+        values = self.run(Table(times=tuple(times), values=tuple(currents)), 5 * quarter)
+        whole = values["time"] >= quarter * (1 - 1e-9)
+        return {name: v[whole] for name, v in values.items()}
+
+    def coefficients(self) -> Coefficients:
+        """The coefficients at the oil's temperature, changed by the effects."""
+        c = self.valve.at(PartTemperatures.uniform(self.oil_temperature), oil=self.oil)
+        for active in self.effects:
+            if active.effect.coefficients is not None:
+                c = active.effect.coefficients(c, active.effect.values(active.numbers))
+        return c
+
+    def null(self) -> float:
+        """Mid-line current at zero flow, A."""
+        values = self.full_cycle()
+        bend = loop(cycle(_record("null", values, "load_flow"), "load_flow"))
+        return float(np.interp(0.0, bend.output, bend.middle))
+
+
+def bench(
+    valve: Valve,
+    *,
+    oil_temperature: float = 20.0,
+    oil: Oil = MIL_PRF_5606,
+    effects: Sequence[ActiveEffect] = (),
+    period: float = 1e4,
+    points: int = 8000,
+    progress: Callable[[float], None] | None = None,
+) -> Bench:
+    """Run every static test on the model, all parts at `oil_temperature` (°C), and reduce it as a measured one.
+
+    The current runs a triangle of `period` s over +-i_R, `points` samples each; the valve trails the
+    current by about 1/800 s. Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told the share done.
+    Raises as `simulate` does, and SolveError where the blocked ports find no load pressure.
+    """
+    rig = _Rig(
+        valve=valve, oil=oil, oil_temperature=oil_temperature, effects=tuple(effects), period=period, points=points
+    )
+    rated = float(valve.rated_current)
+    tell = progress if progress is not None else lambda share: None
+    flow = _record("flow", rig.full_cycle(), "load_flow")
+    figures = _named("flow", flow_figures(cycle(flow, "load_flow"), rated_current=rated, lag=0.0, dead_zone=0.0))
+    figures += _named("flow", (_threshold(rig),))
+    tell(0.3)
+    blocked = _blocked(rig)
+    c = cycle(blocked, "load_pressure")
+    figures += _named("pressure-gain", pressure_gain_figures(c, rated_current=rated, lag=0.0))
+    figures += _named("leakage", leakage_figures(cycle(blocked, "internal_leakage"), lag=0.0))
+    tell(0.6)
+    shares = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0)
+    flow_load = tuple(_flow_load(rig, share * rated) for share in shares)
+    for record, name in ((flow_load[-1], "positive"), (flow_load[0], "negative")):
+        own = flow_load_figures(_part(record, record.values["pressure_drop"] <= valve.supply_pressure))
+        figures += _named("flow-load", tuple(replace(f, name=f"{f.name}_{name}") for f in own))
+    tell(0.8)
+    figures += _named("null-shift", _null_shifts(rig))
+    tell(1.0)
+    return Bench(
+        valve=valve, oil_temperature=oil_temperature, figures=figures, flow=flow, blocked=blocked, flow_load=flow_load
+    )
+
+
+def blocked_load_pressure(spool_position, supply_pressure: float, c: Coefficients) -> np.ndarray:
+    """Load pressure (Pa, any shape) at which the main stage passes no load flow at given spool positions (m)."""
+    from scipy.optimize.elementwise import find_root
+
+    def flow(p, x):
+        return main_stage(x, supply_pressure, p, c)[0]
+
+    x = np.asarray(spool_position, dtype=float)
+    ends = (np.full(x.shape, -supply_pressure), np.full(x.shape, supply_pressure))
+    return find_root(flow, ends, args=(x,), tolerances={"xatol": 1e-9 * supply_pressure, "xrtol": 0.0}).x
+
+
+def _record(source: str, values: dict[str, np.ndarray], *names: str) -> Record:
+    return Record(source=source, values={name: np.asarray(values[name]) for name in ("time", "current", *names)})
+
+
+def _part(record: Record, keep: np.ndarray) -> Record:
+    return Record(source=record.source, values={name: v[keep] for name, v in record.values.items()})
+
+
+def _blocked(rig: _Rig) -> Record:
+    """A full cycle with blocked ports: load pressure and total leakage.
+
+    The run has no load pressure; what the load pressure's flow force then moves the spool by is taken from the static
+    solution at the current that holds the same spool position, and the two are brought to agree. Exact without
+    friction and hysteresis, where the run is the static solution.
+    """
+    valve, c = rig.valve, rig.coefficients()
+    values = rig.full_cycle(null=rig.null())
+    p_s, p_0, x = valve.supply_pressure, valve.return_pressure, values["spool_position"]
+
+    def position(current, load_pressure) -> np.ndarray:
+        with warnings.catch_warnings():  # full load pressure takes the flow force away: the spool goes to its stop
+            warnings.simplefilter("ignore", ValidityWarning)
+            rest = solve_rest(c, current, rig.oil_temperature, p_s, p_0, load_pressure).spool_position
+        return np.clip(rest, -c.spool_stroke, c.spool_stroke)
+
+    top = 1.1 * float(np.max(np.abs(values["current"])))
+    currents = np.linspace(-top, top, 2001)
+    unloaded, without = position(currents, 0.0), x
+    holding = np.interp(x, unloaded, currents)  # A, without friction or hysteresis
+    start, p_L = position(holding, 0.0), np.zeros(x.shape)
+    for _ in range(60):
+        before, p_L = p_L, blocked_load_pressure(x, p_s, c)
+        if np.max(np.abs(p_L - before)) < 1e-7 * p_s:
+            break
+        x = np.clip(without + position(holding, p_L) - start, -c.spool_stroke, c.spool_stroke)
+    else:
+        raise SolveError("bench: load pressure and flow force of the blocked ports do not settle; raise null_opening")
+    leakage = values["pilot_flow"] + main_stage(x, p_s, p_L, c)[1]
+    own = {**values, "load_pressure": p_L, "internal_leakage": leakage, "spool_position": x}
+    return _record("blocked ports", own, "load_pressure", "internal_leakage", "spool_position")
+
+
+def _flow_load(rig: _Rig, current: float) -> Record:
+    """Load flow at a held current while the load pressure runs slowly from one supply pressure to the other."""
+    p_s = float(rig.valve.supply_pressure)
+    against = -np.sign(current) * p_s  # the first; the flow force is then greatest and the spool inside its stops
+    load = Table(times=(0.0, rig.period), values=(against, -against))
+    values = rig.run(Constant(value=current), rig.period, load_pressure=load)
+    values["pressure_drop"] = p_s - np.sign(current) * values["load_pressure"]
+    return _record(f"{current * 1e3:.4g} mA", values, "load_pressure", "load_flow", "pressure_drop")
+
+
+def _threshold(rig: _Rig) -> Figure:
+    """Current change that moves the output back after a stop at 10 % of i_R, share of i_R (ARP490).
+
+    Told from a thousandth of rated output, whose own current at the gain of the way back is taken off.
+    """
+    top = float(rig.valve.rated_current)
+    stop, unit = 0.1 * top, rig.period / 8.0
+    command = Table(times=(0.0, unit, 1.5 * unit, 4 * unit), values=(0.0, stop, stop, 0.0))
+    values = rig.run(command, 4 * unit)
+    back = values["time"] >= 1.5 * unit
+    i, x = values["current"][back], values["spool_position"][back]
+    mark = 1e-3 * abs(x[0]) / stop * top
+    fallen = np.abs(x - x[0])
+    first, second = (float(np.interp(level, fallen, stop - i)) for level in (mark, 2 * mark))
+    value = max(first - (second - first), 0.0) / top
+    spacing = float(np.median(np.abs(np.diff(i)))) / top
+    return Figure("threshold", value, spacing, "1", "current change that reverses the output after a stop, % i_R")
+
+
+def _null_shifts(rig: _Rig) -> Figures:
+    """Shift of null, share of i_R: over 38 K, over supply +-20 %, and over return up to 20 % of supply (field.md 4)."""
+    valve, at = rig.valve, rig.null()
+    rated, p_s = float(valve.rated_current), float(valve.supply_pressure)
+    conditions: tuple[tuple[str, str, tuple[tuple[str, float], ...]], ...] = (
+        ("temperature", "over +38 K of oil and parts", (("oil_temperature", rig.oil_temperature + 38.0),)),
+        (
+            "supply",
+            "over +-20 % of supply, the greater",
+            (("supply_pressure", 0.8 * p_s), ("supply_pressure", 1.2 * p_s)),
+        ),
+        ("return", "over return pressure up to 20 % of supply", (("return_pressure", 0.2 * p_s),)),
+    )
+    figures: list[Figure | Absent] = []
+    for name, doc, changes in conditions:
+        try:
+            shift = max(((_changed(rig, *one).null() - at) / rated for one in changes), key=abs)
+        except (InputError, SolveError) as error:
+            figures.append(Absent(name, str(error)))
+            continue
+        figures.append(Figure(name, shift, 2e-6, "1", f"shift of null {doc}, share of i_R"))
+    return tuple(figures)
+
+
+def _changed(rig: _Rig, name: str, value: float) -> _Rig:
+    """The rig with one condition of the bench or figure of the valve changed."""
+    if name == "oil_temperature":
+        return replace(rig, oil_temperature=value)
+    figures: dict[str, float] = {name: value}
+    return replace(rig, valve=replace(rig.valve, **figures))  # type: ignore[arg-type]
+
+
+def _named(test: str, figures: Figures) -> Figures:
+    return tuple(replace(f, name=f"{test}.{f.name}") for f in figures)
+
+
+_SHOWN = {
+    **DISPLAY, "1": ("%", 100.0), "m^3/s/A": ("L/min/mA", 60.0), "Pa/A": ("bar/mA", 1e-8), "A/s": ("mA/s", 1e3),
+}  # fmt: skip
+
+
+def bench_table(figures: Sequence[Figure | Absent]) -> list[tuple[str, str, str, str, str]]:
+    """Rows (name, value, uncertainty, unit, meaning) as text in the units that people read; absent ones say why."""
+    rows = []
+    for f in figures:
+        name = f.name.replace("_", " ")
+        if isinstance(f, Absent):
+            rows.append((name, "absent", "", "", f.reason))
+            continue
+        unit, factor = _SHOWN.get(f.unit, (f.unit, 1.0))
+        value, error = f.value * factor, f.uncertainty * factor
+        places = int(np.clip(1 - np.floor(np.log10(error)), 0, 6)) if error > 0.0 else 4
+        rows.append((name, f"{value:.{places}f}", f"{error:.2g}", "" if unit == "-" else symbol(unit), f.doc))
+    return rows

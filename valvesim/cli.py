@@ -15,6 +15,7 @@ from typing import Any
 
 import click
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -139,7 +140,7 @@ def static(current: str, oil_temperature: str, routes: str | None, form: str, se
     else:
         table = Table(title="valve at rest", title_justify="left", title_style="bold")
         for heading in ("current [mA]", "oil [°C]", "angle [mrad]", "spool [mm]", "p1 - p2 [bar]"):
-            table.add_column(heading, justify="right")
+            table.add_column(escape(heading), justify="right")
         for row in rows:
             scaled = zip(row.values(), (1e3, 1.0, 1e3, 1e3, 1e-5), strict=True)
             table.add_row(*(f"{value * factor:.7g}" for value, factor in scaled))
@@ -154,14 +155,14 @@ def effects(name: str | None) -> None:
 
     console = _console()
     for entry in [effect(name)] if name else CATALOGUE.values():
-        console.print(f"[bold]{entry.name}[/bold]  {entry.doc}", highlight=False)
-        console.print(f"  acts in: {entry.location}\n  shows as: {entry.signature}", highlight=False)
+        console.print(f"[bold]{entry.name}[/bold]  {escape(entry.doc)}")
+        console.print(escape(f"  acts in: {entry.location}\n  shows as: {entry.signature}"))
         for p in entry.parameters:
             unit, factor = DISPLAY.get(p.unit, (p.unit, 1.0))
             low, high = (f"{bound * factor:g}" for bound in p.bounds)
             value = "neutral at" if p.neutral is not None else "default"
-            text = f"  {p.name} \\[{symbol(unit)}], {low} to {high}, {value} {p.default * factor:g}: {p.doc}"
-            console.print(text, highlight=False)
+            line = f"  {p.name} [{symbol(unit)}], {low} to {high}, {value} {p.default * factor:g}: {p.doc}"
+            console.print(escape(line))
         console.print()
 
 
@@ -192,7 +193,7 @@ def parameters(form: str) -> None:
     for heading in headings:
         table.add_column(heading, justify="right" if heading == "value" else "left", overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(escape(cell) for cell in row))
     _console().print(table)
 
 

@@ -14,7 +14,7 @@ import inspect
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -25,7 +25,8 @@ import numpy as np
 from . import commands, rosenbrock
 from .channels import INPUT_CHANNELS
 from .effects import CATALOGUE
-from .model import Model
+from .errors import InputError
+from .model import CurrentDrive, Model, VoltageDrive
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def _split(vector: Any) -> tuple:
 def derivatives(model: Model) -> Any:
     """Exact derivatives of the right-hand side: a CasADi function (state, inputs, coefficients) -> three Jacobians.
 
-    Each Jacobian is a dense matrix (states, states | inputs | coefficients) in SI units.
+    Each Jacobian is a dense matrix (states, states | inputs | coefficients) in SI units. The columns of an effect that
+    acts on the coefficients (`Effect.coefficients`) are zero: it has done so before the right-hand side sees them.
     """
     import casadi
 
@@ -76,7 +78,7 @@ def compile_model(model: Model) -> CompiledModel:
     scale = np.array([channel.scale for channel in model.state_channels])
     n, n_c = len(scale), len(model.coefficient_names)
     module.run(  # to nowhere, so that it is compiled here and not in somebody's first run
-        np.zeros(n), np.zeros(4), 0.0, np.zeros(1), np.zeros((1, len(INPUT_CHANNELS) - 1, 3)), np.zeros(1),
+        np.zeros(n), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, len(INPUT_CHANNELS) - 1, 3)), np.zeros(1),
         np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, 1e-5, 1, np.zeros(2, dtype=np.int64),
     )  # fmt: skip
     return CompiledModel(model, scale, module.run, module.derivative, module.jacobian)
@@ -174,25 +176,16 @@ def _operations(casadi: ModuleType) -> dict[int, str]:
 def _load(model: Model) -> ModuleType:
     """Import the printed source from the cache directory, printing it first where it is not there.
 
-    A model of this package alone is known by the package's own text, without a new trace; one with a user's effect is
-    known by what it prints, since nothing else tells what the user's functions hold.
+    A model of this package alone is known by the package's own text, without a new trace; one with a user's effect or
+    drive is known by what it prints, since nothing else tells what the user's functions hold.
     """
-    own = all(CATALOGUE.get(effect.name) is effect for effect in model.effects)
+    own = type(model.drive) in (CurrentDrive, VoltageDrive) and all(
+        CATALOGUE.get(effect.name) is effect for effect in model.effects
+    )  # fmt: skip
     text = None if own else source(model)
     parts = [type(model.drive).__name__, *(effect.name for effect in model.effects)] if text is None else [text]
     name = "model_" + hashlib.sha256("\n".join([*parts, _package_text()]).encode()).hexdigest()[:20]
-    for folder in _cache_folders():
-        path = folder / f"{name}.py"
-        try:
-            if not path.exists():
-                folder.mkdir(parents=True, exist_ok=True)
-                handle, temporary = tempfile.mkstemp(suffix=".py", dir=folder)
-                with os.fdopen(handle, "w", encoding="utf-8") as file:
-                    file.write(text or source(model))
-                os.replace(temporary, path)
-            break
-        except OSError:
-            continue
+    path = _write_once(f"{name}.py", lambda: text or source(model))
     _make_callable()
     spec = importlib.util.spec_from_file_location(f"valvesim_cache.{name}", path)
     module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
@@ -211,9 +204,31 @@ def _package_text() -> str:
     return "\n".join([*versions, *((folder / f"{name}.py").read_text(encoding="utf-8") for name in names)])
 
 
-def _cache_folders() -> list[Path]:
+def _write_once(name: str, text: Callable[[], str]) -> Path:
+    """The file of that name in the cache directory, written if need be; in a private one where that cannot be."""
+    for folder in (_cache_folder, _private_folder):
+        try:
+            path = folder() / name
+            if not path.exists():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                handle, temporary = tempfile.mkstemp(suffix=".py", dir=path.parent)
+                with os.fdopen(handle, "w", encoding="utf-8") as file:
+                    file.write(text())
+                os.replace(temporary, path)
+            return path
+        except OSError:
+            continue
+    raise InputError("no folder can be written for the compiled model: set VALVESIM_CACHE_DIR to one that can")
+
+
+def _cache_folder() -> Path:
     import platformdirs
 
     named = os.environ.get("VALVESIM_CACHE_DIR")
-    usual = Path(named) if named else Path(platformdirs.user_cache_dir("valvesim", appauthor=False))
-    return [usual, Path(tempfile.gettempdir()) / f"valvesim-{os.getuid() if hasattr(os, 'getuid') else 'cache'}"]
+    return Path(named) if named else Path(platformdirs.user_cache_dir("valvesim", appauthor=False))
+
+
+@functools.cache
+def _private_folder() -> Path:
+    """A folder of this process alone: others must not be able to put code there."""
+    return Path(tempfile.mkdtemp(prefix="valvesim-"))

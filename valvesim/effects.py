@@ -78,7 +78,10 @@ class Effect:
     @property
     def amplitude(self) -> Parameter:
         """The parameter whose neutral value switches the effect off."""
-        return next(p for p in self.parameters if p.neutral is not None)
+        for parameter in self.parameters:
+            if parameter.neutral is not None:
+                return parameter
+        raise InputError(f"effect {self.name} has no parameter with a neutral value, so nothing switches it off")
 
     def values(self, numbers) -> Any:
         """The parameters by name from a sequence in their order."""

@@ -28,6 +28,8 @@ def viscosity_walther(table: tuple[tuple[float, float], ...]) -> Callable:
     A straight line between neighbours and on beyond the ends: oils with viscosity-index improver need more than one.
     Returns nu(T) in m^2/s.
     """
+    if len(table) < 2 or any(b[0] <= a[0] or b[1] >= a[1] for a, b in zip(table[:-1], table[1:], strict=True)):
+        raise InputError(f"viscosity table {table}: needs two or more rows, temperature rising and viscosity falling")
     log_kelvin = np.log10(np.array([t for t, _ in table]) + KELVIN)
     log_log = np.log10(np.log10(np.array([nu for _, nu in table]) + 0.7))
     slopes = np.diff(log_log) / np.diff(log_kelvin)

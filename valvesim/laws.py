@@ -66,12 +66,15 @@ def magnetic_torque(flux, coil_mmf, r1, r2, r3, r4, arm, gap_area):
 
 
 def contact_force(position, velocity, low, high, stiffness, damping):
-    """Compliant stops at `low` and `high`: F = -k d - k c |d| v with the depth d beyond the stop (Hunt and Crossley).
+    """Compliant stops at `low` and `high`: k d (1 + c d'), never pulling, with the depth d beyond a stop.
 
     Zero between the stops; continuous, since the damping (`damping` c in s/m) grows with the depth.
+    Source: Hunt and Crossley (1975).
     """
-    depth = np.maximum(position - high, 0.0) - np.maximum(low - position, 0.0)
-    return -stiffness * depth - stiffness * damping * np.abs(depth) * velocity
+    beyond, below = np.maximum(position - high, 0.0), np.maximum(low - position, 0.0)
+    push_back = beyond * np.maximum(1.0 + damping * velocity, 0.0)
+    push_on = below * np.maximum(1.0 - damping * velocity, 0.0)
+    return stiffness * (push_on - push_back)
 
 
 def play(displacement, half_width):

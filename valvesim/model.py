@@ -210,18 +210,23 @@ def drive_torque(theta, N, c: Coefficients):
 
 
 def flapper_torques(theta, p1, p2, supply_pressure, return_pressure, c: Coefficients) -> tuple[Any, Any]:
-    """(torque of the nozzle pressures, torque of the jets) on the flapper, N m (paper Eq. 33)."""
+    """(torque of the nozzle pressures, torque of the jets) on the flapper, N m (paper Eq. 33).
+
+    The jets push with 4 pi C_df^2 (gap)^2 p each; at p = p_s/2 their difference is
+    2 pi C_df^2 p_s (g1 + g2)(g1 - g2 - 2 r theta), which is Eq. 33's term where the gaps are equal.
+    """
+    r, g1, g2 = c.nozzle_arm, c.null_gap_1, c.null_gap_2
     A_N1, A_N2 = np.pi * c.nozzle_diameter_1**2 / 4.0, np.pi * c.nozzle_diameter_2**2 / 4.0
-    T_nozzles = -c.nozzle_arm * (A_N1 * (p1 - return_pressure) - A_N2 * (p2 - return_pressure))
-    jet = 4.0 * np.pi * c.nozzle_arm**2 * c.nozzle_flow_coefficient**2 * (c.null_gap_1 + c.null_gap_2)
-    return T_nozzles, jet * supply_pressure * theta
+    T_nozzles = -r * (A_N1 * (p1 - return_pressure) - A_N2 * (p2 - return_pressure))
+    jets = 2.0 * np.pi * r * c.nozzle_flow_coefficient**2 * (g1 + g2) * supply_pressure
+    return T_nozzles, jets * (2.0 * r * theta + g2 - g1)
 
 
 def main_stage(x_v, supply_pressure, load_pressure, c: Coefficients) -> tuple[Any, Any]:
     """(load flow, leakage past the lands), m^3/s, of four lands with port pressures (p_s +- p_L)/2.
 
     Wide open this is model.md's Q_L = C_d w x sqrt((p_s - sign(x) p_L)/rho); the leakage is what passes the closing
-    land of each port. The main return is at zero pressure, as in the paper.
+    land of each port, for |p_L| <= p_s. The main return is at zero pressure, as in the paper.
     """
     p_A, p_B = (supply_pressure + load_pressure) / 2.0, (supply_pressure - load_pressure) / 2.0
 

@@ -31,7 +31,7 @@ def response_report(
     source: Source, folder: Path, *, oil_temperatures: Sequence[float] | None = None,
     part_temperature: float | None = None, steps: Sequence[float] = STEPS, sweeps: Sequence[float] = SWEEPS,
     frequencies: Sequence[float] = FREQUENCIES, chirp: bool = True, output: str = "spool_position",
-    workers: int | None = None, progress: Callable[[float], None] | None = None,
+    workers: int = 1, progress: Callable[[float], None] | None = None,
 ) -> tuple[tuple[ResponseSet, ...], tuple[Path, ...]]:  # fmt: skip
     """Measure every response (`measure_responses`) and draw it into `folder`: (the sets, paths of the pictures).
 
@@ -91,10 +91,10 @@ def picture_bode(sets: Sequence[ResponseSet], path: Path) -> Path:
         farthest = max(float(np.max(sweep.phase_lag)) for one in sets for sweep in one.sweeps)
         axes[0, 0].set_ylim(max(lowest - 2.0, -40.0), 3.0)
         axes[1, 0].set_ylim(-min(45.0 * np.ceil(farthest / 45.0 + 0.2), 360.0), 8.0)
-        axes[0, 0].set_ylabel("amplitude ratio [dB]")
+        axes[0, 0].set_ylabel("amplitude ratio to lowest frequency [dB]")
         axes[1, 0].set_ylabel("phase [°]")
         channel = sets[0].sweeps[0].channel.replace("_", " ")
-        figure.suptitle(f"Frequency response of the {channel}, relative to its lowest frequency", fontsize=12)
+        figure.suptitle(f"Frequency response of the {channel}", fontsize=12)
         return _save(figure, path)
 
 
@@ -145,7 +145,7 @@ def picture_steps(sets: Sequence[ResponseSet], path: Path) -> Path:
                 axis.set_xlim(-0.05 * end * 1e3, end * 1e3)
         axes[0, 0].set_ylabel("share of the change [-]")
         channel = sets[0].steps[0].channel.replace("_", " ")
-        figure.suptitle(f"Step response of the {channel}; dashed: within 5 % of the end", fontsize=12)
+        figure.suptitle(f"Step response of the {channel}; dashed: ±5 %", fontsize=12)
         return _save(figure, path)
 
 
@@ -164,10 +164,13 @@ def picture_bandwidth(sets: Sequence[ResponseSet], path: Path) -> Path:
         temperature = [one.oil_temperature for one in sets]
         for (name, label, factor), axis in zip(panels, axes, strict=True):
             responses = [one.steps if name == "time_to_90_percent" else one.sweeps for one in sets]
-            for k, row in enumerate(zip(*responses, strict=True)):
+            rows = list(zip(*responses, strict=True))
+            for k, row in enumerate(rows):
                 values = [_value(response, name) for response in row]
                 shown = [np.nan if value is None else value * factor for value in values]
-                axis.plot(temperature, shown, "o-", ms=4, color=COLOURS[k], label=_amplitude(row[0]))
+                axis.plot(
+                    temperature, shown, "o-", ms=4, color=COLOURS[k], lw=_width(k, rows), label=_amplitude(row[0])
+                )
             _shade(axis, published[name], factor)
             axis.set_ylim(bottom=0.0)
             axis.set_xlabel("oil temperature [°C]")
@@ -179,7 +182,7 @@ def picture_bandwidth(sets: Sequence[ResponseSet], path: Path) -> Path:
 
 def _columns(sets: Sequence[ResponseSet], rows: int, *, height: float) -> tuple[Figure, Any]:
     """A figure of `rows` by one column a temperature, axes shared."""
-    width = max(6.0, 1.0 + 3.6 * len(sets))
+    width = max(7.0, 1.0 + 3.6 * len(sets))
     figure = Figure(figsize=(width, height))
     axes = figure.subplots(rows, len(sets), sharex=True, sharey="row", squeeze=False)
     figure.subplots_adjust(

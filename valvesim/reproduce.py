@@ -4,7 +4,7 @@ Symbols (model.md sections 2 to 4)
     theta armature angle, drift theta(T)/theta(20 °C) - 1, M0 polarization magnetomotive force, a armature arm
     A1 A2 A3 factors of the balances, K_k coefficients of the TAD polynomial
 Signs
-    As derived: theta = A1 T_d + A2 p_L + A3 (Eqs. 33, 34). As printed in the appendix: theta = -A1 T_d - A2 p_L - A3, so
+    As derived: theta = A1 T_d + A2 p_L + A3 (Eqs. 33, 34). As the appendix prints it: theta = -A1 T_d - A2 p_L - A3, so
     that the magnetic spring stiffens the armature and the hydraulic feedback softens it. That variant lives here alone.
     A drift counts as positive where the angle grows. The paper tells which routes go together, not which way; here the
     flow coefficients' direction is called negative, as its "negative effect of viscosity" has it.
@@ -23,11 +23,7 @@ import numpy as np
 
 from .errors import InputError
 from .flow_laws import (
-    DENSITY,
-    FIXED_ORIFICE,
-    NOZZLE,
     NOZZLE_HYDRAULIC_DIAMETER,
-    ORIFICE_HYDRAULIC_DIAMETER,
     TABLE_3,
     fit_orifice_law,
     flow_coefficients_reynolds,
@@ -169,7 +165,7 @@ class Drifts:
     by_route: np.ndarray  # (8, k, n), at the first current
     total: np.ndarray  # (m, k, n)
     angle: np.ndarray  # (m, k, n), rad
-    stiffness: np.ndarray  # (k,), least net stiffness over the stiffness of springs alone; at or below 0: unstable
+    stiffness: np.ndarray  # (k,), least net stiffness over that without magnet and oil; at or below 0: no stable rest
     mechanical: np.ndarray  # (k,), least stiffness of springs and jets over springs alone
     travel: np.ndarray  # (m, k), greatest flapper travel over null gap
 
@@ -192,9 +188,11 @@ def drifts(
         K = polynomial(c, i * step / steps, **pressures)
         k = K * np.broadcast_to(gap[..., None], (*K.shape[:-1], 1)) ** np.arange(10)
         with np.errstate(all="ignore"):  # unstable valves may run off; their stiffness tells
-            z = _newton(k, -k[..., 0] / k[..., 1] if step == 1 else z)
-    base = tad_polynomial(c._replace(spring_tube_stiffness=1e40), i, **pressures)
-    stiffness = np.min(K[..., 1] / base[..., 1], axis=(0, 2)) * np.ones(z.shape[1])
+            z, slope, settled = _newton(k, -k[..., 0] / k[..., 1] if step == 1 else z)
+    springs = tad_polynomial(c._replace(spring_tube_stiffness=1e40), i, **pressures)[..., 1] * gap
+    with np.errstate(all="ignore"):
+        share = np.where(settled, np.minimum(k[..., 1], slope) / springs, -np.inf)
+    stiffness = np.min(share, axis=(0, 2))
     angle, m = z * gap, len(ROUTES)
     with np.errstate(all="ignore"):
         percent = 100.0 * (angle / _at_20(valve, angle, t) - 1.0)
@@ -214,14 +212,17 @@ def _at_20(valve: Valve, angle: np.ndarray, t: np.ndarray) -> np.ndarray:
     return angle[..., :1]
 
 
-def _newton(k: np.ndarray, z: np.ndarray) -> np.ndarray:
-    for _ in range(5):
+def _newton(k: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(root, slope of the polynomial there, whether it has converged) by six steps from `z`."""
+    slope = move = z
+    for _ in range(6):
         value, slope = k[..., 9], np.zeros(k.shape[:-1])
         for power in range(8, -1, -1):
             slope = slope * z + value
             value = value * z + k[..., power]
-        z = z - value / slope
-    return z
+        move = value / slope
+        z = z - move
+    return z, slope, np.abs(move) <= 1e-9 * np.abs(z)
 
 
 def _by_route(valve: Valve, t: np.ndarray, totals: int) -> Coefficients:
@@ -351,6 +352,7 @@ def _least_squares(start: np.ndarray, variant: Variant, free: np.ndarray, rows: 
 
 ALL_ROWS = np.arange(len(FIGURES) + 3)
 ALL_FREE = np.arange(len(UNKNOWNS))
+STARTS = 40
 SCREENED = 4000  # random valves, of which the best are refined
 
 
@@ -382,7 +384,9 @@ class Identification:
         return np.abs(self.misses) <= TOLERANCE
 
 
-def identify(variant: Variant, *, seed: int = 0, starts: int = 16, progress: Progress | None = None) -> Identification:
+def identify(
+    variant: Variant, *, seed: int = 0, starts: int = STARTS, progress: Progress | None = None
+) -> Identification:
     """Screen random valves, refine the best `starts` of them by bounded least squares, keep the best.
 
     The same seed and number of starts give the same answer. Raises InputError for starts < 1.
@@ -544,7 +548,7 @@ def check_magnet(*, seed: int = 0, drawn: int = 20000) -> MagnetCheck:
     row = ROUTES.index("mmf")
     losses, stiffness = [], []
     for part in np.array_split(shares, max(1, drawn // 2000)):
-        d = drifts(valves(part), temperatures=(20.0, 270.0))
+        d = drifts(valves(part), temperatures=(20.0, 270.0), steps=10)
         keep = (d.stiffness > 0.0) & (d.mechanical > 0.0) & (d.travel[0] < 1.0)
         losses.append(-d.by_route[row, keep, -1])
         stiffness.append(d.stiffness[keep])
@@ -752,11 +756,11 @@ class Reproduction:
     curves: dict[str, Drifts]  # of the reference valve ("reference") and of each identified one, over RANGE
     experiment: dict[str, Drifts]  # the same over EXPERIMENT_RANGE
     reference_values: np.ndarray  # (11,) %, the reference valve's figures
-    reference_reynolds: tuple[float, float, float]  # %, its flow drift at 270 °C: Eq. 19, Reynolds law 5606, paper's oil
+    reference_flow_drifts: tuple[float, float, float]  # %, flow route at 270 °C: Eq. 19, Re law, the same with Eq. 18
     polynomial_error: float  # largest relative difference from `static_solution` over RANGE
 
 
-def compute(*, seed: int = 0, starts: int = 16, progress: Progress | None = None) -> Reproduction:
+def compute(*, seed: int = 0, starts: int = STARTS, progress: Progress | None = None) -> Reproduction:
     """Recompute all of the paper that its text lets one compute. `progress` gets (what, share from 0 to 1)."""
     tell = progress or (lambda text, share: None)
     tell("torque motor, oil and flow coefficients", 0.0)
@@ -801,7 +805,7 @@ def compute(*, seed: int = 0, starts: int = 16, progress: Progress | None = None
         curves=whole,
         experiment=curves(EXPERIMENT_RANGE),
         reference_values=figure_values(at_fit, FIT_TEMPERATURES)[0],
-        reference_reynolds=tuple(  # type: ignore[arg-type]
+        reference_flow_drifts=tuple(  # type: ignore[arg-type]
             float(drifts(replace(reference, flow_coefficients=law)).by_route[row, 0, -1]) for law in laws
         ),
         polynomial_error=float(np.max(np.abs(whole["reference"].angle[0, 0] / direct - 1.0))),

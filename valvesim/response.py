@@ -14,7 +14,6 @@ Amplitudes are peak, from the mean. Time s, temperatures °C, all else SI; angle
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -317,7 +316,7 @@ class FrequencyResponse:
 
     @property
     def phase_lag(self) -> np.ndarray:
-        """Phase of the output behind the input, degrees; (n_f,). Unwrapped from the lowest frequency, there -90 to 270."""
+        """Phase of the output behind the input, degrees, unwrapped from -90 to 270 at the lowest frequency; (n_f,)."""
         lag = np.rad2deg(-np.unwrap(np.angle(self.gain)))
         return lag + 360.0 * (lag[0] < -90.0)
 
@@ -491,14 +490,15 @@ def join_points(
 def frequency_response(
     source: Source, *, amplitude: float, frequencies: Sequence[float] = FREQUENCIES,
     oil_temperature: float | None = None, part_temperature: float | None = None, output: str = "spool_position",
-    bias: float = 0.0, cycles: int = 2, settle: float = SETTLE_TIME, workers: int | None = None,
+    bias: float = 0.0, cycles: int = 2, settle: float = SETTLE_TIME, workers: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> FrequencyResponse:  # fmt: skip
     """Stepped sines: at each frequency (Hz) the valve is driven from rest until it is steady, then read.
 
     The command is bias + amplitude sin(2 pi f t) in A (or V); `settle` s (and at least a cycle) pass before at least
     `cycles` whole cycles and 20 ms are read at 64 samples a cycle. `source`, temperatures and `output` as in
-    `step_response`. Frequencies run on `workers` threads (all cores); `progress` is told the share that is done.
+    `step_response`. Frequencies run on `workers` threads: one, since a run of milliseconds holds the interpreter's lock
+    for most of its time (two were slower, measured). `progress` is told the share that is done.
     Amplitudes beyond the rated command are allowed, with a ValidityWarning.
     Raises InputError for an amplitude or frequency that is not positive, fewer than two frequencies, or one given
     twice, and as `simulate` does.
@@ -509,8 +509,9 @@ def frequency_response(
         raise InputError("frequency response: needs two or more frequencies, the lowest as the reference")
     _check_amplitude(amplitude)
     _unit_of(base, output)
-    if cycles < 1 or cycles != int(cycles):
-        raise InputError(f"frequency response: cycles = {cycles:g} must be a whole number of 1 or more")
+    for name, number in (("cycles", cycles), ("workers", workers)):
+        if number < 1 or number != int(number):
+            raise InputError(f"frequency response: {name} = {number:g} must be a whole number of 1 or more")
     base = replace(base, tolerance=min(base.tolerance, SINE_TOLERANCE))
     compile_model(base.model)  # here, since two threads would do it twice
 
@@ -524,7 +525,7 @@ def frequency_response(
         return _sine_point(result.time[part], _command_of(result)[part], result.values[output][part], frequency)
 
     points = []
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         for done in pool.map(point, f):
             points.append(done)
             if progress is not None:
@@ -702,7 +703,7 @@ class ResponseSet:
 def measure_responses(
     source: Source, *, oil_temperatures: Sequence[float] | None = None, part_temperature: float | None = None,
     steps: Sequence[float] = STEPS, sweeps: Sequence[float] = SWEEPS, frequencies: Sequence[float] = FREQUENCIES,
-    chirp: bool = True, output: str = "spool_position", workers: int | None = None,
+    chirp: bool = True, output: str = "spool_position", workers: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[ResponseSet, ...]:  # fmt: skip
     """Steps, stepped sines and chirps at every oil temperature (°C; by default the source's own at its start).
@@ -777,6 +778,19 @@ def class_figures() -> tuple[ClassFigure, ...]:
         ClassFigure("time_to_90_percent", 2e-3, 10e-3, "s", _TYPICAL),
         ClassFigure("overshoot", 0.0, 25.0, "%", _TYPICAL),
     )
+
+
+def beside_class(source: Source, one: ResponseSet) -> tuple[tuple[ClassFigure, Figure | Absent], ...]:
+    """Each published figure of the class with the valve's own: its lumps, its largest step, its sweep next to 25 %.
+
+    Figures that the set has no test for are `Absent`. Raises as `lumped_figures` does.
+    """
+    own: dict[str, Figure | Absent] = {f.name: f for f in lumped_figures(source, oil_temperature=one.oil_temperature)}
+    if one.sweeps:
+        own.update({f.name: f for f in min(one.sweeps, key=lambda sweep: abs(sweep.share - 0.25)).figures})
+    if one.steps:
+        own.update({f.name: f for f in max(one.steps, key=lambda step: abs(step.share)).figures})
+    return tuple((f, own.get(f.name, Absent(f.name, "no test of the set gives it"))) for f in class_figures())
 
 
 def lumped_figures(source: Source, *, oil_temperature: float | None = None) -> tuple[Figure, ...]:

@@ -125,7 +125,7 @@ def integrate(
 ):
     """Advance scaled states `y` in place from clock[0] to t_end; fill `out` at the times `t_out`; return a status.
 
-    clock: [time, next step, next output index, step of failure]; all updated, so that a run can go on in slices.
+    clock: [time, next step, next output index]; all updated, so that a run can go on in slices.
     starts, rows: input pieces between breaks; knot_times (m,), knots (m, n_c): coefficients, straight in between.
     count: [accepted, rejected] steps, added to. A step never crosses a break or a pair of equal knot times.
     """

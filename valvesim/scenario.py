@@ -103,10 +103,16 @@ class Scenario:
             Constant(value=value) if command is None else command for command, value in zip(given, own, strict=True)
         )
 
+    def check_pressures(self) -> None:
+        """InputError where the load pressure goes beyond the supply: no flow law of the ports holds there."""
+        supply, _, load = self.pressures()
+        if (top := largest(load, self.duration)) > (most := largest(supply, self.duration)):
+            raise InputError(f"pressures.load: {top / 1e5:.4g} bar is beyond the supply of {most / 1e5:.4g} bar")
+
     def throttling(self):
-        """The oil's temperature rise by throttling as a function of °C, or None where it is off."""
-        drop = self.valve.supply_pressure - self.valve.return_pressure
-        return throttling_rise(self.oil, drop) if self.thermal.throttling_heat else None
+        """The oil's temperature rise by throttling as a function of °C, or None where it is off; drop of the start."""
+        supply, back, _ = (float(evaluate(pressure, 0.0)) for pressure in self.pressures())
+        return throttling_rise(self.oil, supply - back) if self.thermal.throttling_heat else None
 
     def warn_of_large_command(self) -> None:
         """Warn once where the command goes beyond the rated current."""

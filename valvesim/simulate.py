@@ -174,6 +174,7 @@ def _array_figures(scenario: Scenario) -> list[str]:
 
 def _prepare(scenario: Scenario) -> _Problem:
     scenario.warn_of_large_command()
+    scenario.check_pressures()
     model, end = scenario.model, scenario.duration
     path, c = _temperature_knots(scenario)
     flat = model.flat_coefficients(c, scenario.effects)
@@ -283,7 +284,7 @@ def _integrate(problem: _Problem, member: int, progress: Callable[[float], None]
     scenario, compiled = problem.scenario, problem.compiled
     y, count = problem.initial[member].copy(), np.zeros(2, dtype=np.int64)
     out = np.full((len(problem.times), len(y)), np.nan)
-    clock = np.array([0.0, min(1e-5, scenario.duration), 0.0, 0.0])
+    clock = np.array([0.0, min(1e-5, scenario.duration), 0.0])
     rtol = scenario.tolerance
     for k in range(1, SLICES + 1):
         end = scenario.duration * k / SLICES if k < SLICES else scenario.duration

@@ -25,7 +25,7 @@ from .parameters import ROUTES, Coefficients, PartTemperatures, Valve
 
 @dataclass(frozen=True, kw_only=True)
 class StaticSolution:
-    """The valve at rest; every field has the broadcast shape of current and temperature."""
+    """The valve at rest; every field has the broadcast shape of current and temperature (the oil's, °C)."""
 
     current: np.ndarray
     temperature: np.ndarray
@@ -141,7 +141,8 @@ def static_solution(
         raise InputError("static solution: current holds NaN or infinity")
     c = valve.at(PartTemperatures.uniform(temperature) if parts is None else parts, oil=oil, routes=routes)
     return solve_rest(
-        c, current, temperature, valve.supply_pressure, valve.return_pressure, valve.load_pressure, friction,
+        c, current, temperature if parts is None else parts.oil, valve.supply_pressure, valve.return_pressure,
+        valve.load_pressure, friction,
         polynomial=valve.is_symmetric,
     )  # fmt: skip
 

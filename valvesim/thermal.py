@@ -142,15 +142,16 @@ def _knots(command: Command, end: float, spacing: float) -> tuple[np.ndarray, np
     rows = command.pieces(end)
     starts = rows[:, 0]
     edges = np.unique(np.concatenate([[0.0, end], starts[(starts > 0.0) & (starts < end)]]))
-    times, values = [], []
+    times, late = [], []  # late: times at which the value is taken
     for a, b in zip(edges[:-1], edges[1:], strict=True):
-        row = rows[max(int(np.searchsorted(starts, a, side="right")) - 1, 0)]
-        fine = min(spacing, 0.05 / max(_fastest(row, a), _fastest(row, b), 1e-9))
+        fine = spacing
+        if rows.shape[1] > PIECE_WIDTH:
+            row = rows[max(int(np.searchsorted(starts, a, side="right")) - 1, 0)]
+            fine = min(spacing, 0.05 / max(_fastest(row, a), _fastest(row, b), 1e-9))
         t = np.linspace(a, b, max(int(np.ceil((b - a) / fine)), 2) + 1)
-        late = np.append(t[:-1], np.nextafter(b, a) if b < end else b)  # the value just before a jump at b
         times.append(t)
-        values.append(evaluate(command, late))
-    return np.concatenate(times), np.concatenate(values)
+        late.append(np.append(t[:-1], np.nextafter(b, a) if b < end else b))  # the value just before a jump at b
+    return np.concatenate(times), evaluate(command, np.concatenate(late))
 
 
 def _fastest(row: np.ndarray, t: float) -> float:

@@ -1,0 +1,161 @@
+"""The pictures of a run: they are made, show what they should, and thin long lines without losing their extremes."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import valvesim as vs
+from valvesim import report
+from valvesim.drift import nominal, observed_drift, static_drift
+from valvesim.errors import InputError
+
+ISOTHERMAL = vs.Thermal(network=None)
+
+
+def run(**changes):
+    standard = {
+        "duration": 0.4,
+        "thermal": ISOTHERMAL,
+        "command": vs.Sine(amplitude=1e-3, frequency=20.0),
+        "title": "T",
+    }
+    return vs.simulate(vs.Scenario(**(standard | changes)))
+
+
+@pytest.fixture(scope="module")
+def warm():
+    return run(oil_temperature=vs.Ramp(start_value=20.0, end_value=100.0, rate=200.0))
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that are saved, kept for a look."""
+    figures, save = [], report._save
+    monkeypatch.setattr(report, "_save", lambda figure, path: figures.append(figure) or save(figure, path))
+    return figures
+
+
+def size(path):
+    """(width, height) of a PNG file from its header, with some contrast inside."""
+    from matplotlib.image import imread
+
+    pixels = imread(path)
+    assert path.read_bytes().startswith(b"\x89PNG\r\n") and np.ptp(pixels[..., :3]) > 0.5
+    return pixels.shape[1], pixels.shape[0]
+
+
+def pictures(result, folder):
+    drift, observed = static_drift(result), observed_drift(result, vs.simulate(nominal(result.scenario)))
+    return (
+        report.picture_run(result, folder / "run.png"),
+        report.picture_characteristic(result, folder / "characteristic.png"),
+        report.picture_drift(drift, observed, result.scenario.title, folder / "drift.png"),
+    )
+
+
+def test_every_picture_of_a_warm_run_is_made(warm, tmp_path):
+    for path in pictures(warm, tmp_path / "new folder"):
+        width, height = size(path)
+        assert width >= 1000 and height >= 500 and path.stat().st_size > 20_000
+
+
+def lines(figure, panel):
+    """Each line of a panel (found by the start of its label of y) as (x, y)."""
+    (axes,) = (axes for axes in figure.axes if axes.get_ylabel().startswith(panel))
+    return [line.get_data() for line in axes.lines]
+
+
+def test_the_picture_of_a_run_shows_its_channels_in_readable_units(warm, tmp_path, drawn):
+    report.picture_run(warm, tmp_path / "run.png")
+    (figure,) = drawn
+    labels = [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()]
+    assert labels == [
+        "command [mA]", "temperature [°C]", "armature angle [mrad]", "nozzle pressures [bar]", "spool position [mm]",
+        "flow [L/min]",
+    ]  # fmt: skip
+    ((t, x),) = lines(figure, "spool position")
+    assert np.max(x) == pytest.approx(1e3 * np.max(warm.values["spool_position"]), rel=1e-12)
+    assert (t[0], t[-1]) == (0.0, 0.4)
+    assert len(lines(figure, "temperature")) == 8 and len(lines(figure, "nozzle pressures")) == 2
+    assert figure.get_suptitle() == "T"
+
+
+def test_the_picture_of_the_characteristic_has_the_rest_at_20_degrees_dashed(warm, tmp_path, drawn):
+    report.picture_characteristic(warm, tmp_path / "characteristic.png")
+    dashed = [(x, y) for (x, y) in lines(drawn[0], "spool position") if len(x) == 41]
+    ((current, spool),) = dashed
+    rest = vs.static_solution(vs.Valve(), current=np.asarray(current) * 1e-3).spool_position
+    assert spool == pytest.approx(1e3 * rest, rel=1e-9)
+    assert (current[0], current[-1]) == pytest.approx((-1.0, 1.0))
+
+
+def test_the_rest_in_the_characteristic_is_at_the_commanded_pressure(tmp_path, drawn):
+    report.picture_characteristic(run(supply_pressure=vs.Constant(value=7e6)), tmp_path / "characteristic.png")
+    ((current, spool),) = [(x, y) for (x, y) in lines(drawn[0], "spool position") if len(x) == 41]
+    rest = vs.static_solution(vs.Valve(supply_pressure=7e6), current=np.asarray(current) * 1e-3).spool_position
+    assert spool == pytest.approx(1e3 * rest, rel=1e-9)
+
+
+def test_the_picture_of_drift_shows_all_routes_and_the_total_in_percent(warm, tmp_path, drawn):
+    drift, observed = static_drift(warm), observed_drift(warm, vs.simulate(nominal(warm.scenario)))
+    report.picture_drift(drift, observed, "T", tmp_path / "drift.png")
+    total, angle, spool = drawn[0].axes
+    assert total.get_ylabel() == "drift from 20 °C [%]"
+    for axes, quantity in ((angle, "armature_angle"), (spool, "spool_position")):
+        shown = {line.get_label(): line.get_ydata() for line in axes.lines}
+        assert set(vs.ROUTES) < set(shown)
+        assert shown["all together"] == pytest.approx(100 * drift.total[quantity], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"command": vs.Constant(value=0.0)},
+        {"command": vs.Constant(value=0.6), "drive": vs.VoltageDrive()},
+        {"output_rate": 1.0},  # one sample
+        {"title": r"5 $ and \frac{1$ [mA]"},
+        {"oil_temperature": vs.Step(before=-40.0, after=100.0, time=0.1)},
+    ],
+    ids=["no command", "voltage", "one sample", "title of signs", "jump of the oil"],
+)
+def test_unusual_runs_are_drawn_too(changes, tmp_path):
+    for path in pictures(run(**changes), tmp_path):
+        assert size(path)[0] >= 1000
+
+
+def test_a_picture_that_cannot_be_written_is_refused_and_leaves_nothing(warm, tmp_path):
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(InputError, match="cannot be written"):
+        report.picture_run(warm, tmp_path / "file" / "run.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("excess", [0, 1, 7, 0.33, 0.5, 0.9, 0.999, 1.999, 60.3])
+def test_thinning_keeps_ends_extremes_and_order(excess):
+    n = report.MOST_POINTS + int(excess if excess >= 1 and excess == int(excess) else excess * report.MOST_POINTS)
+    rng = np.random.default_rng(1)  # a fixed seed: the same line in every run
+    t, y = np.arange(n) * 1e-3, rng.normal(size=n)
+    thin_t, thin_y = report._thin(t, y)
+    assert len(thin_t) <= 1.5 * report.MOST_POINTS and np.all(np.diff(thin_t) > 0.0)
+    assert (thin_t[0], thin_t[-1]) == (t[0], t[-1])
+    assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
+    assert np.array_equal(y[np.rint(thin_t * 1e3).astype(int)], thin_y)
+
+
+@given(st.integers(1, 40 * report.MOST_POINTS), st.integers(0, 10**9))
+def test_thinning_loses_no_spike_wherever_it_stands(n, place):
+    y = np.zeros(n)
+    y[place % n] = 1.0
+    thin_t, thin_y = report._thin(np.arange(n), y)
+    assert thin_y.max() == 1.0 and thin_t[np.argmax(thin_y)] == place % n
+
+
+def test_a_short_line_is_not_thinned():
+    t, y = np.arange(report.MOST_POINTS), np.sin(np.arange(report.MOST_POINTS))
+    assert all(np.array_equal(thin, whole) for thin, whole in zip(report._thin(t, y), (t, y), strict=True))
+
+
+def test_the_end_of_a_run_shows_about_three_cycles_of_its_command(warm):
+    assert 2.5 / 20.0 < report._cycles(warm) < 4.0 / 20.0
+    assert report._cycles(run(command=vs.Constant(value=1e-3))) == pytest.approx(0.4 / 20.0)  # a twentieth of the run
