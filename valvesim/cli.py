@@ -204,7 +204,7 @@ def _console() -> Console:
 
 def _progress() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
 
 
 def _show_warning(message: Any, category: type[Warning], *details: Any, **more: Any) -> None:
@@ -222,8 +222,7 @@ def main() -> None:
     except SolveError as error:
         _fail(str(error), 1)
     except click.ClickException as error:
-        error.show()
-        sys.exit(2)
+        _fail(error.format_message().replace("\n", " "), 2)
     except (click.Abort, KeyboardInterrupt):
         _fail("interrupted; nothing half-written is left", 130)
 

@@ -465,16 +465,18 @@ def nonlinear_system(scenario: Scenario) -> Any:
     States are in units of their channels' scale, so that one absolute tolerance serves all ("scaled_spool_position");
     `rest_state` gives the initial ones. The derivative is compiled machine code.
 
-    The valve is stiff (poles to 5e4 rad/s): ask `control.input_output_response` for solve_ivp_method="LSODA", with
-    atol about 0.01 rtol. It draws straight lines between the given times and does not know of jumps: end the simulated
-    window at a jump of a command, or make the jump a steep ramp.
+    The valve is stiff, with a lightly damped pair at 5e4 rad/s: ask `control.input_output_response` for
+    solve_ivp_method="Radau" (rtol 1e-3, atol 1e-4 or finer). LSODA and BDF are stable only at steps below 1e-5 s there
+    and need many times the calls. It draws straight lines between the given times and does not know of jumps: begin a
+    simulation at a jump of the input, or make the jump a steep ramp. `simulate` is a thousand times faster where no
+    loop is closed.
     Raises InputError for a batch of valves and an effect that depends on the rate of the current.
     """
     import control
 
     model = scenario.model
     _refuse_rate(model, "nonlinear system")
-    coefficients, oil_temperature = _over_time(scenario)
+    at = _over_time(scenario)
     supply, back = (_value(command) for command in scenario.pressures()[:2])
     derivative, scale = compile_model(model).derivative, np.array([ch.scale for ch in model.state_channels])
     states = [channel.name for channel in model.state_channels]
@@ -484,13 +486,13 @@ def nonlinear_system(scenario: Scenario) -> Any:
 
     def rates(t, x, u, params):
         out = np.empty(len(x))
-        derivative(np.ascontiguousarray(x), np.array([u[0], 0.0, supply(t), back(t), u[1]]), coefficients(t), out)
+        derivative(np.ascontiguousarray(x), np.array([u[0], 0.0, supply(t), back(t), u[1]]), at(t)[:-1], out)
         return out
 
     def outputs(t, x, u, params):
-        y = x * scale
-        given = signals(y, np.array([u[0], 0.0, supply(t), back(t), u[1]]), coefficients(t))
-        return np.array([*(y[k] if own else given[k] for own, k in picks), oil_temperature(t)])
+        y, row = x * scale, at(t)
+        given = signals(y, np.array([u[0], 0.0, supply(t), back(t), u[1]]), row[:-1])
+        return np.array([*(y[k] if own else given[k] for own, k in picks), row[-1]])
 
     return control.nlsys(
         rates, outputs, name="valve", inputs=[_command_name(model), "load_pressure"],
@@ -505,14 +507,14 @@ def rest_state(
 
     `command` is in A (V of a voltage drive), `load_pressure` in Pa. Raises as `operating_point` does.
     """
-    c = Coefficients(*_over_time(scenario)[0](time)[: len(Coefficients._fields)])
+    c = Coefficients(*_over_time(scenario)(time)[: len(Coefficients._fields)])
     supply, back = (float(evaluate(command, time)) for command in scenario.pressures()[:2])
     state = _rest(scenario.model, Inputs(command, 0.0, supply, back, load_pressure), c)
     return state / np.array([channel.scale for channel in scenario.model.state_channels])
 
 
-def _over_time(scenario: Scenario) -> tuple[Callable[[float], np.ndarray], Callable[[float], float]]:
-    """Flat coefficients (n_c,) and oil temperature (°C) as functions of time (s), straight between knots."""
+def _over_time(scenario: Scenario) -> Callable[[float], np.ndarray]:
+    """Flat coefficients, then the oil temperature (°C), as a function (n_c + 1,) of time (s), straight between knots."""
     path, c = _temperature_knots(scenario)
     flat = np.stack(np.broadcast_arrays(*scenario.model.flat_coefficients(c, scenario.effects)), axis=-1).astype(float)
     if flat.ndim > 2:
@@ -526,7 +528,7 @@ def _over_time(scenario: Scenario) -> tuple[Callable[[float], np.ndarray], Calla
             return table[max(k, 0)]
         return table[k] + (t - knots[k]) / (knots[k + 1] - knots[k]) * (table[k + 1] - table[k])
 
-    return lambda t: at(t)[:-1].copy(), lambda t: float(at(t)[-1])
+    return at
 
 
 def _value(command: Command) -> Callable[[float], float]:

@@ -148,7 +148,7 @@ class Valve:
     rated_current: float = quantity(10e-3, "A", "rated current", (POSITIVE, 1.0), "model.md 5")
     armature_arm: float = quantity(14.5e-3, "m", "a, arm of the gap forces", (POSITIVE, 0.2), _TEXTBOOK)
     armature_inertia: float = quantity(1.78e-7, "kg*m^2", "J, armature and flapper", (POSITIVE, 1e-3), _TEXTBOOK)
-    armature_damping: float = quantity(1.24e-3, "N*m*s/rad", "B_a, armature damping", (0.0, 1.0), _ESTIMATE + ": ratio 0.4")
+    armature_damping: float = quantity(1.24e-3, "N*m*s/rad", "B_a, armature", (0.0, 1.0), _ESTIMATE + ": ratio 0.4")
     spring_tube_stiffness: float = quantity(10.18, "N*m/rad", "K_s, spring tube", (POSITIVE, 1e4), _TEXTBOOK)
     feedback_rod_stiffness: float = quantity(2780.0, "N/m", "K_f, feedback rod at the ball", (POSITIVE, 1e6), _TEXTBOOK)
     # pilot stage
