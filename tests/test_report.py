@@ -131,24 +131,25 @@ def test_a_picture_that_cannot_be_written_is_refused_and_leaves_nothing(warm, tm
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("excess", [0, 1, 7, 0.33, 0.5, 0.9, 0.999, 1.999, 60.3])
-def test_thinning_keeps_ends_extremes_and_order(excess):
-    n = report.MOST_POINTS + int(excess if excess >= 1 and excess == int(excess) else excess * report.MOST_POINTS)
-    rng = np.random.default_rng(1)  # a fixed seed: the same line in every run
-    t, y = np.arange(n) * 1e-3, rng.normal(size=n)
+LONG = st.integers(report.MOST_POINTS + 1, 40 * report.MOST_POINTS)
+
+
+@given(LONG, st.integers(0, 10**9))
+def test_thinning_keeps_range_and_span_of_a_line(n, seed):
+    t, y = np.arange(n) * 1e-3, np.random.default_rng(seed).normal(size=n)
     thin_t, thin_y = report._thin(t, y)
-    assert len(thin_t) <= 1.5 * report.MOST_POINTS and np.all(np.diff(thin_t) > 0.0)
-    assert (thin_t[0], thin_t[-1]) == (t[0], t[-1])
+    assert len(thin_t) <= report.MOST_POINTS + 1 and np.all(np.diff(thin_t) >= 0.0)
+    assert (thin_t[0], thin_t[-1], thin_y[-1]) == (t[0], t[-1], y[-1])
     assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
-    assert np.array_equal(y[np.rint(thin_t * 1e3).astype(int)], thin_y)
 
 
-@given(st.integers(1, 40 * report.MOST_POINTS), st.integers(0, 10**9))
-def test_thinning_loses_no_spike_wherever_it_stands(n, place):
+@given(LONG, st.integers(0, 10**9), st.sampled_from([1.0, -1.0]))
+def test_thinning_shows_a_spike_of_one_sample_where_it_stands(n, place, spike):
     y = np.zeros(n)
-    y[place % n] = 1.0
+    y[place % n] = spike
     thin_t, thin_y = report._thin(np.arange(n), y)
-    assert thin_y.max() == 1.0 and thin_t[np.argmax(thin_y)] == place % n
+    shown = thin_t[np.flatnonzero(thin_y == spike)]
+    assert len(shown) > 0 and np.max(np.abs(shown - place % n)) <= n / (report.MOST_POINTS / 2)
 
 
 def test_a_short_line_is_not_thinned():
@@ -158,4 +159,4 @@ def test_a_short_line_is_not_thinned():
 
 def test_the_end_of_a_run_shows_about_three_cycles_of_its_command(warm):
     assert 2.5 / 20.0 < report._cycles(warm) < 4.0 / 20.0
-    assert report._cycles(run(command=vs.Constant(value=1e-3))) == pytest.approx(0.4 / 20.0)  # a twentieth of the run
+    assert report._cycles(run(command=vs.Constant(value=1e-3))) is None

@@ -194,6 +194,19 @@ def test_a_wave_of_the_oil_is_never_missed_between_knots(frequency):
     assert np.max(np.diff(path.times)) <= 0.05 / frequency * (1 + 1e-9)
 
 
+def test_a_long_table_is_laid_out_once_and_not_for_each_of_its_rows():
+    class Counted(Table):
+        calls = []
+
+        def pieces(self, end):
+            self.calls.append(end)
+            return super().pieces(end)
+
+    times = np.linspace(0.0, 10.0, 2001)
+    path = temperature_path(Counted(times=tuple(times), values=tuple(np.sin(times))), 10.0, network=NETWORK)
+    assert len(Counted.calls) <= 3 and len(path.times) >= 2001
+
+
 def test_a_lone_part_damps_a_wave_of_the_oil_as_a_first_order_lag():
     network, tau = lone("pilot_metal")
     frequency = 2.0

@@ -1,4 +1,4 @@
-"""The command line: `valvesim run | static | effects | parameters`.
+"""The command line: `valvesim run | static | response | bench | datasheet | ...`.
 
 Exit codes: 0 done, 1 a solve failed, 2 the input is wrong. Tables go to standard output, all else to standard error.
 """
@@ -10,6 +10,7 @@ import io
 import json
 import sys
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -102,8 +103,7 @@ def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
     console.print(
         f"{s['accepted_steps']:.0f} steps ({s['rejected_steps']:.0f} rejected) in {s['solver_seconds']:.3f} s of solver"
     )
-    for path in written:
-        console.print(f"wrote {path}", highlight=False)
+    _print_written(written)
 
 
 @cli.command()
@@ -145,6 +145,128 @@ def static(current: str, oil_temperature: str, routes: str | None, form: str, se
             scaled = zip(row.values(), (1e3, 1.0, 1e3, 1e3, 1e-5), strict=True)
             table.add_row(*(f"{value * factor:.7g}" for value, factor in scaled))
         _console().print(table)
+
+
+_temperatures_option = click.option(
+    "--oil-temperature", default="20 degC", show_default=True, help="One or more: '20,100,200 degC'."
+)
+
+
+@cli.command()
+@click.argument("scenario", type=click.Path(path_type=Path), required=False)
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("results/response"), show_default=True)
+@click.option("--oil-temperature", help="One or more: '20,100,200 degC' [the scenario's own at its start, or 20 degC].")
+@_settings_option
+def response(scenario: Path | None, output: Path, oil_temperature: str | None, settings: tuple[str, ...]) -> None:
+    """Step and frequency response at 25, 40 and 100 % of rated current: figures and pictures.
+
+    Of the reference valve, or of the valve, oil, drive and effects of a SCENARIO.
+    """
+    from .figures import table
+    from .report_response import response_report
+    from .scenario import Scenario, Thermal, load_scenario, read_tables
+
+    if scenario is None:
+        valve, oil = read_tables(settings)
+        source = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None))
+    else:
+        source = load_scenario(scenario, settings=settings)
+    temperatures = None if oil_temperature is None else parse_list(oil_temperature, "degC", "--oil-temperature")
+    with _progress() as bar:
+        stage = bar.add_task("stepping and sweeping", total=1.0)
+        sets, paths = response_report(
+            source, output, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
+        )
+    for one in sets:
+        for test in (*one.steps, *one.sweeps):
+            what = "step" if test in one.steps else "sines"
+            title = f"{what} of {100 * test.share:.0f} % of rated, oil at {one.oil_temperature:g} °C"
+            _print_table(title, ("figure", "value", "± (1 sigma)", "unit", "meaning"), table(test.figures))
+    _print_written(paths)
+
+
+@cli.command()
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("results/bench"), show_default=True)
+@click.option("--measured", type=click.Path(path_type=Path), help="A CSV record instead of the simulated bench.")
+@click.option("--test", "kind", help="What was measured: flow, pressure-gain, leakage or flow-load.")
+@click.option("--lag", help="Lag of the meter, such as '1 s' [estimated where the record allows it].")
+@click.option("--dead-zone", help="Dead zone of the meter, such as '0.2 L/min' [estimated].")
+@click.option("--rated-current", help="Rated current of the measured valve [the largest in the record].")
+@_temperatures_option
+@_settings_option
+def bench(
+    output: Path, measured: Path | None, kind: str | None, lag: str | None, dead_zone: str | None,
+    rated_current: str | None, oil_temperature: str, settings: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of a measured record."""
+    from .figures import table
+    from .files import check_folder
+    from .report_bench import bench_measured, bench_simulated
+    from .scenario import read_tables
+    from .units import parse
+
+    headings = ("figure", "value", "± (1 sigma)", "unit", "meaning")
+    check_folder(output)
+    if measured is not None:
+        if kind is None:
+            raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
+        figures, path = bench_measured(
+            measured, kind, output / f"{measured.stem}.png",
+            lag=None if lag is None else parse(lag, "s", "--lag"),
+            dead_zone=None if dead_zone is None else parse(dead_zone, "m^3/s", "--dead-zone"),
+            rated_current=None if rated_current is None else parse(rated_current, "A", "--rated-current"),
+        )  # fmt: skip
+        _print_table(f"{kind} of {measured}", headings, table(figures))
+        _print_written([path])
+        return
+    if (given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]):
+        raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
+    valve, oil = read_tables(settings)
+    paths = []
+    for temperature in parse_list(oil_temperature, "degC", "--oil-temperature"):
+        with _progress() as bar:
+            stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
+            figures, path = bench_simulated(
+                valve, output / f"bench_{temperature:g}_degC.png", oil_temperature=float(temperature), oil=oil,
+                progress=lambda share, bar=bar, stage=stage: bar.update(stage, completed=share),
+            )  # fmt: skip
+        _print_table(f"bench, oil at {temperature:g} °C", headings, table(figures))
+        paths.append(path)
+    _print_written(paths)
+
+
+@cli.command()
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("results/datasheet"), show_default=True)
+@_temperatures_option
+@_settings_option
+def datasheet(output: Path, oil_temperature: str, settings: tuple[str, ...]) -> None:
+    """The datasheet of a valve at any oil temperatures: datasheet.html and datasheet.pdf, pictures inside."""
+    from .report_datasheet import datasheet_report
+    from .scenario import read_tables
+
+    valve, oil = read_tables(settings)
+    temperatures = parse_list(oil_temperature, "degC", "--oil-temperature")
+    with _progress() as bar:
+        stage = bar.add_task("testing the valve", total=1.0)
+        written = datasheet_report(
+            valve, oil, output, oil_temperatures=temperatures,
+            progress=lambda share: bar.update(stage, completed=share),
+        )  # fmt: skip
+    _print_written(written)
+
+
+def _print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    table = Table(title=escape(title), title_justify="left", title_style="bold")
+    for heading in headings:
+        table.add_column(escape(heading), justify="right" if heading.startswith(("value", "±")) else "left")
+    for row in rows:
+        table.add_row(*(escape(cell) for cell in row))
+    _console().print(table)
+
+
+def _print_written(paths: Sequence[Path]) -> None:
+    for path in paths:
+        _console().print(f"wrote {path}", markup=False)
 
 
 @cli.command()
@@ -191,7 +313,7 @@ def parameters(form: str) -> None:
         return
     table = Table(title="parameters (SI)", title_justify="left", title_style="bold")
     for heading in headings:
-        table.add_column(heading, justify="right" if heading == "value" else "left", overflow="fold")
+        table.add_column(heading, justify="right" if heading == "value" else "left", no_wrap=heading == "name")
     for row in rows:
         table.add_row(*(escape(cell) for cell in row))
     _console().print(table)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .channels import STATE_CHANNELS
-from .commands import Constant, evaluate, largest
+from .commands import Constant, largest
 from .model import VoltageDrive
 from .parameters import PART_NAMES, REFERENCE_TEMPERATURE, ROUTES, PartTemperatures
 from .scenario import Scenario, Thermal
@@ -51,8 +51,7 @@ def static_drift(result: Result, *, points: int = 101) -> Drift:
     pick = np.unique(np.linspace(0, len(result.time) - 1, points).astype(int))
     parts = PartTemperatures(**{name: result.values[f"{name}_temperature"][pick] for name in PART_NAMES})
     current = reference_current(scenario)
-    supply, back, load = (float(evaluate(pressure, 0.0)) for pressure in scenario.pressures())
-    valve = replace(scenario.valve, supply_pressure=supply, return_pressure=back, load_pressure=load)
+    valve = scenario.valve_at_start
 
     def solve(temperatures: PartTemperatures, routes: tuple[str, ...]):
         return static_solution(valve, current=current, parts=temperatures, routes=routes, oil=scenario.oil)

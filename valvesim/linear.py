@@ -466,10 +466,9 @@ def nonlinear_system(scenario: Scenario) -> Any:
     `rest_state` gives the initial ones. The derivative is compiled machine code.
 
     The valve is stiff, with a lightly damped pair at 5e4 rad/s: ask `control.input_output_response` for
-    solve_ivp_method="Radau" (rtol 1e-3, atol 1e-4 or finer). LSODA and BDF are stable only at steps below 1e-5 s there
-    and need many times the calls. It draws straight lines between the given times and does not know of jumps: begin a
-    simulation at a jump of the input, or make the jump a steep ramp. `simulate` is a thousand times faster where no
-    loop is closed.
+    solve_ivp_method="Radau" (rtol 1e-3, atol 1e-4 or finer); LSODA and BDF follow that pair and are many times slower.
+    examples/position_loop.py takes 0.6 s for one second of flight with it. python-control draws straight lines between
+    the given times and does not know of jumps: begin a simulation at a jump of an input, or make it a steep ramp.
     Raises InputError for a batch of valves and an effect that depends on the rate of the current.
     """
     import control
@@ -514,7 +513,7 @@ def rest_state(
 
 
 def _over_time(scenario: Scenario) -> Callable[[float], np.ndarray]:
-    """Flat coefficients, then the oil temperature (°C), as a function (n_c + 1,) of time (s), straight between knots."""
+    """Flat coefficients, then the oil temperature (°C), (n_c + 1,) over time (s), straight between knots."""
     path, c = _temperature_knots(scenario)
     flat = np.stack(np.broadcast_arrays(*scenario.model.flat_coefficients(c, scenario.effects)), axis=-1).astype(float)
     if flat.ndim > 2:

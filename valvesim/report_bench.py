@@ -1,4 +1,4 @@
-"""Pictures of bench tests as the standards plot them (ARP490, ISO 10770-1): output over current, flow over load pressure.
+"""Pictures of bench tests as the standards (ARP490, ISO 10770-1) plot them: output over current, flow over load.
 
 Simulated and measured records are drawn by the same functions: both branches, the mid-line and the lines that the
 figures are told from.
@@ -8,12 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
 
 from .bench import (
-    LINE, NULL_SHARE, Absent, Bench, Cycle, Figures, Record, bench, bench_table, branch_curves, cycle, loop, measured,
+    LINE,
+    NULL_SHARE,
+    Absent,
+    Bench,
+    Cycle,
+    Figures,
+    Record,
+    bench,
+    bench_table,
+    branch_curves,
+    cycle,
+    loop,
+    measured,
     read_record,
 )  # fmt: skip
 from .effects import ActiveEffect
@@ -73,10 +86,10 @@ def picture_bench(result: Bench, path: Path) -> Path:
             colour = COLOURS[round(4 * abs(current) / top) % len(COLOURS)]
             label = f"±{abs(current) * 1e3:.3g} mA" if current > 0.0 else None
             axis.plot(record.values["load_pressure"] / 1e5, record.values["load_flow"] * 6e4, color=colour, label=label)
-        axis.legend(loc="center left")
+        axis.legend(loc="center")
         _labels(axis, "flow over load pressure", "load pressure [bar]", "load flow [L/min]")
-        heading = f"static bench at {result.oil_temperature:.4g} °C, supply {result.valve.supply_pressure / 1e5:.4g} bar"
-        figure.suptitle(heading, fontsize=12)
+        supply = result.valve.supply_pressure / 1e5
+        figure.suptitle(f"static bench at {result.oil_temperature:.4g} °C, supply {supply:.4g} bar", fontsize=12)
         return _save(figure, path)
 
 
@@ -98,7 +111,8 @@ def picture_measured(record: Record, test: str, figures: Figures, path: Path) ->
         table.axis("off")
         lines = []
         for name, value, error, unit, meaning in bench_table(figures):
-            lines.append(f"{name:21s} {value} ± {error} {unit}" if error else f"{name:21s} absent: {_short(meaning)}")
+            words = [f"{value} ± {error} {unit}"] if error else wrap(f"absent: {meaning}", 44)
+            lines += [f"{name if k == 0 else '':21s} {text}" for k, text in enumerate(words)]
         table.text(0.02, 1.0, "\n".join(lines), va="top", family="monospace", fontsize=8, linespacing=1.7)
         figure.suptitle(f"{record.source}: {test}", fontsize=12)
         return _save(figure, path)
@@ -106,10 +120,6 @@ def picture_measured(record: Record, test: str, figures: Figures, path: Path) ->
 
 def _of(figures: dict[str, Any], test: str) -> dict[str, Any]:
     return {name.removeprefix(test): figure for name, figure in figures.items() if name.startswith(test)}
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 44 else text[:42].rsplit(" ", 1)[0] + " …"
 
 
 def _value(figures: dict[str, Any], name: str) -> float:
@@ -145,7 +155,8 @@ def _flow(axis: Any, c: Cycle, figures: dict[str, Any]) -> None:
         if not np.any(part) or np.isnan(slope):
             continue
         at = np.array([0.0, sign * rated])
-        y = np.average(bend.output[part] - slope * bend.middle[part], weights=np.gradient(bend.output)[part]) + slope * at
+        weights = np.gradient(bend.output)[part]
+        y = np.average(bend.output[part] - slope * bend.middle[part], weights=weights) + slope * at
         axis.plot(at * 1e3, c.polarity * y * 6e4, "--", color=LINES, lw=1.2, label="gain" if sign > 0 else None)
     reach = max(0.08 * rated, 2.0 * float(np.max(np.abs(bend.width))))
     height = 1.2 * abs(np.nanmean([_value(figures, f"flow_gain_{k}") for k in ("negative", "positive")])) * reach

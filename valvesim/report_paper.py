@@ -1,6 +1,7 @@
 """The page on the paper: published beside computed, with the reasons. Markdown, and HTML with the pictures inside.
 
-Every figure on it is computed when it is made; what the paper states comes from `reproduce.FIGURES` and `PUBLISHED_...`.
+Every figure on it is computed when it is made; what the paper states comes from `reproduce.FIGURES` and
+`PUBLISHED_...`.
 """
 
 from __future__ import annotations
@@ -145,6 +146,12 @@ def _count(r: Reproduction, key: str) -> int:
     return int(np.sum(r.identified[key].reached[: len(ROUTES)]))
 
 
+_MAIN_CAPTION = (
+    "Left: largest drift of the armature angle by route, 20 to 270 °C at 1 mA; hollow where the direction is not the "
+    "published one. Right: all routes together over temperature."
+)
+
+
 def _head(r: Reproduction) -> str:
     derived, printed, rise = (r.identified[k] for k in ("derived", "printed", "printed_rise"))
     cannot = [f.title for f in FIGURES if not r.reached["derived"][f.key].possible]
@@ -158,14 +165,18 @@ def _head(r: Reproduction) -> str:
     )
     return f"""# The paper, reproduced
 
-Yan, Liu and Ma, *Mechanism of Temperature's Acting on Electro-Hydraulic Servo Valve*, IEEE Access 2019, recomputed from
-its text by `valvesim reproduce` (seed {r.seed}, {r.starts} starts). Published stands beside computed; where they differ,
+Yan, Liu and Ma, *Mechanism of Temperature's Acting on Electro-Hydraulic Servo Valve*, IEEE Access 2019, recomputed
+from
+its text by `valvesim reproduce` (seed {r.seed}, {r.starts} starts). Published stands beside computed; where they
+differ,
 the reason stands with it. A figure counts as reached within {100 * TOLERANCE:g} % of itself.
 
 **In short.** The parts that the text defines come out: the magnet, the air gaps (once Eq. 10 is mended), the magnetic
 circuit, the oil, and Eq. 19 (once it is read in °C). The eight route figures and the total hang on Table 4, which is
-lost. With the balances as derived (Eqs. 32-34) the closest valve found meets {_count(r, "derived")} of the eight route
-figures with their directions (root mean square miss of all {len(FIGURES)} figures {derived.misfit:.0f} %); their sizes
+lost. With the balances as derived (Eqs. 32-34) the closest valve found meets {_count(r, "derived")} of the eight
+route
+figures with their directions (root mean square miss of all {len(FIGURES)} figures {derived.misfit:.0f} %); their
+sizes
 alone, {_count(r, "derived_sizes")} ({sizes.misfit:.0f} %). With the signs as the appendix prints them it meets
 {_count(r, "printed")} ({printed.misfit:.0f} %), and with Eq. 19 read in temperature rise as well, as it is printed,
 {_count(r, "printed_rise")} ({rise.misfit:.0f} %). Out of reach of every valve with the derived balances, each figure
@@ -173,17 +184,18 @@ taken alone: {_list(cannot)}. The published figures for magnetomotive force and 
 {"agree with each other" if both.possible else "contradict each other under either sign"}. {curve}.
 **The paper's curves were most likely computed with the signs as printed, which contradict its own Eqs. 32-34.**
 
-{_picture(MAIN_PICTURE, "Left: largest drift of the armature angle by route, 20 to 270 °C at 1 mA; hollow where the direction is not the published one. Right: all routes together over temperature.")}"""
+{_picture(MAIN_PICTURE, _MAIN_CAPTION)}"""
 
 
 def _overview(r: Reproduction) -> str:
     g, fits, experiment = r.gaps, r.fits, r.experiment
     worst = [float(np.max(np.abs(fit.errors))) for fit in fits.printed]
     rise = float(np.max(np.abs(fits.as_rise[0].errors)))
+    at_most, at_40 = r.identified["printed"].values[8:10]
     travel = 100.0 * float(r.curves["reference"].travel[0, 0])
     totals = r.curves["printed"].total[:, 0]
     spread = [float(np.max(np.abs(t))) for t in totals]
-    tendency = [f"{TITLES[k]} {_num(float(experiment[k].total[0, 0, -1]), 2)} %" for k in SHOWN]
+    tendency = [f"{TITLES[k]} {_num(r.sense(k) * float(experiment[k].total[0, 0, -1]), 2)} %" for k in SHOWN]
     knee = FIGURES[[f.key for f in FIGURES].index("knee")]
     total = FIGURES[[f.key for f in FIGURES].index("total")]
     rows = [
@@ -191,8 +203,8 @@ def _overview(r: Reproduction) -> str:
         (
             "Fig. 3", f"each gap drifts by {PUBLISHED_GAP_DRIFT:g} %, opposite ways",
             f"upper {_num(g.upper[-1], 2)} %, lower {_num(g.lower[-1], 2)} %", "holds, mended",
-            f"Eq. 10 as printed gives {_num(g.upper_printed[-1], 2)} and {_num(g.lower_printed[-1], 2)} %: the other way "
-            "round",
+            f"Eq. 10 as printed gives {_num(g.upper_printed[-1], 2)} and {_num(g.lower_printed[-1], 2)} %: the other "
+            "way round",
         ),
         (
             "Fig. 7", "flux rises about linearly, 1 to 10 mA",
@@ -215,14 +227,14 @@ def _overview(r: Reproduction) -> str:
         (
             "Figs. 14-16", "eight route maxima",
             f"{_count(r, 'derived')} of {len(ROUTES)} as derived, {_count(r, 'printed')} of {len(ROUTES)} as printed",
-            "in part", "Table 4 is lost, the appendix's signs contradict Eqs. 33-34, and two figures contradict each other",
+            "in part", "Table 4 is lost, the appendix's signs contradict Eqs. 33-34, and two figures contradict each "
+            "other",
         ),
         (
             "Fig. 17", f"{total.size:g} % at most, steep to 40 °C and then slowly back",
-            f"as printed {_num(r.identified['printed'].values[8], 2)} %, {_num(r.identified['printed'].values[9], 2)} % "
-            "at 40 °C", "not reached",
-            f"by Eq. 19 the flow coefficients need more than the 20 K up to 40 °C: a total of {knee.size:g} % there does "
-            "not go with the other figures",
+            f"as printed {_num(at_most, 2)} %, {_num(at_40, 2)} % at 40 °C", "not reached",
+            f"by Eq. 19 the flow coefficients need more than the 20 K up to 40 °C: a total of {knee.size:g} % there "
+            "does not go with the other figures",
         ),
         (
             "Fig. 18", f"{total.size:g} % at every current",
@@ -231,8 +243,8 @@ def _overview(r: Reproduction) -> str:
             "holds but for the size", "the drift hardly depends on the current",
         ),
         (
-            "Figs. 23-24", "measured 20 to 95 °C: same tendency", "at 95 °C: " + "; ".join(tendency), "cannot be judged",
-            "no numbers are printed and Table 5 is lost",
+            "Figs. 23-24", "measured 20 to 95 °C: same tendency", "at 95 °C: " + "; ".join(tendency),
+            "cannot be judged", "no numbers are printed and Table 5 is lost",
         ),
         ("Tables 1-2", "given", "used as printed", "-", "L7 = L5 + L6 - L4"),
         ("Table 4", "lost", "identified, below", "-", ""),
@@ -259,12 +271,16 @@ def _routes_section(r: Reproduction) -> str:
     return f"""## Figs. 14 to 16: drift by route
 
 Largest drift of the armature angle in percent, 20 to 270 °C at 1 mA, each route alone and all together. Bold: within
-{100 * TOLERANCE:g} % of the published figure. The paper tells which routes go together, not which way they go; the flow
-coefficients are taken as negative.
+{100 * TOLERANCE:g} % of the published figure. The paper tells which routes go together, not which way they go: the
+sign
+of a whole column is free, and each is turned so that the flow coefficients come out as negative or closest to it.
+Turned
+here, and in every picture: {_list([TITLES[k] for k in TITLES if r.sense(k) < 0])}.
 
 {_table(("drift [%]", "published", "reference valve", *(v.title for v in VARIANTS)), rows)}
 {_picture("routes.png", "Drift by route over temperature at 1 mA.")}
-**Why the derived balances cannot follow Fig. 16.** At small angles theta ~ M0/(K - k M0²): the magnet drives the armature
+**Why the derived balances cannot follow Fig. 16.** At small angles theta ~ M0/(K - k M0²): the magnet drives the
+armature
 and softens it. A stable valve has K > k M0², so losing {m.mmf_loss:.2f} % of M0 costs at least {m.mmf_loss:.2f} % of
 theta; the paper prints {mmf.size:g} %. Checked numerically: of {m.drawn} random valves inside the bounds below,
 {m.stable} are stable and within their null gap at 1 mA; the least of their losses is {np.min(m.losses):.4f} %, and
@@ -272,7 +288,8 @@ theta; the paper prints {mmf.size:g} %. Checked numerically: of {m.drawn} random
 
 {_picture("magnet.png", "Every stable random valve loses more angle than its magnet loses magnetomotive force.")}
 **Two published figures contradict each other.** The arm a and M0 enter torque and magnetic spring only as the product
-a M0. The published {FIGURES[5].size:g} % by the arm, whose growth is 0.23 %, therefore fixes what the loss of M0 must do:
+a M0. The published {FIGURES[5].size:g} % by the arm, whose growth is 0.23 %, therefore fixes what the loss of M0
+must do:
 {implied:.2f} % under the printed signs, against {mmf.size:g} % published. No choice of parameters mends that.
 """
 
@@ -290,13 +307,17 @@ def _reach_section(r: Reproduction) -> str:
         row.append(", ".join(_published(targets[key]) for key in keys) if len(keys) < 5 else "as above")
         for key in ("derived", "printed"):
             reach = r.reached[key][name]
-            values = ", ".join(_num(v) for v in reach.values) if len(keys) < 5 else f"worst miss {100 * reach.worst:.0f} %"
+            values = ", ".join(_num(v) for v in reach.values)
+            if len(keys) > 4:
+                values = f"worst miss {100 * reach.worst:.0f} %"
             row.append(f"**{values}**" if reach.possible else f"{values}: no")
         rows.append(row)
     return f"""## Which figures can be reached at all
 
-Each figure, and some together, aimed at with all others ignored: the closest of any valve found inside the bounds. Bold:
-within {100 * TOLERANCE:g} %. A "no" is the outcome of a search, except for the magnetomotive force, which is proved above.
+Each figure, and some together, aimed at with all others ignored: the closest of any valve found inside the bounds.
+Bold:
+within {100 * TOLERANCE:g} %. A "no" is the outcome of a search, except for the magnetomotive force, which is proved
+above.
 
 {_table(("figure", "published [%]", "as derived", "signs as printed"), rows, left=4)}"""
 
@@ -307,6 +328,11 @@ def _display(name: str, value: float) -> str:
     unit = quantities(Valve)[name].metadata["unit"]
     shown, factor = DISPLAY.get(unit, (unit, 1.0))
     return f"{value * factor:.4g} {symbol(shown) if shown != '1' else ''}".strip()
+
+
+_PARAMETER_HEADINGS = (
+    "parameter", "bounds", "why these", "as derived", "as printed", "determined, derived", "determined, printed"
+)  # fmt: skip
 
 
 def _identified_section(r: Reproduction) -> str:
@@ -331,25 +357,32 @@ def _identified_section(r: Reproduction) -> str:
     }
     return f"""## Table 4, identified
 
-{len(UNKNOWNS)} unknowns against {len(FIGURES)} figures: eight route maxima, the total, the total at 40 °C (steep to 40 °C
-and then back) and the total at 5 mA (the same at every current). Relative misses count alike. A valve must be stable with
-2 % to spare and keep the published travel. {4000} random valves are screened, the best {r.starts} refined by bounded least
+{len(UNKNOWNS)} unknowns against {len(FIGURES)} figures: eight route maxima, the total, the total at 40 °C (steep to
+40 °C
+and then back) and the total at 5 mA (the same at every current). Relative misses count alike. A valve must be stable
+with
+2 % to spare and keep the published travel. {4000} random valves are screened, the best {r.starts} refined by bounded
+least
 squares; {starts["derived"][0]} of {starts["derived"][1]} (as derived) and {starts["printed"][0]} of
 {starts["printed"][1]} (as printed) end within one percentage point of the best.
 
-{_table(("parameter", "bounds", "why these", "as derived", "as printed", "determined, derived", "determined, printed"), rows, left=3)}
+{_table(_PARAMETER_HEADINGS, rows, left=3)}
 The last columns say how far the parameter may move, all others refitted, while the misfit rises by less than one
-percentage point (tested at {len(PROFILE_SHARES)} places of its range): "open" over the whole range; otherwise the range
+percentage point (tested at {len(PROFILE_SHARES)} places of its range): "open" over the whole range; otherwise the
+range
 that is left. Many parameters lie at a bound: the figures pull the valve towards the edge of what can be built, which
 again says that they do not belong to one valve of these equations.
 
-**What the figures determine.** Taken as good to {100 * TOLERANCE:g} %, they fix {d.combinations} combinations of parameters
+**What the figures determine.** Taken as good to {100 * TOLERANCE:g} %, they fix {d.combinations} combinations of
+parameters
 (as derived) or {p.combinations} (as printed) better than a factor e, out of {len(UNKNOWNS)}; {counts["derived"]} and
-{counts["printed"]} single parameters stay open over their whole range. Singular values (relative change of the figures per
-factor e): {singular["derived"]} as derived; {singular["printed"]} as printed. The identified valves are therefore examples
+{counts["printed"]} single parameters stay open over their whole range. Singular values (relative change of the
+figures per
+factor e): {singular["derived"]} as derived; {singular["printed"]} as printed. The identified valves are therefore
+examples
 of what comes closest, not the paper's valve.
 
-{_picture("profile.png", "Rise of the misfit, in percentage points, with one parameter held and all others refitted.")}"""
+{_picture("profile.png", "Rise of the misfit, percentage points, with one parameter held, all others refitted.")}"""
 
 
 def _judged(r: Reproduction, key: str, k: int) -> str:
@@ -372,8 +405,8 @@ def _gaps_section(r: Reproduction) -> str:
     return f"""## Fig. 3: air gaps
 
 From Tables 1 and 2 alone. At 270 °C the upper gap drifts by {_num(g.upper[-1], 2)} % and the lower by
-{_num(g.lower[-1], 2)} %; the paper says {PUBLISHED_GAP_DRIFT:g} % each, opposite ways. Eq. 10 as printed adds L7 where it
-must be subtracted and takes l_g2 where L2 must stand: it gives {_num(g.upper_printed[-1], 2)} % and
+{_num(g.lower[-1], 2)} %; the paper says {PUBLISHED_GAP_DRIFT:g} % each, opposite ways. Eq. 10 as printed adds L7 where
+it must be subtracted and takes l_g2 where L2 must stand: it gives {_num(g.upper_printed[-1], 2)} % and
 {_num(g.lower_printed[-1], 2)} %, the same sizes the wrong way round.
 
 {_picture("gaps.png", "Air gaps over temperature: dashed as printed in Eqs. 9 and 10.")}"""
@@ -384,8 +417,10 @@ def _flux_section(r: Reproduction) -> str:
     ways = "; ".join(f"gap {k + 1}: {a:.2f} to {b:.2f} µWb" for k, (a, b) in enumerate(zip(low, high, strict=True)))
     return f"""## Fig. 7: air gap flux against current
 
-The nine equations of the magnetic circuit (Eq. 11 restored) solved for the reference valve, 20 °C, armature held, 1 to
-10 mA: {ways}. The two gaps of one diagonal gain what the others lose, linearly to {r.flux.nonlinearity:.0e} %; the paper
+The nine equations of the magnetic circuit (Eq. 11 restored) solved for the reference valve, 20 °C, armature held, 1
+to
+10 mA: {ways}. The two gaps of one diagonal gain what the others lose, linearly to {r.flux.nonlinearity:.0e} %; the
+paper
 says approximately linear, of a simulation with saturation. Its values cannot be compared: the gap area is lost.
 
 {_picture("flux.png", "Flux in the four air gaps of the reference valve.")}"""
@@ -401,7 +436,8 @@ def _oil_section(r: Reproduction) -> str:
     return f"""## Fig. 11: viscosity
 
 Eq. 18 in mm²/s, read in °C and in temperature rise as printed, beside a real oil of that class (MIL-PRF-5606, Walther
-law). Read in °C it agrees with the real oil from 0 to 50 °C; beyond about 150 °C it falls to values that no liquid has.
+law). Read in °C it agrees with the real oil from 0 to 50 °C; beyond about 150 °C it falls to values that no liquid
+has.
 
 {_table(("temperature [°C]", "Eq. 18 in °C", "Eq. 18 in rise", "MIL-PRF-5606, Walther"), rows)}
 {_picture("viscosity.png", "Viscosity over temperature.")}"""
@@ -434,7 +470,8 @@ Table 3 is the paper's CFD: the only data here that nobody of this project made.
 "left out" is the error at each of the nine temperatures of the law fitted to the other eight.
 
 {_table(("law", "orifice", "largest", "rms", "largest left out", "rms left out"), rows, left=2)}
-**What Eq. 19 misses.** In Table 3 the nozzle's coefficient rises by {f.nozzle_rise:.2f} % from 20 to 50 °C and falls by
+**What Eq. 19 misses.** In Table 3 the nozzle's coefficient rises by {f.nozzle_rise:.2f} % from 20 to 50 °C and falls
+by
 {-f.nozzle_fall:.2f} % from there to 150 °C. Eq. 19 has {_num(f.nozzle_rise_printed, 2)} % and
 {_num(f.nozzle_fall_printed, 2)} %: a constant. Both its terms only ever rise.
 
@@ -446,22 +483,31 @@ C = C_inf [1 − (Re_c/Re)^n] [1 + h √(Re/Re_h) exp((1 − Re/Re_h)/2)] for Re
 {_table(("orifice", "C_inf", "Re_c", "n", "h", "Re_h", "Re_low"), [
     ["nozzle", f"{n.limit:.4f}", f"{n.critical:.1f}", f"{n.exponent:.3f}", f"{n.hump:.4f}", f"{n.hump_place:.0f}",
      f"{n.lowest:.1f}"],
-    ["fixed orifice", f"{o.limit:.4f}", f"{o.critical:.1f}", f"{o.exponent:.3f}", f"{o.hump:g}", "-", f"{o.lowest:.1f}"],
+    ["fixed orifice", f"{o.limit:.4f}", f"{o.critical:.1f}", f"{o.exponent:.3f}", f"{o.hump:g}", "-",
+     f"{o.lowest:.1f}"],
 ])}
-The nozzle has the hump; the fixed orifice has none (left out, it does worse with one). The shape of the hump was chosen
-among six by its error left one out, which therefore flatters it a little. Re = D √(2 Δp/ρ)/ν with D = 0.07 mm (twice the
+The nozzle has the hump; the fixed orifice has none (left out, it does worse with one). The shape of the hump was
+chosen
+among six by its error left one out, which therefore flatters it a little. Re = D √(2 Δp/ρ)/ν with D = 0.07 mm (twice
+the
 null gap) and 0.20 mm, Δp = 12 MPa (inlet 15, outlet 3 MPa), ρ = 860 kg/m³ and Eq. 18 in °C; gap, bore and density are
 assumed, since the paper does not tell them, and only scale Re.
 
 **Beyond 150 °C.** By Eq. 18 the CFD at 150 °C ran at a nozzle Reynolds number of {f.highest_reynolds:.0f}. A real oil
-(Walther law) has {f.reynolds_at_270:.0f} at 270 °C: in Reynolds number the paper's own data cover 270 °C, and nothing is
-extrapolated. In the cold it is the other way round, and viscous flow is assumed below Re_low. One doubt remains: between
-−40 and −30 °C the fixed orifice's coefficient rises as Re^{f.cold_slope_yan:.2f} with Eq. 18, where viscous flow allows
-Re^1 at most; with the real oil's viscosity it is Re^{f.cold_slope_walther:.2f}. The coldest rows (the paper switched its
+(Walther law) has {f.reynolds_at_270:.0f} at 270 °C: in Reynolds number the paper's own data cover 270 °C, and
+nothing is
+extrapolated. In the cold it is the other way round, and viscous flow is assumed below Re_low. One doubt remains:
+between
+−40 and −30 °C the fixed orifice's coefficient rises as Re^{f.cold_slope_yan:.2f} with Eq. 18, where viscous flow
+allows
+Re^1 at most; with the real oil's viscosity it is Re^{f.cold_slope_walther:.2f}. The coldest rows (the paper switched
+its
 CFD to laminar flow there) may not belong to Eq. 18.
 
-In the model by name: `flow_laws.FLOW_LAWS["reynolds"]` with the viscosity of MIL-PRF-5606, `["reynolds_yan_oil"]` with
-Eq. 18, `["yan_2019"]` is Eq. 19. The reference valve's flow route at 270 °C is {_num(eq)} % by Eq. 19, {_num(re)} % by the
+In the model by name: `flow_laws.FLOW_LAWS["reynolds"]` with the viscosity of MIL-PRF-5606, `["reynolds_yan_oil"]`
+with
+Eq. 18, `["yan_2019"]` is Eq. 19. The reference valve's flow route at 270 °C is {_num(eq)} % by Eq. 19, {_num(re)} %
+by the
 Reynolds law with the real oil and {_num(re_yan)} % with the paper's.
 
 {_table(("T [°C]", "nozzle, Table 3", "Eq. 19 [%]", "Re law left out [%]", "orifice, Table 3", "Eq. 19 [%]",
@@ -476,13 +522,15 @@ def _currents_section(r: Reproduction) -> str:
         cells = []
         for k in range(len(CURRENTS)):
             at = int(np.argmax(np.abs(c.total[k, 0])))
-            cells.append(f"{_num(c.total[k, 0, at], 2)} at {RANGE[at]:g} °C; {_num(c.total[k, 0, -1], 2)}")
+            top, end = r.sense(key) * c.total[k, 0, [at, -1]]
+            cells.append(f"{_num(top, 2)} at {RANGE[at]:g} °C; {_num(end, 2)}")
         rows.append([TITLES[key], *cells])
     headings = ("largest drift [%]; at 270 °C", *(f"{1e3 * i:g} mA" for i in CURRENTS))
     return f"""## Figs. 17 and 18: all routes together, at several currents
 
 {_table(headings, rows, left=5)}
-That the drift is the same at every current follows from the equations: at small angles the valve is linear. The paper's
+That the drift is the same at every current follows from the equations: at small angles the valve is linear. The
+paper's
 "the recovery is more remarkable with the larger signal" is hardly seen here.
 {_steep(r)}
 
@@ -496,10 +544,10 @@ def _steep(r: Reproduction) -> str:
         at_40 = float(np.interp(40.0, RANGE, total))
         parts.append(f"{100 * at_40 / total[np.argmax(np.abs(total))]:.0f} % ({TITLES[key]})")
     return (
-        f"Of the largest drift, {_list(parts)} is there at 40 °C, where the paper has all of it. In Eq. 19, and in Table 3, "
+        f"Of the largest drift, {_list(parts)} is there at 40 °C, where the paper has all of it. In Eq. 19 "
         f"the fixed orifice's coefficient at 40 °C has done "
-        f"{100 * _done(flow_coefficients_yan_2019):.0f} % of its rise from 20 to 270 °C: the knee at 40 °C does not come "
-        "from the flow coefficients as the paper gives them."
+        f"{100 * _done(flow_coefficients_yan_2019):.0f} % of its rise from 20 to 270 °C: the knee at 40 °C does not "
+        "come from the flow coefficients as the paper gives them."
     )
 
 
@@ -512,11 +560,13 @@ def _experiment_section(r: Reproduction) -> str:
     rows = []
     for key in TITLES:
         e = r.experiment[key]
-        rows.append([TITLES[key], *(_num(float(e.total[k, 0, -1]), 2) for k in range(len(CURRENTS)))])
+        rows.append([TITLES[key], *(_num(r.sense(key) * float(e.total[k, 0, -1]), 2) for k in range(len(CURRENTS)))])
     return f"""## Figs. 23 and 24: the experiment of section V
 
-The paper heats the oil slowly from {EXPERIMENT_RANGE[0]:g} to {EXPERIMENT_RANGE[-1]:g} °C at 1 mA, then at larger currents,
-and measures the armature's angle by laser. It prints no numbers, and Table 5 is lost; it says that the tendency is that of
+The paper heats the oil slowly from {EXPERIMENT_RANGE[0]:g} to {EXPERIMENT_RANGE[-1]:g} °C at 1 mA, then at larger
+currents,
+and measures the armature's angle by laser. It prints no numbers, and Table 5 is lost; it says that the tendency is
+that of
 the theory. Here the drift at {EXPERIMENT_RANGE[-1]:g} °C in percent, at rest and with all parts at one temperature:
 
 {_table(("valve", *(f"{1e3 * i:g} mA" for i in CURRENTS)), rows)}
@@ -529,11 +579,13 @@ Over time the same is a scenario: `valvesim run scenarios/experiment_section_v.t
 def _not_validated(r: Reproduction) -> str:
     return f"""## What has not been validated
 
-- **No measured valve-body temperature transient is public.** The thermal network, and every drift over time that follows
+- **No measured valve-body temperature transient is public.** The thermal network, and every drift over time that
+follows
   from it, rests on estimates.
 - No measured drift is public in numbers: the experiment is only compared in tendency.
 - Table 3 is a CFD result, not a measurement; the law over Reynolds number is no better than that.
-- The identified valves meet published *calculations*. They show what the equations allow, not how the valve was built.
+- The identified valves meet published *calculations*. They show what the equations allow, not how the valve was
+built.
 - The reference valve is not the paper's valve; its parameters come from other sources, each with its own.
 - The full solution and the model of this package agree to {r.polynomial_error:.0e} (relative, reference valve, 1 mA).
 """
@@ -555,7 +607,8 @@ def _draw_main(r: Reproduction) -> Figure:
     figure.subplots_adjust(left=0.15, right=0.98, top=0.83, bottom=0.12, wspace=0.2)
     order = np.argsort([f.size for f in FIGURES[: len(ROUTES)]], kind="stable")
     places = np.arange(len(ROUTES))
-    left.scatter([FIGURES[k].size for k in order], places, marker="|", s=420, lw=3, color="k", label="published", zorder=3)
+    sizes = [FIGURES[k].size for k in order]
+    left.scatter(sizes, places, marker="|", s=420, lw=3, color="k", label="published", zorder=3)
     keys = ("derived", "printed", "printed_rise")
     for offset, key in zip((0.22, 0.0, -0.22), keys, strict=True):
         values = r.identified[key].values[order]
@@ -571,7 +624,7 @@ def _draw_main(r: Reproduction) -> Figure:
     left.set_title("by route, 20 to 270 °C, 1 mA", loc="left")
     left.legend(loc="lower right")
     for key in ("reference", *keys):
-        right.plot(RANGE, r.curves[key].total[0, 0], color=SHADES[key], lw=1.6, label=TITLES[key])
+        right.plot(RANGE, r.sense(key) * r.curves[key].total[0, 0], color=SHADES[key], lw=1.6, label=TITLES[key])
     total = FIGURES[8]
     right.axhline(total.target, color="k", lw=0.8, ls=":")
     right.plot([40.0], [total.target], "k|", ms=16, mew=3, label=f"published: {total.size:g} % at 40 °C, then back")
@@ -604,7 +657,8 @@ def _draw_flux(r: Reproduction) -> Figure:
     figure, axis = _one()
     where = ("gap 1 (upper, closing)", "gap 2 (upper)", "gap 3 (lower, closing)", "gap 4 (lower)")
     for k, flux in enumerate(r.flux.fluxes):
-        axis.plot(1e3 * r.flux.currents, 1e6 * flux, "o-" if k < 2 else "s--", ms=3, color=COLOURS[k % 2], label=where[k])
+        style = "o-" if k < 2 else "s--"
+        axis.plot(1e3 * r.flux.currents, 1e6 * flux, style, ms=3, color=COLOURS[k % 2], label=where[k])
     axis.set_xlabel("current [mA]")
     axis.set_ylabel("flux [µWb]")
     axis.legend()
@@ -647,7 +701,8 @@ def _draw_flow(r: Reproduction) -> Figure:
     for k, (law, name) in enumerate(((NOZZLE, "nozzle"), (FIXED_ORIFICE, "fixed orifice"))):
         re = np.geomspace(law.lowest / 4.0, table_3_reynolds()[k][-1], 400)
         over_re.semilogx(re, law(re), color=COLOURS[k], label=f"{name}, Re law")
-        over_re.semilogx(table_3_reynolds()[k], TABLE_3[:, 1 + k], "o", ms=4, color=COLOURS[k], label=f"{name}, Table 3")
+        given = table_3_reynolds()[k], TABLE_3[:, 1 + k]
+        over_re.semilogx(*given, "o", ms=4, color=COLOURS[k], label=f"{name}, Table 3")
         over_re.axvline(law.lowest, color=COLOURS[k], lw=0.8, ls=":")
     over_re.set_title("over Reynolds number (left of the dots: viscous)", loc="left")
     over_re.set_xlabel("Reynolds number")
@@ -675,10 +730,10 @@ def _draw_routes(r: Reproduction) -> Figure:
     figure.subplots_adjust(left=0.07, right=0.86, top=0.88, bottom=0.13, wspace=0.25)
     for axis, key in zip(axes, SHOWN, strict=True):
         curves = r.curves[key]
-        for k, route in enumerate(ROUTES):
+        for k in range(len(ROUTES)):
             title = FIGURES[k].title
-            axis.plot(RANGE, curves.by_route[k, 0], color=COLOURS[k % len(COLOURS)], label=title)
-        axis.plot(RANGE, curves.total[0, 0], "k", lw=2, label="all together")
+            axis.plot(RANGE, r.sense(key) * curves.by_route[k, 0], color=COLOURS[k % len(COLOURS)], label=title)
+        axis.plot(RANGE, r.sense(key) * curves.total[0, 0], "k", lw=2, label="all together")
         axis.set_title(TITLES[key], loc="left")
         axis.set_xlabel("temperature [°C]")
     axes[0].set_ylabel("drift of the armature angle [%]")
@@ -686,15 +741,15 @@ def _draw_routes(r: Reproduction) -> Figure:
     return figure
 
 
-def _draw_totals(curves: dict, temperatures: np.ndarray, published: bool) -> Figure:
+def _draw_totals(r: Reproduction, curves: dict, temperatures: np.ndarray, published: bool) -> Figure:
     figure = Figure(figsize=(11, 4.2))
     shown = ("reference", "derived", "printed", "printed_rise")
     axes = figure.subplots(1, len(shown))
     figure.subplots_adjust(left=0.06, right=0.98, top=0.88, bottom=0.13, wspace=0.28)
     for axis, key in zip(axes, shown, strict=True):
         for k, current in enumerate(CURRENTS):
-            axis.plot(temperatures, curves[key].total[k, 0], color=COLOURS[k], ls=("-", "--", "-.", ":")[k], lw=1.6,
-                      label=f"{1e3 * current:g} mA")  # fmt: skip
+            style = {"color": COLOURS[k], "ls": ("-", "--", "-.", ":")[k], "label": f"{1e3 * current:g} mA"}
+            axis.plot(temperatures, r.sense(key) * curves[key].total[k, 0], lw=1.6, **style)
         if published:
             axis.plot([40.0], [FIGURES[8].target], "k|", ms=14, mew=2.5, label="published")
         axis.set_title(TITLES[key], loc="left", fontsize=9)
@@ -705,11 +760,11 @@ def _draw_totals(curves: dict, temperatures: np.ndarray, published: bool) -> Fig
 
 
 def _draw_currents(r: Reproduction) -> Figure:
-    return _draw_totals(r.curves, RANGE, True)
+    return _draw_totals(r, r.curves, RANGE, True)
 
 
 def _draw_experiment(r: Reproduction) -> Figure:
-    return _draw_totals(r.experiment, EXPERIMENT_RANGE, False)
+    return _draw_totals(r, r.experiment, EXPERIMENT_RANGE, False)
 
 
 def _draw_profile(r: Reproduction) -> Figure:

@@ -6,8 +6,8 @@ Symbols (model.md sections 2 to 4)
 Signs
     As derived: theta = A1 T_d + A2 p_L + A3 (Eqs. 33, 34). As the appendix prints it: theta = -A1 T_d - A2 p_L - A3, so
     that the magnetic spring stiffens the armature and the hydraulic feedback softens it. That variant lives here alone.
-    A drift counts as positive where the angle grows. The paper tells which routes go together, not which way; here the
-    flow coefficients' direction is called negative, as its "negative effect of viscosity" has it.
+    A drift counts as positive where the angle grows. The paper tells which routes go together, not which way they go: a
+    valve is compared in both senses, and "turned" so that the published flow coefficients count as negative.
 
 Source: Yan, Liu, Ma, IEEE Access 2019, sections II to V; model.md section 6 for its misprints.
 """
@@ -287,6 +287,8 @@ class Variant:
     title: str
     printed_signs: bool
     directions: bool = True
+    sense: int = 1
+    """+1: the directions of `FIGURES` are those of the angle; -1: all of them the other way round."""
     flow_coefficients: Callable = flow_coefficients_yan_2019
 
 
@@ -312,8 +314,8 @@ def residuals(shares: np.ndarray, variant: Variant) -> np.ndarray:
     values = figure_values(d, FIT_TEMPERATURES)
     misses = []
     for value, figure in zip(values.T, FIGURES, strict=True):
-        signed = variant.directions and figure.direction
-        misses.append((value * figure.direction if signed else np.abs(value)) / figure.size - 1.0)
+        direction = variant.directions * variant.sense * figure.direction
+        misses.append((value * direction if direction else np.abs(value)) / figure.size - 1.0)
     limits = (
         300.0 * np.maximum(0.0, 0.02 - d.stiffness),
         300.0 * np.maximum(0.0, 0.02 - d.mechanical),
@@ -360,9 +362,9 @@ SCREENED = 4000  # random valves, of which the best are refined
 class Identification:
     """The valve that comes closest, under one variant."""
 
-    variant: Variant
+    variant: Variant  # with the sense that comes closer
     shares: np.ndarray  # (18,) of the logarithmic ranges
-    values: np.ndarray  # (11,) %, signed
+    values: np.ndarray  # (11,) %, turned
     misfit: float  # %
     misfits: np.ndarray  # (starts,) %, ascending
     within_1: np.ndarray  # (starts that come within one percentage point, 18)
@@ -389,38 +391,48 @@ def identify(
 ) -> Identification:
     """Screen random valves, refine the best `starts` of them by bounded least squares, keep the best.
 
+    Half of the starts aim at the directions in either sense.
     The same seed and number of starts give the same answer. Raises InputError for starts < 1.
     """
     if starts < 1:
         raise InputError(f"identification: {starts} starts; at least 1 is needed")
-    rng = np.random.default_rng(seed)
-    shares = rng.random((SCREENED, len(UNKNOWNS)))
-    cost = np.concatenate([np.sum(residuals(s, variant) ** 2, axis=1) for s in np.array_split(shares, 16)])
+    shares = np.random.default_rng(seed).random((SCREENED, len(UNKNOWNS)))
+    senses = [replace(variant, sense=sense) for sense in ((1, -1) if variant.directions else (1,))]
+    begin = []
+    for each in senses:
+        cost = np.concatenate([np.sum(residuals(s, each) ** 2, axis=1) for s in np.array_split(shares, 16)])
+        begin += [(each, shares[k]) for k in np.argsort(cost, kind="stable")[: -(-starts // len(senses))]]
     found = []
-    for number, start in enumerate(np.argsort(cost, kind="stable")[:starts]):
-        found.append(_least_squares(shares[start], variant, ALL_FREE, ALL_ROWS, 120))
+    for number, (each, start) in enumerate(begin):
+        found.append((_least_squares(start, each, ALL_FREE, ALL_ROWS, 120), each))
         if progress is not None:
-            progress(f"identifying {variant.title}", (number + 1) / min(starts, SCREENED))
-    found.sort(key=lambda f: f.cost)
-    best = found[0]
-    misfits = np.array([misfit(f.fun) for f in found])
+            progress(f"identifying {variant.title}", (number + 1) / len(begin))
+    found.sort(key=lambda pair: pair[0].cost)
+    best, aim = found[0]
+    closest = aim
+    if not variant.directions:
+        closest = replace(variant, sense=-1 if _turned_values(best.x, variant)[0] > 0.0 else 1)
+    alike = [fit for fit, each in found if each == aim and misfit(fit.fun) <= misfit(best.fun) + 1.0]
     return Identification(
-        variant=variant,
+        variant=closest,
         shares=best.x,
-        values=figure_values(
-            drifts(
-                valves(best.x[None], flow_coefficients=variant.flow_coefficients),
-                printed_signs=variant.printed_signs, temperatures=FIT_TEMPERATURES, currents=FIT_CURRENTS, steps=10,
-            ),
-            FIT_TEMPERATURES,
-        )[0],
+        values=_turned_values(best.x, closest, steps=10),
         misfit=misfit(best.fun),
-        misfits=misfits,
-        within_1=np.array([f.x for f, m in zip(found, misfits, strict=True) if m <= misfits[0] + 1.0]),
+        misfits=np.array([misfit(fit.fun) for fit, _ in found]),
+        within_1=np.array([fit.x for fit in alike]),
+    )
+
+
+def _turned_values(shares: np.ndarray, variant: Variant, *, steps: int = 1) -> np.ndarray:
+    """(11,) figures of one valve, turned so that the published flow coefficients count as negative."""
+    valve = valves(shares[None], flow_coefficients=variant.flow_coefficients)
+    d = drifts(
+        valve, printed_signs=variant.printed_signs, temperatures=FIT_TEMPERATURES, currents=FIT_CURRENTS, steps=steps
     )  # fmt: skip
+    return variant.sense * figure_values(d, FIT_TEMPERATURES)[0]
 
 
-PROFILE_SHARES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+PROFILE_SHARES = np.linspace(0.0, 1.0, 9)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -429,7 +441,7 @@ class Determination:
 
     singular_values: np.ndarray  # (11,) relative change of the figures per factor e of a combination
     remaining: np.ndarray  # (18,) share of the prior spread (uniform in the bounds) that the figures leave
-    profile: np.ndarray  # (18, 5) misfit in % with the parameter held at PROFILE_SHARES and all others refitted
+    profile: np.ndarray  # (18, 9) misfit in % with the parameter held at PROFILE_SHARES and all others refitted
 
     @property
     def combinations(self) -> int:
@@ -451,13 +463,14 @@ def determine(found: Identification, *, progress: Progress | None = None) -> Det
     profile = np.empty((n, len(PROFILE_SHARES)))
     for k in range(n):
         free = np.delete(ALL_FREE, k)
-        # from the optimum outward, each from the one before: the valley is followed
-        order = np.argsort(np.abs(PROFILE_SHARES - found.shares[k]), kind="stable")
-        for j in order:
-            start = found.shares.copy()
-            start[k] = PROFILE_SHARES[j]
-            fit = _least_squares(start, found.variant, free, ALL_ROWS, 25)
-            profile[k, j] = max(100.0 * float(np.sqrt(2.0 * fit.cost / len(FIGURES))), found.misfit)
+        below = [j for j in range(len(PROFILE_SHARES)) if PROFILE_SHARES[j] <= found.shares[k]]
+        above = [j for j in range(len(PROFILE_SHARES)) if PROFILE_SHARES[j] > found.shares[k]]
+        for places in (below[::-1], above):  # from the optimum outward, each from the one before: along the valley
+            start = found.shares
+            for j in places:
+                fit = _held(start, found, k, free, PROFILE_SHARES[j])
+                start = np.insert(fit.x, k, PROFILE_SHARES[j])
+                profile[k, j] = max(100.0 * float(np.sqrt(2.0 * fit.cost / len(FIGURES))), found.misfit)
         if progress is not None:
             progress(f"how well the figures determine the valve, {found.variant.title}", (k + 1) / n)
     return Determination(
@@ -465,6 +478,18 @@ def determine(found: Identification, *, progress: Progress | None = None) -> Det
         remaining=np.sqrt(np.diag(np.linalg.inv(information))) / prior,
         profile=profile,
     )
+
+
+def _held(start: np.ndarray, found: Identification, k: int, free: np.ndarray, share: float) -> Any:
+    """Refit with parameter k held at a share of its range: from `start`, else from the optimum, whichever is closer."""
+    fits = []
+    for base in (start, found.shares):
+        held = base.copy()
+        held[k] = share
+        fits.append(_least_squares(held, found.variant, free, ALL_ROWS, 30))
+        if fits[-1].cost < 1.1 * np.sum(found.misses**2) / 2.0:
+            break
+    return min(fits, key=lambda fit: fit.cost)
 
 
 GROUPS: dict[str, tuple[str, ...]] = {figure.key: (figure.key,) for figure in FIGURES} | {
@@ -478,10 +503,10 @@ GROUPS: dict[str, tuple[str, ...]] = {figure.key: (figure.key,) for figure in FI
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """The closest that any valve found comes to a group of figures, all others ignored."""
+    """The closest that any valve found comes to a group of figures, all others ignored, in either sense."""
 
     keys: tuple[str, ...]
-    values: np.ndarray  # (n,) %, signed
+    values: np.ndarray  # (n,) %, turned
     worst: float  # largest relative miss of the group
 
     @property
@@ -502,19 +527,17 @@ def reach(found: Identification, *, seed: int = 0, progress: Progress | None = N
         with_limits = np.append(rows, np.arange(len(FIGURES), len(FIGURES) + 3))
         starts = np.argsort(np.sum(screened[:, with_limits] ** 2, axis=1), kind="stable")[:3]
         best = None
-        for start in (found.shares, *pool[starts]):
-            fit = _least_squares(start, found.variant, ALL_FREE, with_limits, 60)
-            if best is None or fit.cost < best.cost:
-                best = fit
-            if best.cost < 1e-6:
-                break
-        final = residuals(best.x[None], found.variant)[0]
-        d = drifts(
-            valves(best.x[None], flow_coefficients=found.variant.flow_coefficients),
-            printed_signs=found.variant.printed_signs, temperatures=FIT_TEMPERATURES, currents=FIT_CURRENTS,
-        )  # fmt: skip
-        values = figure_values(d, FIT_TEMPERATURES)[0, rows]
-        result[name] = Reach(keys=tuple(keys), values=values, worst=float(np.max(np.abs(final[rows]))))
+        for sense in (1, -1):
+            aim = replace(found.variant, sense=sense, directions=True)
+            for start in (found.shares, *pool[starts]):
+                fit = _least_squares(start, aim, ALL_FREE, with_limits, 60)
+                if best is None or fit.cost < best[0].cost:
+                    best = fit, aim
+                if best[0].cost < 1e-6:
+                    break
+        fit, aim = best
+        worst = float(np.max(np.abs(residuals(fit.x[None], aim)[0, rows])))
+        result[name] = Reach(keys=tuple(keys), values=_turned_values(fit.x, aim)[rows], worst=worst)
         if progress is not None:
             progress(f"what is out of reach, {found.variant.title}", (number + 1) / len(GROUPS))
     return result
@@ -755,9 +778,14 @@ class Reproduction:
     reached: dict[str, dict[str, Reach]]
     curves: dict[str, Drifts]  # of the reference valve ("reference") and of each identified one, over RANGE
     experiment: dict[str, Drifts]  # the same over EXPERIMENT_RANGE
-    reference_values: np.ndarray  # (11,) %, the reference valve's figures
+    reference_values: np.ndarray  # (11,) %, the reference valve's figures, turned
+    reference_sense: int
     reference_flow_drifts: tuple[float, float, float]  # %, flow route at 270 °C: Eq. 19, Re law, the same with Eq. 18
     polynomial_error: float  # largest relative difference from `static_solution` over RANGE
+
+    def sense(self, key: str) -> int:
+        """-1 where a valve's drifts must be turned for its flow coefficients to count as the published ones."""
+        return self.identified[key].variant.sense if key in self.identified else self.reference_sense
 
 
 def compute(*, seed: int = 0, starts: int = STARTS, progress: Progress | None = None) -> Reproduction:
@@ -795,6 +823,7 @@ def compute(*, seed: int = 0, starts: int = STARTS, progress: Progress | None = 
     at_fit = drifts(reference, temperatures=FIT_TEMPERATURES, currents=FIT_CURRENTS, steps=10)
     laws = (flow_coefficients_yan_2019, flow_coefficients_reynolds, flow_coefficients_reynolds_yan)
     row = ROUTES.index("flow")
+    sense = -1 if figure_values(at_fit, FIT_TEMPERATURES)[0, row] > 0.0 else 1
     return Reproduction(
         seed=seed,
         starts=starts,
@@ -804,7 +833,8 @@ def compute(*, seed: int = 0, starts: int = STARTS, progress: Progress | None = 
         reached=reached,
         curves=whole,
         experiment=curves(EXPERIMENT_RANGE),
-        reference_values=figure_values(at_fit, FIT_TEMPERATURES)[0],
+        reference_values=sense * figure_values(at_fit, FIT_TEMPERATURES)[0],
+        reference_sense=sense,
         reference_flow_drifts=tuple(  # type: ignore[arg-type]
             float(drifts(replace(reference, flow_coefficients=law)).by_route[row, 0, -1]) for law in laws
         ),

@@ -24,6 +24,7 @@ import numpy as np
 from .commands import Chirp, Command, Constant, Sine, Step, evaluate
 from .compiled import compile_model
 from .errors import InputError, unknown_name
+from .figures import Absent, Figure
 from .model import VoltageDrive, drive_torque
 from .parameters import PartTemperatures, Valve
 from .scenario import Scenario, Thermal
@@ -45,25 +46,6 @@ FREQUENCIES = tuple(np.geomspace(5.0, 500.0, 41))  # Hz, six to the octave
 STEPS, SWEEPS = (0.05, 0.25, 1.0), (0.25, 0.4, 1.0)  # shares of the rated current
 
 Source = Valve | Scenario
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure that a test gave: `doc` is its definition in short, `uncertainty` one standard deviation or None."""
-
-    name: str
-    value: float
-    unit: str
-    doc: str
-    uncertainty: float | None = None
-
-
-@dataclass(frozen=True)
-class Absent:
-    """A figure that the record does not give, and why."""
-
-    name: str
-    reason: str
 
 
 # ---------------------------------------------------------------- step

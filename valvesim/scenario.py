@@ -78,17 +78,21 @@ class Scenario:
             if np.ndim(getattr(self.valve, f"{name}_pressure")):
                 raise InputError(f"valve.{name}_pressure is an array: the valves of a batch run at one {name} pressure")
         times = np.linspace(0.0, self.duration, 101)
-        values = {}
-        for name, command in zip(names, self.pressures(), strict=True):
+        for name, command in zip(names[:2], self.pressures()[:2], strict=True):
             starts = command.pieces(self.duration)[:, 0]
-            values[name] = evaluate(command, np.append(times, np.clip(starts, 0.0, self.duration)))
-            if name != "load" and np.min(values[name]) < 0.0:
-                raise InputError(f"pressures.{name}: {np.min(values[name]):.6g} Pa is negative; it is absolute")
-        first: Any = {f"{name}_pressure": float(v[0]) for name, v in values.items()}
+            lowest = np.min(evaluate(command, np.append(times, np.clip(starts, 0.0, self.duration))))
+            if lowest < 0.0:
+                raise InputError(f"pressures.{name}: {lowest:.6g} Pa is negative; it is absolute")
         try:
-            dataclasses.replace(self.valve, **first)
+            _ = self.valve_at_start
         except InputError as error:
             raise InputError(f"pressures: at the start of the run, {error}") from None
+
+    @property
+    def valve_at_start(self) -> Valve:
+        """The valve at the pressures that are commanded at the start, for what is static."""
+        supply, back, load = (float(evaluate(pressure, 0.0)) for pressure in self.pressures())
+        return dataclasses.replace(self.valve, supply_pressure=supply, return_pressure=back, load_pressure=load)
 
     @property
     def model(self) -> Model:
@@ -111,8 +115,9 @@ class Scenario:
 
     def throttling(self):
         """The oil's temperature rise by throttling as a function of °C, or None where it is off; drop of the start."""
-        supply, back, _ = (float(evaluate(pressure, 0.0)) for pressure in self.pressures())
-        return throttling_rise(self.oil, supply - back) if self.thermal.throttling_heat else None
+        valve = self.valve_at_start
+        drop = valve.supply_pressure - valve.return_pressure
+        return throttling_rise(self.oil, drop) if self.thermal.throttling_heat else None
 
     def warn_of_large_command(self) -> None:
         """Warn once where the command goes beyond the rated current."""
