@@ -251,6 +251,13 @@ def test_a_run_away_from_20_degrees_tells_and_draws_its_drift(call, case, tmp_pa
     assert f"at 1 mA: armature angle {angle:+.2f} %, spool position {spool:+.2f} %" in out.replace("\n", " ")
 
 
+def test_signs_in_title_and_folder_are_shown_as_they_are(call, case, tmp_path):
+    title, folder = r"Step [5 mA] [/x] $\frac{1$", tmp_path / "out[bold]"
+    code, out, _ = call("run", case, "-o", folder, "--set", f"title={title}")
+    assert code == 0 and title in out
+    assert f"wrote {folder / 'run.png'}" in out.replace("\n", "")
+
+
 def test_results_go_to_a_folder_of_the_scenarios_name(call, case, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert call("run", "small.toml", "--no-pictures")[0] == 0

@@ -14,6 +14,7 @@ from valvesim import linear
 from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, Inputs
 from valvesim.errors import InputError
 from valvesim.model import Model, VoltageDrive
+from valvesim.static import solve_rest
 
 VALVE = vs.reference_valve()
 ISOTHERMAL = vs.Thermal(network=None)
@@ -156,6 +157,21 @@ def test_the_gain_at_rest_is_the_slope_of_the_static_solution(current, temperatu
         assert at_rest[linear.OUTPUTS.index(name)] == pytest.approx(slope, rel=1e-6)
 
 
+@pytest.mark.parametrize("source", ["supply_pressure", "return_pressure", "load_pressure"])
+def test_the_gain_over_a_pressure_is_that_of_the_static_solution(source):
+    # at the coefficients of one density, which the linear system holds
+    at, names = point(2e-3, 60.0, 3e6), point().model.coefficient_names
+    c = type(VALVE.at(vs.PartTemperatures.uniform(60.0)))(*at.coefficients[: len(names)])
+    found = []
+    for step in (100.0, -100.0):
+        u = at.inputs._replace(**{source: getattr(at.inputs, source) + step})
+        found.append(solve_rest(c, 2e-3, 60.0, u.supply_pressure, u.return_pressure, u.load_pressure))
+    for name in ("spool_position", "nozzle_pressure_1"):
+        slope = float(getattr(found[0], name) - getattr(found[1], name)) / 200.0
+        gain = complex(system(2e-3, 60.0, 3e6)[name, source](0.0)).real
+        assert gain == pytest.approx(slope, rel=1e-4, abs=1e-9 * (abs(gain) + abs(slope)) + 1e-16)
+
+
 def test_the_system_is_named():
     named = system()
     assert named.input_labels == ["current", "supply_pressure", "return_pressure", "load_pressure"]
@@ -271,9 +287,10 @@ def test_bandwidth_of_known_systems():
 
 def test_the_hot_valve_is_faster():
     # golden: what this model gives, not a measurement
-    cold, hot = linear.bandwidth(system(1e-3, 20.0)), linear.bandwidth(system(1e-3, 270.0))
-    assert cold.gain_frequency == pytest.approx(170.8, abs=0.5) and cold.phase_frequency == pytest.approx(267.7, abs=0.5)
-    assert hot.gain_frequency == pytest.approx(215.2, abs=0.5) and hot.phase_frequency == pytest.approx(273.0, abs=0.5)
+    for temperature, gain_frequency, phase_frequency in ((20.0, 170.8, 267.7), (270.0, 215.2, 273.0)):
+        found = linear.bandwidth(system(1e-3, temperature))
+        assert found.gain_frequency == pytest.approx(gain_frequency, abs=0.5)
+        assert found.phase_frequency == pytest.approx(phase_frequency, abs=0.5)
 
 
 def test_bandwidth_refuses_what_has_none():
@@ -398,6 +415,8 @@ def test_the_nonlinear_system_follows_the_scenarios_temperature_and_pressure():
     for k, name in enumerate((*linear.OUTPUTS, "oil_temperature")):
         expected = result.values[name][: len(times)]
         assert np.max(np.abs(found[k] - expected)) < 1e-3 * np.ptp(expected) + 1e-9 * np.max(np.abs(expected))
+    beyond = linear.nonlinear_system(scenario).outfcn(2.0, linear.rest_state(scenario), np.zeros(2), {})
+    assert beyond[-1] == pytest.approx(120.0)  # held after the end
     later = linear.rest_state(scenario, time=0.5, command=2e-3) * [ch.scale for ch in scenario.model.state_channels]
     assert later[4] == pytest.approx(result.values["spool_position"][50], rel=1e-3)
 
@@ -409,6 +428,26 @@ def test_the_nonlinear_system_is_named_and_linearises_to_the_linear_one():
     assert block.output_labels == [*linear.OUTPUTS, "oil_temperature"]
     poles = np.sort_complex(np.asarray(block.linearize(linear.rest_state(scenario, command=1e-3), [1e-3, 0.0]).poles()))
     np.testing.assert_allclose(poles, np.sort_complex(np.asarray(system().poles())), rtol=1e-3)
+
+
+def test_the_nonlinear_system_takes_a_voltage_drive_and_effects():
+    # the model that test_compiled compiles too; with a voltage drive the rate of the current is no input
+    active = tuple(e(**{e.amplitude.name: 0.02 * e.amplitude.bounds[1]}) for e in vs.CATALOGUE.values())
+    scenario = vs.Scenario(thermal=ISOTHERMAL, drive=VoltageDrive(), effects=active)
+    model, block = scenario.model, linear.nonlinear_system(scenario)
+    assert block.input_labels[0] == "voltage"
+    scale = np.array([channel.scale for channel in model.state_channels])
+    rest = linear.rest_state(scenario, command=1.0, load_pressure=2e6)
+    assert np.max(np.abs(block.updfcn(0.0, rest, np.array([1.0, 2e6]), {}))) < 1e-4  # 1/s
+    x = rest * 1.01 + 0.01
+    u = Inputs(1.2, 0.0, VALVE.supply_pressure, VALVE.return_pressure, 2e6)
+    flat = model.flat_coefficients(VALVE.at(vs.PartTemperatures.uniform(20.0)), active)
+    rates = np.array(model.rhs(tuple(x * scale), u, flat)) / scale
+    np.testing.assert_allclose(block.updfcn(0.0, x, np.array([1.2, 2e6]), {}), rates, rtol=1e-9)
+    named = {**model.signals(tuple(x * scale), u, flat)._asdict(), "oil_temperature": 20.0}
+    named |= {channel.name: value for channel, value in zip(model.state_channels, x * scale, strict=True)}
+    expected = [named[name] for name in block.output_labels]
+    np.testing.assert_allclose(block.outfcn(0.0, x, np.array([1.2, 2e6]), {}), expected, rtol=1e-9)
 
 
 def test_a_nonlinear_system_of_a_batch_is_refused():
@@ -426,7 +465,8 @@ def test_the_example_closes_a_loop_that_follows():
     sys.modules["position_loop"] = example
     spec.loader.exec_module(example)
     example.WINDOW = 0.2
-    parts = [linear.nonlinear_system(example.launch), example.actuator(), example.controller([20.0, 270.0], [0.045] * 2)]
+    controller = example.controller([20.0, 270.0], [0.045, 0.045])
+    parts = [linear.nonlinear_system(example.launch), example.actuator(), controller]
     loop = control.interconnect(parts, inputs=["reference"], outputs=["position", "current"], check_unused=False)
     _, reference, position, current = example.run(loop, 0.0)
     lag = 2.0 * np.pi * example.FREQUENCY * example.AMPLITUDE / example.VELOCITY_GAIN  # of a loop with an integrator

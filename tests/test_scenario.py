@@ -56,9 +56,9 @@ def test_every_shipped_file_loads_and_says_what_it_is(path):
     assert 0.0 < largest(scenario.command, scenario.duration) <= scenario.valve.rated_current
 
 
-def test_five_scenarios_are_shipped():
-    names = ["cold_start", "launch_shock", "sine_sweep", "static_map", "step"]
-    assert [path.stem for path in sorted(SHIPPED.glob("*.toml"))] == names
+def test_a_scenario_is_shipped_for_each_kind_of_run():
+    names = {"cold_start", "launch_shock", "sine_sweep", "static_map", "step"}
+    assert names <= {path.stem for path in SHIPPED.glob("*.toml")}
 
 
 def test_the_launch_is_the_ramp_of_the_literature():
@@ -275,6 +275,10 @@ WRONG = {
     "temperature as pressure": (
         '[thermal]\noil_temperature = "300 bar"\n',
         "line 5: thermal.oil_temperature: 'bar' has the wrong dimension; expected a unit that converts to 'degC'",
+    ),
+    "line of the figure and not of its section": (
+        '[thermal.oil_temperature]\nramp = { rate = "3 bar/s" }\n[thermal]\nisothermal = true\n',
+        "line 5: thermal.oil_temperature.ramp.rate: 'bar/s' has the wrong dimension",
     ),
     "effect figure": (
         '[effects.feedback_ball_backlash]\nhalf_play = "1 N"\n',

@@ -252,6 +252,16 @@ def test_a_jump_of_the_oil_is_a_jump_of_the_coefficients():
     assert np.array_equal(result.values["oil_temperature"], np.where(result.time < 0.1, 20.0, 270.0))
 
 
+def test_no_step_crosses_a_jump_of_the_oil():
+    # a jump of zero height in the command ends a step there in any case
+    oil, height = vs.Step(before=20.0, after=270.0, time=0.01234), vs.Constant(value=5e-3)
+    free, ended = (
+        run(command, 0.05, oil_temperature=oil, output_rate=1e4)
+        for command in (height, vs.Sum((height, vs.Step(time=0.01234))))
+    )
+    assert apart(states(free), states(ended)) < 1e-9
+
+
 def test_magnetic_hysteresis_passes_through_a_jump_as_through_a_steep_ramp():
     ramp = vs.Ramp(end_value=5e-3, rate=5e3, time=1e-3)  # done in 1 us
     jump, steep = (
@@ -261,6 +271,18 @@ def test_magnetic_hysteresis_passes_through_a_jump_as_through_a_steep_ramp():
         assert jump.values[name][-1] == pytest.approx(steep.values[name][-1], rel=1e-7)
     # Dahl's closed form along a rising current: z = 1 - exp(-i/i_t) with i_t = 2 mA
     assert jump.values["magnetic_hysteresis_state"][-1] == pytest.approx(1.0 - np.exp(-2.5), rel=1e-6)
+
+
+def test_a_jump_is_over_within_a_microsecond_also_for_what_feels_its_rate():
+    result = run(STEP, 1.001e-3, effects=spoiled(coercive=3e-4), output_rate=1e6)
+    assert result.values["magnetic_hysteresis_state"][[-2, -1]] == pytest.approx([0.0, 1.0 - np.exp(-2.5)], abs=1e-6)
+
+
+@pytest.mark.parametrize("rise", [1e-6, 1e-9, 1e-10, 1e-12])
+def test_magnetic_hysteresis_passes_through_a_table_of_any_steepness(rise):
+    table = vs.Table(times=(0.0, 1e-3, 1e-3 + rise, 1.0), values=(0.0, 0.0, 5e-3, 5e-3))
+    result = run(table, 0.01, effects=spoiled(coercive=3e-4))
+    assert result.values["magnetic_hysteresis_state"][-1] == pytest.approx(1.0 - np.exp(-2.5), rel=1e-5)
 
 
 # --- effects ---------------------------------------------------------------------------------------------------------
@@ -389,6 +411,12 @@ def test_a_batch_gives_what_its_valves_give_one_by_one():
         member = np.array([batch[name][k] for name in NAMES]) / SCALE[:, None]
         assert apart(member, states(alone)) < 1e-9
     assert np.ptp(batch["spool_position"][:, -1]) > 1e-7
+
+
+def test_a_batch_is_refused_where_one_valve_is_meant():
+    valve = dataclasses.replace(VALVE, null_gap=np.array([30e-6, 35e-6]))
+    with pytest.raises(InputError, match=r"valve\.null_gap is an array, a batch of valves: use simulate_batch"):
+        run(STEP, 0.01, valve=valve)
 
 
 def test_a_batch_is_the_same_on_any_number_of_threads():

@@ -23,14 +23,14 @@ import numpy as np
 from .commands import Command, Constant, Table
 from .effects import ActiveEffect
 from .errors import InputError, SolveError, ValidityWarning, unknown_name
+from .figures import Absent, Figure, Figures
 from .files import read_columns
 from .fluid import MIL_PRF_5606, Oil
-from .model import main_stage
+from .model import FLOW_FORCE_FACTOR, main_stage
 from .parameters import Coefficients, PartTemperatures, Valve
 from .scenario import Scenario, Thermal
 from .simulate import simulate
 from .static import solve_rest
-from .units import DISPLAY, symbol
 
 TESTS = ("flow", "pressure-gain", "leakage", "flow-load")
 RATED_DROP = 7e6  # Pa, valve pressure drop at which flow is rated (1000 psi)
@@ -39,28 +39,6 @@ LINE = (0.05, 0.80)  # shares of rated current between which a polarity's straig
 NULL_SHARE = 0.40  # of supply pressure, either way, over which pressure gain is told
 GAP = 5.0  # times the usual sampling interval: longer is a gap
 BLOCKS = 10  # of the jackknife
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure of merit in SI; `unit` "1" is a share, shown in %, "-" a plain number. `uncertainty` is one sigma."""
-
-    name: str
-    value: float
-    uncertainty: float
-    unit: str
-    doc: str
-
-
-@dataclass(frozen=True)
-class Absent:
-    """A figure that cannot be had, and why."""
-
-    name: str
-    reason: str
-
-
-Figures = tuple[Figure | Absent, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,6 +186,8 @@ def cycle(record: Record, channel: str, *, resolution: float | None = None) -> C
             f"{record.source}: {2 * shortest} points in a period are too few; {2 * LEAST_POINTS} or more are needed"
         )
     step = _current_resolution(i)
+    if step > span / 20.0:
+        raise InputError(f"{record.source}: the current is resolved to {step * 1e3:.4g} mA only: too coarse")
     window = 2 * int(step / (span / shortest)) + 1  # samples
     for end in (np.max(i), np.min(i)):
         share = np.mean(np.abs(i - end) <= 1e-9 * span)
@@ -223,6 +203,9 @@ def cycle(record: Record, channel: str, *, resolution: float | None = None) -> C
         inside = np.concatenate([np.arange(a + trim, b - trim) for a, b in which])
         return smooth[inside], y[inside]
 
+    amplitude = float(min(np.max(smooth), -np.min(smooth)))
+    if amplitude < 0.1 * span:
+        raise InputError(f"{record.source}: no complete cycle: the current is of one polarity")
     rising, falling = branch(up), branch(down)
     polarity = 1.0 if np.dot(rising[0] - rising[0].mean(), rising[1]) >= 0.0 or channel == "internal_leakage" else -1.0
     a, b = legs[0]
@@ -232,7 +215,7 @@ def cycle(record: Record, channel: str, *, resolution: float | None = None) -> C
         falling=(falling[0], polarity * falling[1]),
         polarity=polarity,
         rate=float(np.median([abs(i[b - 1] - i[a]) / (t[b - 1] - t[a]) for a, b in legs])),
-        amplitude=float(min(np.max(smooth), -np.min(smooth))),
+        amplitude=amplitude,
         current_resolution=step,
         resolution=resolution,
     )
@@ -307,7 +290,7 @@ def dead_zone_of(c: Cycle) -> tuple[float, float]:
         for k in range(1, len(z)):
             if abs(z[k] - z[starts[-1]]) > still:
                 starts.append(k)
-        ends = np.append(starts[1:], len(z)) - 1
+        ends = np.array([*starts[1:], len(z)]) - 1
         first, last = i[np.array(starts)], i[ends]
         k = int(np.argmax(last - first))
         if gain * (last[k] - first[k]) < 10.0 * still:
@@ -337,6 +320,10 @@ def _jackknife(function: Callable[[np.ndarray], float], points: int) -> float:
     return float(np.sqrt((len(values) - 1) * np.var(values)))
 
 
+def _figure(name: str, value: float, uncertainty: float, unit: str, doc: str) -> Figure:
+    return Figure(name, float(value), unit, doc, float(uncertainty))
+
+
 def _total(*parts: float) -> float:
     return float(np.sqrt(np.sum(np.square(parts))))
 
@@ -357,18 +344,20 @@ def flow_figures(
     rated = c.amplitude if rated_current is None else rated_current
     bend = loop(c)
     y, i, width = bend.output, bend.middle, bend.width
+    if y[0] > 0.0 or y[-1] < 0.0:
+        raise InputError(f"{c.source}: the flow never changes sign: no flow curve through null")
     dead, dead_error = (dead_zone, 0.0) if dead_zone is not None else dead_zone_of(c)
     reading = c.current_resolution / np.sqrt(12.0)
     live = np.abs(y) > dead
     null = float(np.interp(0.0, y[live], i[live]))
     null_error = _total(reading, float(np.min(np.abs(i[live]))) / 2 if dead else 0.0)
     figures: list[Figure | Absent] = [
-        Figure("polarity", c.polarity, 0.0, "-", "sign of flow at positive current"),
-        Figure("dead_zone", dead, dead_error, "m^3/s", "flow below which the meter does not follow"),
-        Figure("meter_resolution", c.resolution_at(0.9 * y[-1]), 0.0, "m^3/s", "of the flow near its largest"),
+        _figure("polarity", c.polarity, 0.0, "-", "sign of flow at positive current"),
+        _figure("dead_zone", dead, dead_error, "m^3/s", "flow below which the meter does not follow"),
+        _figure("meter_resolution", c.resolution_at(0.9 * y[-1]), 0.0, "m^3/s", "of the flow near its largest"),
     ]
     reaches = np.min(np.abs(i[[0, -1]])) >= 0.9 * rated * LINE[1]
-    lines, normal, ends = {}, {}, {}
+    lines, normal, deviation = {}, {}, {}
     for name, sign in (("negative", -1.0), ("positive", 1.0)):
         part = live & (sign * (i - null) > LINE[0] * rated) & (sign * i < LINE[1] * rated)
         side = live & (sign * (i - null) > 0.0)
@@ -377,16 +366,17 @@ def flow_figures(
             figures.append(Absent(f"flow_gain_{name}", reason))
             continue
         at = {k: (v[part], y[part]) for k, v in (("mid", i), ("up", bend.rising), ("down", bend.falling))}
-        slope, zero = lines[name] = _line(*at["mid"])
+        lines[name] = _line(*at["mid"])
+        slope = lines[name][0]
         fit = _jackknife(_slope_of(*at["mid"]), len(at["mid"][0]))
         branches = (_line(*at["up"])[0] - _line(*at["down"])[0]) / 2.0
         flow_error = c.resolution_at(float(at["mid"][1][np.argmax(sign * at["mid"][1])])) / np.sqrt(12.0)
         length = (LINE[1] - LINE[0]) * rated
         error = _total(fit, branches, slope * reading / length, flow_error / length)
-        figures.append(Figure(f"flow_gain_{name}", slope, error, "m^3/s/A", "slope of the mid-line, 5 to 80 % of i_R"))
+        figures.append(_figure(f"flow_gain_{name}", slope, error, "m^3/s/A", "slope of the mid-line, 5 to 80 % of i_R"))
         weight, from_null = np.abs(np.gradient(y[side])), i[side] - null
         normal[name] = float(np.sum(weight * from_null * y[side]) / np.sum(weight * from_null**2))
-        ends[name] = (i[side], y[side] - normal[name] * from_null)
+        deviation[name] = y[side] - normal[name] * from_null
     held = _saturation(c)
     if len(lines) < 2 or held:
         reason = held or "a polarity has no line"
@@ -396,36 +386,36 @@ def flow_figures(
         top = float(np.mean(gains) * rated)
         flow_error = c.resolution_at(0.9 * y[-1]) / np.sqrt(12.0)
         symmetry_error = _total(null_error / rated, flow_error / top) * np.sqrt(2.0)
-        off = np.concatenate([deviation for _, deviation in ends.values()])
+        off = np.concatenate(list(deviation.values()))
         figures += [
-            Figure("flow_at_rated", top, _total(flow_error, np.ptp(gains) * rated / 2), "m^3/s",
-                   "|flow| at rated current by the normal lines, mean of both polarities"),
-            Figure("linearity", float(np.max(np.abs(off))) / top, flow_error / top, "1",
-                   "greatest deviation of the mid-line from the normal lines, share of Q_R"),
-            Figure("symmetry", float(np.ptp(gains) / np.max(gains)), symmetry_error, "1",
-                   "difference of the polarities' normal gains over the greater"),
+            _figure("flow_at_rated", top, _total(flow_error, np.ptp(gains) * rated / 2), "m^3/s",
+                    "|flow| at rated current by the normal lines, mean of both polarities"),
+            _figure("linearity", float(np.max(np.abs(off))) / top, flow_error / top, "1",
+                    "greatest deviation of the mid-line from the normal lines, share of Q_R"),
+            _figure("symmetry", float(np.ptp(gains) / np.max(gains)), symmetry_error, "1",
+                    "difference of the polarities' normal gains over the greater"),
         ]  # fmt: skip
     off_null = (np.abs(i - null) > LINE[0] * rated) & live
     figures += _loop_figures(c, y[off_null], width[off_null], rated, lag, "off null")
     figures += [
-        Figure("null_loop", float(np.max(width[~off_null], initial=0.0)), np.sqrt(2.0) * reading, "A",
-               "greatest loop within 5 % of i_R; in the meter's dead zone it is the meter's"),
-        Figure("null_bias", null / rated, null_error / rated, "1", "mid-line current at zero flow, share of i_R"),
+        _figure("null_loop", float(np.max(width[~off_null], initial=0.0)), np.sqrt(2.0) * reading, "A",
+                "greatest loop within 5 % of i_R; in the meter's dead zone it is the meter's"),
+        _figure("null_bias", null / rated, null_error / rated, "1", "mid-line current at zero flow, share of i_R"),
     ]  # fmt: skip
     if len(lines) == 2:
         lap = (lines["positive"][1] - lines["negative"][1]) / rated
-        errors = [f.uncertainty / f.value for f in figures if isinstance(f, Figure) and "gain" in f.name]
+        errors = [(f.uncertainty or 0.0) / f.value for f in figures if isinstance(f, Figure) and "gain" in f.name]
         lap_error = _total(*(e * LINE[1] / 2 for e in errors), np.sqrt(2.0) * reading / rated)
-        figures.append(Figure("lap", lap, lap_error, "1", "distance of the lines at zero flow, + overlap, % i_R"))
+        figures.append(_figure("lap", lap, lap_error, "1", "distance of the lines at zero flow, + overlap, % i_R"))
     else:
         figures.append(Absent("lap", "a polarity has no line"))
     return tuple(figures)
 
 
-def _saturation(c: Cycle) -> str:
-    """Why the ends of the output cannot be trusted: it is held at its extreme; empty where it is not."""
+def _saturation(c: Cycle, extremes: tuple[Callable, ...] = (np.max, np.min)) -> str:
+    """Why an extreme of the output cannot be trusted: it is held there; empty where it is not."""
     for current, y in (c.rising, c.falling):
-        for extreme in (np.max(y), np.min(y)):
+        for extreme in (end(y) for end in extremes):
             inside = np.abs(y - extreme) <= 1e-6 * np.ptp(y)
             gain = np.ptp(y) / np.ptp(current)
             if np.ptp(current[inside]) * gain > max(3.0 * c.resolution_at(float(extreme)), 0.02 * np.ptp(y)):
@@ -443,10 +433,10 @@ def _loop_figures(c: Cycle, y, width, rated: float, lag: float | None, where: st
     scatter = float(1.4826 * np.median(np.abs(width - np.median(width))))
     note = "the meter's lag is in it" if lag is None else "meter lag taken off"
     return [
-        Figure("hysteresis", (float(np.max(calm)) - meter) / rated, _total(reading, scatter) / rated, "1",
-               f"greatest current difference at equal output {where}, share of i_R; {note}"),
-        Figure("loop_width", float(np.median(width)) - meter, _total(reading, scatter), "A",
-               f"median current difference at equal output {where}; {note}"),
+        _figure("hysteresis", (float(np.max(calm)) - meter) / rated, _total(reading, scatter) / rated, "1",
+                f"greatest current difference at equal output {where}, share of i_R; {note}"),
+        _figure("loop_width", float(np.median(width)) - meter, _total(reading, scatter), "A",
+                f"median current difference at equal output {where}; {note}"),
     ]  # fmt: skip
 
 
@@ -464,9 +454,11 @@ def pressure_gain_figures(c: Cycle, *, rated_current: float | None = None, lag: 
     supply = (ends[0] + ends[1]) / 2.0
     reading, step = c.current_resolution / np.sqrt(12.0), c.resolution_at(ends[0]) / np.sqrt(12.0)
     inside = np.abs(bend.output) <= NULL_SHARE * supply
-    if np.count_nonzero(inside) < 5:
+    reached = bend.output[0] <= -NULL_SHARE * supply and bend.output[-1] >= NULL_SHARE * supply
+    if np.count_nonzero(inside) < 5 or not reached:
+        few = f"{np.count_nonzero(inside)} points within +-40 % of supply pressure: sweep more slowly"
         return tuple(
-            Absent(name, f"{np.count_nonzero(inside)} points within +-40 % of supply pressure: sample more slowly")
+            Absent(name, few if reached else "the load pressure does not pass +-40 % of supply pressure")
             for name in ("pressure_gain", "pressure_gain_share", "null_bias", "hysteresis")
         )
     y = np.linspace(-NULL_SHARE, NULL_SHARE, 41) * supply  # evenly, whatever the sampling
@@ -478,13 +470,13 @@ def pressure_gain_figures(c: Cycle, *, rated_current: float | None = None, lag: 
     zeros = [float(np.interp(0.0, y, v)) for v in (up, down)]
     null = (zeros[0] + zeros[1]) / 2.0
     return (
-        Figure("supply_pressure", supply, _total(step, (ends[0] - ends[1]) / 2), "Pa", "plateau of the load pressure"),
-        Figure("pressure_gain", slope, error, "Pa/A", "slope of the mid-line over +-40 % of supply"),
-        Figure("pressure_gain_share", slope * rated / supply, error * rated / supply, "-",
-               "share of supply pressure per share of i_R: % per 1 %"),
-        Figure("zero_rising", zeros[0], reading, "A", "current at zero load pressure, rising"),
-        Figure("zero_falling", zeros[1], reading, "A", "the same, falling"),
-        Figure("null_bias", null / rated, reading / rated, "1", "mid-line at zero load pressure, share of i_R"),
+        _figure("supply_pressure", supply, _total(step, (ends[0] - ends[1]) / 2), "Pa", "plateau of the load pressure"),
+        _figure("pressure_gain", slope, error, "Pa/A", "slope of the mid-line over +-40 % of supply"),
+        _figure("pressure_gain_share", slope * rated / supply, error * rated / supply, "-",
+                "share of supply pressure per share of i_R: % per 1 %"),
+        _figure("zero_rising", zeros[0], reading, "A", "current at zero load pressure, rising"),
+        _figure("zero_falling", zeros[1], reading, "A", "the same, falling"),
+        _figure("null_bias", null / rated, reading / rated, "1", "mid-line at zero load pressure, share of i_R"),
         *_loop_figures(c, y, up - down, rated, lag, "within 40 % of supply"),
     )  # fmt: skip
 
@@ -507,31 +499,30 @@ def leakage_figures(c: Cycle, *, lag: float | None = None) -> Figures:
     ends = np.array([[np.mean(v[o]) for o in outer] for v in (up, down)])
     inner = [np.abs(grid - end) <= 0.05 * np.ptp(grid) for end in (0.8 * grid[0], 0.8 * grid[-1])]
     falls = float(np.mean([np.mean((up + down)[o]) for o in inner]) / 2.0 - np.mean(ends))
-    saturated = _saturation(c)
     figures: list[Figure | Absent] = []
-    if saturated and abs(np.max(c.rising[1]) - np.mean(tops)) < 0.02 * np.mean(tops):
+    if saturated := _saturation(c, (np.max,)):
         figures.append(Absent("null_leakage", saturated))
     else:
         error = _total(step, noise, (tops[0] - tops[1]) / 2)
         doc = "greatest leakage, mean of both branches"
-        figures.append(Figure("null_leakage", float(np.mean(tops)), error, "m^3/s", doc))
+        figures.append(_figure("null_leakage", float(np.mean(tops)), error, "m^3/s", doc))
     if falls > 0.02 * (np.mean(tops) - np.mean(ends)):
         figures.append(Absent("tare", "the leakage still falls at the ends of the record: run to rated current"))
     else:
         error = _total(step, noise, float(np.std(ends)))
         doc = "least leakage: pilot stage and closed lands, outer 5 % of the current"
-        figures.append(Figure("tare", float(np.mean(ends)), error, "m^3/s", doc))
+        figures.append(_figure("tare", float(np.mean(ends)), error, "m^3/s", doc))
     reading = c.current_resolution / np.sqrt(12.0)
     figures += [
-        Figure("peak_current", null, _total(reading, shift_error), "A", "middle between the branches' peaks"),
-        Figure("half_split", shift, shift_error, "A", "half the current between the branches, lag of the meter in it"),
-        Figure("rate", c.rate, 0.0, "A/s", "rate of the current"),
+        _figure("peak_current", null, _total(reading, shift_error), "A", "middle between the branches' peaks"),
+        _figure("half_split", shift, shift_error, "A", "half the current between the branches, lag of the meter in it"),
+        _figure("rate", c.rate, 0.0, "A/s", "rate of the current"),
     ]
     if lag is None:
         figures.append(Absent("hysteresis", "one record cannot part it from the meter's lag: state the lag, or use "
                               "common_hysteresis with a record of another period"))  # fmt: skip
     else:
-        figures.append(Figure("hysteresis", 2.0 * (shift - lag * c.rate), 2.0 * shift_error, "A",
+        figures.append(_figure("hysteresis", 2.0 * (shift - lag * c.rate), 2.0 * shift_error, "A",
                               "current between the branches, meter lag taken off"))  # fmt: skip
     return tuple(figures)
 
@@ -615,6 +606,7 @@ def common_hysteresis(records: Sequence[Record], *, resolution: float | None = N
     least squares. Uncertainties: those of the splits propagated, scaled up where three or more records disagree, and
     half the change when the meter is taken for a first-order lag (branches freed of it, equal splits sought) instead
     of a delay. Returns half_hysteresis (A), hysteresis (A) and lag (s). Raises InputError for fewer than two rates.
+    Valid while tau r is small against the width of the peak; faster records bend the line and feign hysteresis.
     """
     cycles = [cycle(record, "internal_leakage", resolution=resolution) for record in records]
     rates = np.array([c.rate for c in cycles])
@@ -642,9 +634,9 @@ def common_hysteresis(records: Sequence[Record], *, resolution: float | None = N
     h_error = _total(float(np.sqrt(covariance[0, 0])), (other - h) / 2.0)
     lag_error = _total(float(np.sqrt(covariance[1, 1])), (first_order - lag) / 2.0 if lag > 0.0 else 0.0)
     return (
-        Figure("half_hysteresis", float(h), h_error, "A", "half the current between the branches at zero rate"),
-        Figure("hysteresis", 2.0 * float(h), 2.0 * h_error, "A", "current between the branches at zero rate"),
-        Figure("lag", float(lag), lag_error, "s", "delay of the meter"),
+        _figure("half_hysteresis", float(h), h_error, "A", "half the current between the branches at zero rate"),
+        _figure("hysteresis", 2.0 * float(h), 2.0 * h_error, "A", "current between the branches at zero rate"),
+        _figure("lag", float(lag), lag_error, "s", "delay of the meter"),
     )
 
 
@@ -675,11 +667,11 @@ def flow_load_figures(record: Record, *, resolution: float | None = None) -> Fig
     if np.min(p) <= RATED_DROP <= np.max(p):
         near = np.abs(x) < 0.25 if np.count_nonzero(np.abs(x) < 0.25) >= 4 else np.full(x.shape, True)
         x, z = x[near], z[near]
-        at = np.polyfit(x, z, 1)[1]
+        at = np.polyfit(x, z, 2 if len(x) >= 20 else 1)[-1]
         level = _jackknife(lambda keep: float(np.exp(np.polyfit(x[keep], z[keep], 1)[1])), len(x))
         error_at = _total(level, step / np.sqrt(12.0))
-        rated = Figure("rated_flow", float(np.exp(at)), error_at, "m^3/s", "flow at full current, 70 bar valve drop")
-    return (Figure("flow_exponent", float(n), error, "-", "n of Q ~ p^n"), rated)
+        rated = _figure("rated_flow", float(np.exp(at)), error_at, "m^3/s", "flow at full current, 70 bar valve drop")
+    return (_figure("flow_exponent", float(n), error, "-", "n of Q ~ p^n"), rated)
 
 
 def measured(
@@ -796,8 +788,8 @@ def bench(
 ) -> Bench:
     """Run every static test on the model, all parts at `oil_temperature` (°C), and reduce it as a measured one.
 
-    The current runs a triangle of `period` s over +-i_R, `points` samples each; the valve trails the
-    current by about 1/800 s. Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told the share done.
+    The current runs a triangle of `period` s over +-i_R, `points` samples each; the valve trails it by about 1/800 s.
+    Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told the share that is done.
     Raises as `simulate` does, and SolveError where the blocked ports find no load pressure.
     """
     rig = _Rig(
@@ -858,22 +850,24 @@ def _blocked(rig: _Rig) -> Record:
     values = rig.full_cycle(null=rig.null())
     p_s, p_0, x = valve.supply_pressure, valve.return_pressure, values["spool_position"]
 
-    def position(current, load_pressure) -> np.ndarray:
+    def position(current, force) -> np.ndarray:
+        """Where the spool rests at a current (A) and a force (N) on it."""
         with warnings.catch_warnings():  # full load pressure takes the flow force away: the spool goes to its stop
             warnings.simplefilter("ignore", ValidityWarning)
-            rest = solve_rest(c, current, rig.oil_temperature, p_s, p_0, load_pressure).spool_position
+            rest = solve_rest(c, current, rig.oil_temperature, p_s, p_0, 0.0, -force).spool_position
         return np.clip(rest, -c.spool_stroke, c.spool_stroke)
 
     top = 1.1 * float(np.max(np.abs(values["current"])))
     currents = np.linspace(-top, top, 2001)
-    unloaded, without = position(currents, 0.0), x
-    holding = np.interp(x, unloaded, currents)  # A, without friction or hysteresis
+    alone = x
+    holding = np.interp(x, position(currents, 0.0), currents)  # A, without friction or hysteresis
     start, p_L = position(holding, 0.0), np.zeros(x.shape)
-    for _ in range(60):
-        before, p_L = p_L, blocked_load_pressure(x, p_s, c)
-        if np.max(np.abs(p_L - before)) < 1e-7 * p_s:
+    for _ in range(100):
+        before, p_L = (x, p_L), blocked_load_pressure(x, p_s, c)
+        x = alone + position(holding, FLOW_FORCE_FACTOR * c.port_width * p_L * np.abs(x)) - start
+        x = np.clip(x, -c.spool_stroke, c.spool_stroke)
+        if np.max(np.abs(p_L - before[1])) < 1e-7 * p_s and np.max(np.abs(x - before[0])) < 1e-7 * c.spool_stroke:
             break
-        x = np.clip(without + position(holding, p_L) - start, -c.spool_stroke, c.spool_stroke)
     else:
         raise SolveError("bench: load pressure and flow force of the blocked ports do not settle; raise null_opening")
     leakage = values["pilot_flow"] + main_stage(x, p_s, p_L, c)[1]
@@ -907,7 +901,7 @@ def _threshold(rig: _Rig) -> Figure:
     first, second = (float(np.interp(level, fallen, stop - i)) for level in (mark, 2 * mark))
     value = max(first - (second - first), 0.0) / top
     spacing = float(np.median(np.abs(np.diff(i)))) / top
-    return Figure("threshold", value, spacing, "1", "current change that reverses the output after a stop, % i_R")
+    return _figure("threshold", value, spacing, "1", "current change that reverses the output after a stop, % i_R")
 
 
 def _null_shifts(rig: _Rig) -> Figures:
@@ -930,7 +924,7 @@ def _null_shifts(rig: _Rig) -> Figures:
         except (InputError, SolveError) as error:
             figures.append(Absent(name, str(error)))
             continue
-        figures.append(Figure(name, shift, 2e-6, "1", f"shift of null {doc}, share of i_R"))
+        figures.append(_figure(name, shift, 2e-6, "1", f"shift of null {doc}, share of i_R"))
     return tuple(figures)
 
 
@@ -944,23 +938,3 @@ def _changed(rig: _Rig, name: str, value: float) -> _Rig:
 
 def _named(test: str, figures: Figures) -> Figures:
     return tuple(replace(f, name=f"{test}.{f.name}") for f in figures)
-
-
-_SHOWN = {
-    **DISPLAY, "1": ("%", 100.0), "m^3/s/A": ("L/min/mA", 60.0), "Pa/A": ("bar/mA", 1e-8), "A/s": ("mA/s", 1e3),
-}  # fmt: skip
-
-
-def bench_table(figures: Sequence[Figure | Absent]) -> list[tuple[str, str, str, str, str]]:
-    """Rows (name, value, uncertainty, unit, meaning) as text in the units that people read; absent ones say why."""
-    rows = []
-    for f in figures:
-        name = f.name.replace("_", " ")
-        if isinstance(f, Absent):
-            rows.append((name, "absent", "", "", f.reason))
-            continue
-        unit, factor = _SHOWN.get(f.unit, (f.unit, 1.0))
-        value, error = f.value * factor, f.uncertainty * factor
-        places = int(np.clip(1 - np.floor(np.log10(error)), 0, 6)) if error > 0.0 else 4
-        rows.append((name, f"{value:.{places}f}", f"{error:.2g}", "" if unit == "-" else symbol(unit), f.doc))
-    return rows

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -91,13 +92,13 @@ class ReynoldsFlowLaw:
         nozzle = reynolds_number(oil_temperature, NOZZLE_HYDRAULIC_DIAMETER, viscosity=self.viscosity)
         orifice = reynolds_number(oil_temperature, ORIFICE_HYDRAULIC_DIAMETER, viscosity=self.viscosity)
         highest = float(reynolds_number(TABLE_3[-1, 0], NOZZLE_HYDRAULIC_DIAMETER))
-        if np.min(nozzle) < self.nozzle.lowest * (1.0 - 1e-9):
+        if np.min(nozzle) < self.nozzle.lowest * (1.0 - 1e-4):
             warn_once(
                 f"flow coefficients (Reynolds law): nozzle Reynolds number down to {np.min(nozzle):.3g} is below the "
                 f"{self.nozzle.lowest:.3g} of Table 3; viscous flow assumed",
                 about="flow coefficients (Reynolds law), cold",
             )
-        if np.max(nozzle) > highest * (1.0 + 1e-9):
+        if np.max(nozzle) > highest * (1.0 + 1e-4):
             warn_once(
                 f"flow coefficients (Reynolds law): nozzle Reynolds number up to {np.max(nozzle):.3g} is above the "
                 f"{highest:.3g} of Table 3; held near its limit",
@@ -122,7 +123,7 @@ def fit_orifice_law(reynolds: np.ndarray, coefficients: np.ndarray, *, hump: boo
             hump=float(rest[0]) if rest else 0.0, hump_place=float(rest[1] * lowest) if rest else 1000.0,
         )  # fmt: skip
 
-    best = None
+    best: Any = None
     for share in (0.7, 0.95):
         for exponent in (1.2, 4.0):
             start = [float(coefficients[-1]), share, exponent, *([0.02, 17.0] if hump else [])]

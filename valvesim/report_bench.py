@@ -16,13 +16,10 @@ import numpy as np
 from .bench import (
     LINE,
     NULL_SHARE,
-    Absent,
     Bench,
     Cycle,
-    Figures,
     Record,
     bench,
-    bench_table,
     branch_curves,
     cycle,
     loop,
@@ -30,6 +27,7 @@ from .bench import (
     read_record,
 )  # fmt: skip
 from .effects import ActiveEffect
+from .figures import Absent, Figures, table
 from .fluid import MIL_PRF_5606, Oil
 from .parameters import Valve
 from .report import COLOURS, STYLE, Figure, _save, matplotlib
@@ -86,7 +84,7 @@ def picture_bench(result: Bench, path: Path) -> Path:
             colour = COLOURS[round(4 * abs(current) / top) % len(COLOURS)]
             label = f"±{abs(current) * 1e3:.3g} mA" if current > 0.0 else None
             axis.plot(record.values["load_pressure"] / 1e5, record.values["load_flow"] * 6e4, color=colour, label=label)
-        axis.legend(loc="center")
+        axis.legend(loc="upper right")
         _labels(axis, "flow over load pressure", "load pressure [bar]", "load flow [L/min]")
         supply = result.valve.supply_pressure / 1e5
         figure.suptitle(f"static bench at {result.oil_temperature:.4g} °C, supply {supply:.4g} bar", fontsize=12)
@@ -98,7 +96,7 @@ def picture_measured(record: Record, test: str, figures: Figures, path: Path) ->
     by_name = {figure.name: figure for figure in figures}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(12, 5.6))
-        axis, table = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
+        axis, sheet = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
         figure.subplots_adjust(left=0.06, right=0.99, top=0.88, bottom=0.1, wspace=0.05)
         if test == "flow":
             _flow(axis, cycle(record, "load_flow"), by_name)
@@ -108,12 +106,12 @@ def picture_measured(record: Record, test: str, figures: Figures, path: Path) ->
             _leakage(axis, cycle(record, "internal_leakage"), by_name)
         else:
             _flow_load(axis, record, by_name)
-        table.axis("off")
+        sheet.axis("off")
         lines = []
-        for name, value, error, unit, meaning in bench_table(figures):
-            words = [f"{value} ± {error} {unit}"] if error else wrap(f"absent: {meaning}", 44)
+        for name, value, error, unit, meaning in table(figures):
+            words = [f"{value} ± {error} {unit}"] if error else wrap(f"absent: {meaning}", 36)
             lines += [f"{name if k == 0 else '':21s} {text}" for k, text in enumerate(words)]
-        table.text(0.02, 1.0, "\n".join(lines), va="top", family="monospace", fontsize=8, linespacing=1.7)
+        sheet.text(0.02, 1.0, "\n".join(lines), va="top", family="monospace", fontsize=8, linespacing=1.7)
         figure.suptitle(f"{record.source}: {test}", fontsize=12)
         return _save(figure, path)
 

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
 
 from .files import check_folder, write_atomically
 from .flow_laws import (
+    DENSITY,
     FIXED_ORIFICE,
     NOZZLE,
+    NOZZLE_HYDRAULIC_DIAMETER,
+    ORIFICE_HYDRAULIC_DIAMETER,
+    PRESSURE_DROP,
     TABLE_3,
     flow_coefficients_reynolds,
     flow_coefficients_reynolds_yan,
@@ -27,6 +33,7 @@ from .fluid import MIL_PRF_5606, viscosity_yan_2019
 from .parameters import ROUTES, flow_coefficients_yan_2019
 from .report import COLOURS, STYLE
 from .reproduce import (
+    ARM_GROWTH,
     CURRENTS,
     EXPERIMENT_RANGE,
     FIGURES,
@@ -36,6 +43,7 @@ from .reproduce import (
     PUBLISHED_MMF_LOSS,
     PUBLISHED_TRAVEL,
     RANGE,
+    SCREENED,
     STARTS,
     TOLERANCE,
     UNKNOWNS,
@@ -77,15 +85,21 @@ def write_page(r: Reproduction, folder: Path) -> Path:
 
     pictures = {name: _png(draw(r)) for name, draw in PICTURES.items()}
     for name, data in pictures.items():
-        write_atomically(folder / name, lambda path, data=data: path.write_bytes(data))
+        _write(folder / name, data)
     text = page(r)
-    write_atomically(folder / "paper.md", lambda path: path.write_text(text, encoding="utf-8"))
+    _write(folder / "paper.md", text.encode())
     body = MarkdownIt("commonmark").enable("table").render(text)
     for name, data in pictures.items():
         inside = f"data:image/png;base64,{base64.b64encode(data).decode()}"
         body = body.replace(f'src="{name}"', f'src="{inside}"')
-    html = _HTML.replace("{body}", body)
-    return write_atomically(folder / "paper.html", lambda path: path.write_text(html, encoding="utf-8"))
+    return _write(folder / "paper.html", _HTML.replace("{body}", body).encode())
+
+
+def _write(path: Path, data: bytes) -> Path:
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(data)
+
+    return write_atomically(path, write)
 
 
 _HTML = """<!doctype html>
@@ -112,7 +126,16 @@ def page(r: Reproduction) -> str:
         _head, _overview, _routes_section, _reach_section, _identified_section, _gaps_section, _flux_section,
         _oil_section, _flow_section, _currents_section, _experiment_section, _not_validated,
     )  # fmt: skip
-    return "\n".join(section(r) for section in sections)
+    return "\n".join(_reflow(section(r)) for section in sections)
+
+
+def _reflow(text: str) -> str:
+    """Each paragraph and list item on one line; tables, headings and pictures as they are."""
+    blocks = []
+    for block in text.split("\n\n"):
+        plain = not block.lstrip().startswith(("|", "#", "!"))
+        blocks.append(re.sub(r"\n(?!- )\s*", " ", block.strip()) if plain else block)
+    return "\n\n".join(blocks) + "\n"
 
 
 def _table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> str:
@@ -139,7 +162,7 @@ def _list(items: Sequence[str]) -> str:
 
 
 def _published(figure: PaperFigure) -> str:
-    return _num(figure.target, 4) if figure.direction else f"{figure.size:g} (way not told)"
+    return f"{figure.target:+g}".replace("-", "−") if figure.direction else f"{figure.size:g} (way not told)"
 
 
 def _count(r: Reproduction, key: str) -> int:
@@ -182,9 +205,20 @@ alone, {_count(r, "derived_sizes")} ({sizes.misfit:.0f} %). With the signs as th
 {_count(r, "printed_rise")} ({rise.misfit:.0f} %). Out of reach of every valve with the derived balances, each figure
 taken alone: {_list(cannot)}. The published figures for magnetomotive force and arm
 {"agree with each other" if both.possible else "contradict each other under either sign"}. {curve}.
-**The paper's curves were most likely computed with the signs as printed, which contradict its own Eqs. 32-34.**
+{_verdict(r)}
 
 {_picture(MAIN_PICTURE, _MAIN_CAPTION)}"""
+
+
+def _verdict(r: Reproduction) -> str:
+    misfits = {key: found.misfit for key, found in r.identified.items()}
+    if min(misfits["printed"], misfits["printed_rise"]) < min(misfits["derived"], misfits["derived_sizes"]):
+        return (
+            "**So the paper's curves were most likely computed with the signs as its appendix prints them, which "
+            "contradict its own Eqs. 32-34;** no stable valve under those can have the published magnetomotive force "
+            "or arm."
+        )
+    return "Neither choice of signs comes clearly closer."
 
 
 def _overview(r: Reproduction) -> str:
@@ -192,6 +226,7 @@ def _overview(r: Reproduction) -> str:
     worst = [float(np.max(np.abs(fit.errors))) for fit in fits.printed]
     rise = float(np.max(np.abs(fits.as_rise[0].errors)))
     at_most, at_40 = r.identified["printed"].values[8:10]
+    rise_most, rise_40 = r.identified["printed_rise"].values[8:10]
     travel = 100.0 * float(r.curves["reference"].travel[0, 0])
     totals = r.curves["printed"].total[:, 0]
     spread = [float(np.max(np.abs(t))) for t in totals]
@@ -218,7 +253,7 @@ def _overview(r: Reproduction) -> str:
         (
             "Fig. 13, Table 3", f"Eq. 19 fits to {PUBLISHED_FIT_ERRORS[0]:g} and {PUBLISHED_FIT_ERRORS[1]:g} %",
             f"{worst[0]:.2f} and {worst[1]:.2f} %", "holds in °C",
-            f"in temperature rise, as printed, it misses Table 3 by up to {rise:.0f} %",
+            f"the paper cuts its figures off; in temperature rise, as printed, Eq. 19 misses by up to {rise:.0f} %",
         ),
         (
             "below Eq. 19", f"flapper travel below {PUBLISHED_TRAVEL:g} % of the gap at 1 mA",
@@ -232,7 +267,8 @@ def _overview(r: Reproduction) -> str:
         ),
         (
             "Fig. 17", f"{total.size:g} % at most, steep to 40 °C and then slowly back",
-            f"as printed {_num(at_most, 2)} %, {_num(at_40, 2)} % at 40 °C", "not reached",
+            f"as printed {_num(at_most, 2)} %, {_num(at_40, 2)} % at 40 °C; with Eq. 19 as printed too "
+            f"{_num(rise_most, 2)} and {_num(rise_40, 2)} %", "not reached",
             f"by Eq. 19 the flow coefficients need more than the 20 K up to 40 °C: a total of {knee.size:g} % there "
             "does not go with the other figures",
         ),
@@ -267,7 +303,7 @@ def _routes_section(r: Reproduction) -> str:
     rows.append(["*root mean square miss*", "", "", *(f"{r.identified[v.key].misfit:.1f} %" for v in VARIANTS)])
     implied = mmf_drift_implied_by_arm(-FIGURES[5].size)
     mmf = FIGURES[2]
-    m = r.magnet
+    m, growth = r.magnet, 100.0 * ARM_GROWTH
     return f"""## Figs. 14 to 16: drift by route
 
 Largest drift of the armature angle in percent, 20 to 270 °C at 1 mA, each route alone and all together. Bold: within
@@ -288,9 +324,11 @@ theta; the paper prints {mmf.size:g} %. Checked numerically: of {m.drawn} random
 
 {_picture("magnet.png", "Every stable random valve loses more angle than its magnet loses magnetomotive force.")}
 **Two published figures contradict each other.** The arm a and M0 enter torque and magnetic spring only as the product
-a M0. The published {FIGURES[5].size:g} % by the arm, whose growth is 0.23 %, therefore fixes what the loss of M0
+a M0. The published {FIGURES[5].size:g} % by the arm, whose growth is {growth:.2f} %, therefore fixes what the loss
+of M0
 must do:
 {implied:.2f} % under the printed signs, against {mmf.size:g} % published. No choice of parameters mends that.
+As derived, the arm can by the same relation do no less than its own {growth:.2f} %, whatever the valve.
 """
 
 
@@ -316,8 +354,8 @@ def _reach_section(r: Reproduction) -> str:
 
 Each figure, and some together, aimed at with all others ignored: the closest of any valve found inside the bounds.
 Bold:
-within {100 * TOLERANCE:g} %. A "no" is the outcome of a search, except for the magnetomotive force, which is proved
-above.
+within {100 * TOLERANCE:g} %. A "no" is the outcome of
+a search; for the magnetomotive force and the arm as derived it is proved above.
 
 {_table(("figure", "published [%]", "as derived", "signs as printed"), rows, left=4)}"""
 
@@ -361,14 +399,16 @@ def _identified_section(r: Reproduction) -> str:
 40 °C
 and then back) and the total at 5 mA (the same at every current). Relative misses count alike. A valve must be stable
 with
-2 % to spare and keep the published travel. {4000} random valves are screened, the best {r.starts} refined by bounded
+2 % to spare and keep the published travel. {SCREENED} random valves are screened, the best {r.starts} refined by
+bounded
 least
 squares; {starts["derived"][0]} of {starts["derived"][1]} (as derived) and {starts["printed"][0]} of
 {starts["printed"][1]} (as printed) end within one percentage point of the best.
 
 {_table(_PARAMETER_HEADINGS, rows, left=3)}
 The last columns say how far the parameter may move, all others refitted, while the misfit rises by less than one
-percentage point (tested at {len(PROFILE_SHARES)} places of its range): "open" over the whole range; otherwise the
+percentage point (tested at {len(PROFILE_SHARES)} places of its range
+by local refits, so that it may be free to move further): "open" over the whole range; otherwise the
 range
 that is left. Many parameters lie at a bound: the figures pull the valve towards the edge of what can be built, which
 again says that they do not belong to one valve of these equations.
@@ -395,7 +435,7 @@ def _judged(r: Reproduction, key: str, k: int) -> str:
     here = r.identified[key].shares[k]
     places = np.append(PROFILE_SHARES[fine], here)
     low, high = u.low * (u.high / u.low) ** places.min(), u.low * (u.high / u.low) ** places.max()
-    if high / low < 1.0 + 1e-6:
+    if high / low < 1.01:
         return f"near {_display(u.name, low)}"
     return f"{_display(u.name, low)} to {_display(u.name, high)}"
 
@@ -452,17 +492,21 @@ def _fit_row(fit: FlowFit) -> list[str]:
     ]  # fmt: skip
 
 
+def _left_out(fit: FlowFit) -> np.ndarray:
+    return np.full(len(TABLE_3), np.nan) if fit.left_out is None else fit.left_out
+
+
 def _flow_section(r: Reproduction) -> str:
     f = r.fits
     rows = [_fit_row(fit) for pair in (f.printed, f.as_rise, f.power, f.hump) for fit in pair]
     errors = [
         [f"{t:g}", f"{c:.4f}", _num(a, 2), _num(b, 2), f"{c0:.4f}", _num(d, 2), _num(e, 2)]
         for t, c, a, b, c0, d, e in zip(
-            TABLE_3[:, 0], TABLE_3[:, 1], f.printed[0].errors, f.hump[0].left_out, TABLE_3[:, 2],
-            f.printed[1].errors, f.power[1].left_out, strict=True,
+            TABLE_3[:, 0], TABLE_3[:, 1], f.printed[0].errors, _left_out(f.hump[0]), TABLE_3[:, 2],
+            f.printed[1].errors, _left_out(f.power[1]), strict=True,
         )
     ]  # fmt: skip
-    eq, re, re_yan = r.reference_flow_drifts
+    eq, law = r.reference_flow_drifts
     n, o = NOZZLE, FIXED_ORIFICE
     return f"""## Fig. 13 and Table 3: flow coefficients
 
@@ -488,9 +532,10 @@ C = C_inf [1 − (Re_c/Re)^n] [1 + h √(Re/Re_h) exp((1 − Re/Re_h)/2)] for Re
 ])}
 The nozzle has the hump; the fixed orifice has none (left out, it does worse with one). The shape of the hump was
 chosen
-among six by its error left one out, which therefore flatters it a little. Re = D √(2 Δp/ρ)/ν with D = 0.07 mm (twice
-the
-null gap) and 0.20 mm, Δp = 12 MPa (inlet 15, outlet 3 MPa), ρ = 860 kg/m³ and Eq. 18 in °C; gap, bore and density are
+among about ten by its error left one out, which therefore flatters it a little. Re = D √(2 Δp/ρ)/ν with
+D = {1e3 * NOZZLE_HYDRAULIC_DIAMETER:.2f} mm (twice the null gap) and {1e3 * ORIFICE_HYDRAULIC_DIAMETER:.2f} mm,
+Δp = {1e-6 * PRESSURE_DROP:g} MPa (inlet 15, outlet 3 MPa), ρ = {DENSITY:g} kg/m³ and Eq. 18 in °C; gap, bore and
+density are
 assumed, since the paper does not tell them, and only scale Re.
 
 **Beyond 150 °C.** By Eq. 18 the CFD at 150 °C ran at a nozzle Reynolds number of {f.highest_reynolds:.0f}. A real oil
@@ -506,9 +551,8 @@ CFD to laminar flow there) may not belong to Eq. 18.
 
 In the model by name: `flow_laws.FLOW_LAWS["reynolds"]` with the viscosity of MIL-PRF-5606, `["reynolds_yan_oil"]`
 with
-Eq. 18, `["yan_2019"]` is Eq. 19. The reference valve's flow route at 270 °C is {_num(eq)} % by Eq. 19, {_num(re)} %
-by the
-Reynolds law with the real oil and {_num(re_yan)} % with the paper's.
+Eq. 18, `["yan_2019"]` is Eq. 19. The reference
+valve's flow route at 270 °C is {_num(eq)} % by Eq. 19 and {_num(law)} % by the Reynolds law with the real oil.
 
 {_table(("T [°C]", "nozzle, Table 3", "Eq. 19 [%]", "Re law left out [%]", "orifice, Table 3", "Eq. 19 [%]",
          "Re law left out [%]"), errors)}
@@ -608,7 +652,8 @@ def _draw_main(r: Reproduction) -> Figure:
     order = np.argsort([f.size for f in FIGURES[: len(ROUTES)]], kind="stable")
     places = np.arange(len(ROUTES))
     sizes = [FIGURES[k].size for k in order]
-    left.scatter(sizes, places, marker="|", s=420, lw=3, color="k", label="published", zorder=3)
+    left.scatter(sizes, places, marker="|", s=420, lw=3, color="k", zorder=3)
+    left.scatter([], [], marker="|", s=110, lw=3, color="k", label="published")
     keys = ("derived", "printed", "printed_rise")
     for offset, key in zip((0.22, 0.0, -0.22), keys, strict=True):
         values = r.identified[key].values[order]
@@ -631,8 +676,8 @@ def _draw_main(r: Reproduction) -> Figure:
     right.set_xlabel("temperature [°C]")
     right.set_ylabel("drift of the armature angle [%]")
     right.set_title("all routes together, 1 mA", loc="left")
-    right.set_ylim(min(-17.5, right.get_ylim()[0]), None)
-    right.legend(loc="center right", bbox_to_anchor=(1.0, 0.62))
+    right.set_ylim(min(-17.5, right.get_ylim()[0]), right.get_ylim()[1] + 8.0)
+    right.legend(loc="upper right")
     figure.suptitle("The paper's temperature drift, published and recomputed with the closest valve found", fontsize=12)
     return figure
 
@@ -682,14 +727,14 @@ def _draw_flow(r: Reproduction) -> Figure:
     figure = Figure(figsize=(11, 7))
     (nozzle, orifice), (over_re, errors) = figure.subplots(2, 2)
     figure.subplots_adjust(left=0.08, right=0.98, top=0.94, bottom=0.08, wspace=0.2, hspace=0.34)
-    t = np.linspace(-40.0, 270.0, 400)
-    laws = (
-        ("Eq. 19", flow_coefficients_yan_2019, COLOURS[0], "-"),
-        ("Re law, Eq. 18", flow_coefficients_reynolds_yan, COLOURS[1], "-"),
-        ("Re law, MIL-PRF-5606", flow_coefficients_reynolds, COLOURS[2], "--"),
+    laws = (  # each where its Reynolds number is one of Table 3
+        ("Eq. 19", flow_coefficients_yan_2019, COLOURS[0], "-", -40.0, 270.0),
+        ("Re law, Eq. 18", flow_coefficients_reynolds_yan, COLOURS[1], "-", -40.0, 150.0),
+        ("Re law, MIL-PRF-5606", flow_coefficients_reynolds, COLOURS[2], "--", -20.0, 270.0),
     )
     for k, (axis, name) in enumerate(((nozzle, "nozzle-flapper orifice"), (orifice, "fixed orifice"))):
-        for title, law, colour, style in laws:
+        for title, law, colour, style, low, high in laws:
+            t = np.linspace(low, high, 300)
             axis.plot(t, law(t)[k], style, color=colour, label=title)
         axis.plot(TABLE_3[:, 0], TABLE_3[:, 1 + k], "ko", ms=4, label="Table 3")
         axis.set_title(name, loc="left")
@@ -699,8 +744,8 @@ def _draw_flow(r: Reproduction) -> Figure:
     nozzle.set_ylim(0.625, 0.68)
     orifice.set_ylim(0.25, 0.78)
     for k, (law, name) in enumerate(((NOZZLE, "nozzle"), (FIXED_ORIFICE, "fixed orifice"))):
-        re = np.geomspace(law.lowest / 4.0, table_3_reynolds()[k][-1], 400)
-        over_re.semilogx(re, law(re), color=COLOURS[k], label=f"{name}, Re law")
+        span = np.geomspace(law.lowest / 4.0, table_3_reynolds()[k][-1], 400)
+        over_re.semilogx(span, law(span), color=COLOURS[k], label=f"{name}, Re law")
         given = table_3_reynolds()[k], TABLE_3[:, 1 + k]
         over_re.semilogx(*given, "o", ms=4, color=COLOURS[k], label=f"{name}, Table 3")
         over_re.axvline(law.lowest, color=COLOURS[k], lw=0.8, ls=":")
@@ -711,8 +756,8 @@ def _draw_flow(r: Reproduction) -> Figure:
     at = np.arange(len(TABLE_3))
     bars = (
         ("nozzle, Eq. 19", r.fits.printed[0].errors, COLOURS[0]),
-        ("nozzle, Re law left one out", r.fits.hump[0].left_out, COLOURS[1]),
-        ("orifice, Re law left one out", r.fits.power[1].left_out, COLOURS[2]),
+        ("nozzle, Re law left one out", _left_out(r.fits.hump[0]), COLOURS[1]),
+        ("orifice, Re law left one out", _left_out(r.fits.power[1]), COLOURS[2]),
     )
     for k, (title, values, colour) in enumerate(bars):
         errors.bar(at + 0.27 * (k - 1), values, 0.25, color=colour, label=title)
@@ -727,7 +772,7 @@ def _draw_flow(r: Reproduction) -> Figure:
 def _draw_routes(r: Reproduction) -> Figure:
     figure = Figure(figsize=(11, 4.4))
     axes = figure.subplots(1, len(SHOWN))
-    figure.subplots_adjust(left=0.07, right=0.86, top=0.88, bottom=0.13, wspace=0.25)
+    figure.subplots_adjust(left=0.07, right=0.84, top=0.88, bottom=0.13, wspace=0.25)
     for axis, key in zip(axes, SHOWN, strict=True):
         curves = r.curves[key]
         for k in range(len(ROUTES)):
@@ -744,18 +789,18 @@ def _draw_routes(r: Reproduction) -> Figure:
 def _draw_totals(r: Reproduction, curves: dict, temperatures: np.ndarray, published: bool) -> Figure:
     figure = Figure(figsize=(11, 4.2))
     shown = ("reference", "derived", "printed", "printed_rise")
-    axes = figure.subplots(1, len(shown))
-    figure.subplots_adjust(left=0.06, right=0.98, top=0.88, bottom=0.13, wspace=0.28)
+    axes = figure.subplots(1, len(shown), sharey=True)
+    figure.subplots_adjust(left=0.07, right=0.98, top=0.88, bottom=0.13, wspace=0.12)
     for axis, key in zip(axes, shown, strict=True):
         for k, current in enumerate(CURRENTS):
             style = {"color": COLOURS[k], "ls": ("-", "--", "-.", ":")[k], "label": f"{1e3 * current:g} mA"}
             axis.plot(temperatures, r.sense(key) * curves[key].total[k, 0], lw=1.6, **style)
         if published:
-            axis.plot([40.0], [FIGURES[8].target], "k|", ms=14, mew=2.5, label="published")
+            axis.plot([40.0], [FIGURES[8].target], "k|", ms=12, mew=2.5, label="published")
         axis.set_title(TITLES[key], loc="left", fontsize=9)
         axis.set_xlabel("temperature [°C]")
     axes[0].set_ylabel("drift of the armature angle [%]")
-    axes[0].legend()
+    axes[0].legend(loc="center right")
     return figure
 
 
@@ -771,7 +816,7 @@ def _draw_profile(r: Reproduction) -> Figure:
     figure = Figure(figsize=(11, 6))
     axes = figure.subplots(1, 2, sharey=True)
     figure.subplots_adjust(left=0.19, right=0.9, top=0.9, bottom=0.11, wspace=0.08)
-    image = None
+    image: Any = None
     for axis, key in zip(axes, r.determined, strict=True):
         rise = r.determined[key].profile - r.identified[key].misfit
         image = axis.imshow(np.clip(rise, 0.0, 10.0), aspect="auto", cmap="YlOrRd", vmin=0.0, vmax=10.0)
@@ -794,6 +839,8 @@ def _draw_magnet(r: Reproduction) -> Figure:
     axis.axhline(m.mmf_loss, color="k", lw=1, label=f"loss of M0: {m.mmf_loss:.2f} %")
     axis.axhline(FIGURES[2].size, color=COLOURS[1], lw=1.4, ls="--", label=f"published: {FIGURES[2].size:g} %")
     axis.set_ylim(2.0, None)
+    axis.set_yticks([2, 3, 5, 10, 20, 50], ["2", "3", "5", "10", "20", "50"], minor=False)
+    axis.set_yticks([], minor=True)
     axis.set_xlabel("net stiffness over that of the springs")
     axis.set_ylabel("loss of angle by the magnet [%]")
     axis.set_title(f"{m.stable} stable random valves, balances as derived", loc="left")
