@@ -171,7 +171,8 @@ def response(scenario: Path | None, output: Path, oil_temperature: str | None, s
         source = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None))
     else:
         source = load_scenario(scenario, settings=settings)
-    temperatures = None if oil_temperature is None else parse_list(oil_temperature, "degC", "--oil-temperature")
+    given = oil_temperature
+    temperatures = None if given is None else parse_list(given, "degC", "--oil-temperature").tolist()
     with _progress() as bar:
         stage = bar.add_task("stepping and sweeping", total=1.0)
         sets, paths = response_report(
@@ -187,7 +188,7 @@ def response(scenario: Path | None, output: Path, oil_temperature: str | None, s
 
 @cli.command()
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("results/bench"), show_default=True)
-@click.option("--measured", type=click.Path(path_type=Path), help="A CSV record instead of the simulated bench.")
+@click.option("--measured", multiple=True, type=click.Path(path_type=Path), help="A CSV record, or several.")
 @click.option("--test", "kind", help="What was measured: flow, pressure-gain, leakage or flow-load.")
 @click.option("--lag", help="Lag of the meter, such as '1 s' [estimated where the record allows it].")
 @click.option("--dead-zone", help="Dead zone of the meter, such as '0.2 L/min' [estimated].")
@@ -195,10 +196,14 @@ def response(scenario: Path | None, output: Path, oil_temperature: str | None, s
 @_temperatures_option
 @_settings_option
 def bench(
-    output: Path, measured: Path | None, kind: str | None, lag: str | None, dead_zone: str | None,
+    output: Path, measured: tuple[Path, ...], kind: str | None, lag: str | None, dead_zone: str | None,
     rated_current: str | None, oil_temperature: str, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of a measured record."""
+    """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of measured records.
+
+    Several leakage records of different periods also give the hysteresis that they have in common, and the meter's lag.
+    """
+    from .bench import common_hysteresis, read_record
     from .figures import table
     from .files import check_folder
     from .report_bench import bench_measured, bench_simulated
@@ -207,17 +212,21 @@ def bench(
 
     headings = ("figure", "value", "± (1 sigma)", "unit", "meaning")
     check_folder(output)
-    if measured is not None:
+    if measured:
         if kind is None:
             raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
-        figures, path = bench_measured(
-            measured, kind, output / f"{measured.stem}.png",
-            lag=None if lag is None else parse(lag, "s", "--lag"),
-            dead_zone=None if dead_zone is None else parse(dead_zone, "m^3/s", "--dead-zone"),
-            rated_current=None if rated_current is None else parse(rated_current, "A", "--rated-current"),
-        )  # fmt: skip
-        _print_table(f"{kind} of {measured}", headings, table(figures))
-        _print_written([path])
+        for file in measured:
+            figures, path = bench_measured(
+                file, kind, output / f"{file.stem}.png",
+                lag=None if lag is None else parse(lag, "s", "--lag"),
+                dead_zone=None if dead_zone is None else parse(dead_zone, "m^3/s", "--dead-zone"),
+                rated_current=None if rated_current is None else parse(rated_current, "A", "--rated-current"),
+            )  # fmt: skip
+            _print_table(f"{kind} of {file}", headings, table(figures))
+            _print_written([path])
+        if kind == "leakage" and len(measured) > 1:
+            common = common_hysteresis([read_record(file) for file in measured])
+            _print_table("what the records have in common", headings, table(common))
         return
     if (given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]):
         raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
@@ -245,7 +254,7 @@ def datasheet(output: Path, oil_temperature: str, settings: tuple[str, ...]) -> 
     from .scenario import read_tables
 
     valve, oil = read_tables(settings)
-    temperatures = parse_list(oil_temperature, "degC", "--oil-temperature")
+    temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
     with _progress() as bar:
         stage = bar.add_task("testing the valve", total=1.0)
         written = datasheet_report(
