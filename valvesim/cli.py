@@ -87,7 +87,7 @@ _TABLE = (
 
 
 def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
-    table = Table(title=result.scenario.title, title_justify="left", title_style="bold")
+    table = Table(title=escape(result.scenario.title), title_justify="left", title_style="bold")
     for heading in ("channel", "unit", "least", "greatest", "at the end"):
         table.add_column(heading, justify="left" if heading in ("channel", "unit") else "right")
     for name in _TABLE:
@@ -179,7 +179,8 @@ def response(scenario: Path | None, output: Path, oil_temperature: str | None, s
             source, output, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
         )
     for one in sets:
-        for test in (*one.steps, *one.sweeps):
+        tests: tuple[Any, ...] = (*one.steps, *one.sweeps)
+        for test in tests:
             what = "step" if test in one.steps else "sines"
             title = f"{what} of {100 * test.share:.0f} % of rated, oil at {one.oil_temperature:g} °C"
             _print_table(title, ("figure", "value", "± (1 sigma)", "unit", "meaning"), table(test.figures))
@@ -228,7 +229,7 @@ def bench(
             common = common_hysteresis([read_record(file) for file in measured])
             _print_table("what the records have in common", headings, table(common))
         return
-    if (given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]):
+    if given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]:
         raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
     valve, oil = read_tables(settings)
     paths = []
@@ -237,7 +238,7 @@ def bench(
             stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
             figures, path = bench_simulated(
                 valve, output / f"bench_{temperature:g}_degC.png", oil_temperature=float(temperature), oil=oil,
-                progress=lambda share, bar=bar, stage=stage: bar.update(stage, completed=share),
+                progress=lambda share: bar.update(stage, completed=share),  # noqa: B023 - called within this turn
             )  # fmt: skip
         _print_table(f"bench, oil at {temperature:g} °C", headings, table(figures))
         paths.append(path)

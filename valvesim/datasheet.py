@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from .bench import Bench, bench
 from .figures import Absent, Figure, shown
@@ -35,17 +37,18 @@ def measure(
     Raises as `bench.bench` and `response.measure_responses` do.
     """
     temperatures = tuple(float(t) for t in oil_temperatures)
-    benches, responses = [], []
+    benches: list[Bench] = []
+    responses: list[ResponseSet] = []
     for k, temperature in enumerate(temperatures):
 
-        def tell(share: float, k: int = k, stage: float = 0.0) -> None:
+        def tell(share: float, part: float, start: float, k: int = k) -> None:
             if progress is not None:
-                progress((k + (stage + share) / 2.0) / len(temperatures))
+                progress((k + start + part * share) / len(temperatures))
 
-        benches.append(bench(valve, oil_temperature=temperature, oil=oil, progress=tell))
+        benches.append(bench(valve, oil_temperature=temperature, oil=oil, progress=partial(tell, part=0.25, start=0.0)))
         base = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None))
         responses += measure_responses(
-            base, oil_temperatures=(temperature,), chirp=False, progress=lambda share, tell=tell: tell(share, stage=1.0)
+            base, oil_temperatures=(temperature,), chirp=False, progress=partial(tell, part=0.75, start=0.25)
         )
     return Datasheet(
         valve=valve, oil=oil, oil_temperatures=temperatures, benches=tuple(benches), responses=tuple(responses)
@@ -62,7 +65,8 @@ def dynamic_rows(sheet: Datasheet) -> list[tuple[str, ...]]:
     columns = []
     for one in sheet.responses:
         found: dict[str, Figure | Absent] = {}
-        for test in (*one.steps, *one.sweeps):
+        tests: tuple[Any, ...] = (*one.steps, *one.sweeps)
+        for test in tests:
             found.update({f"{f.name} at {100 * test.share:.0f} % of rated": f for f in test.figures})
         columns.append(found)
     return _rows(columns)
@@ -85,7 +89,8 @@ def absent_rows(sheet: Datasheet) -> list[tuple[str, str, str]]:
     """Rows (oil temperature, figure, reason) of what could not be had."""
     rows = []
     for temperature, one, response in zip(sheet.oil_temperatures, sheet.benches, sheet.responses, strict=True):
-        figures = [*one.figures, *(f for test in (*response.steps, *response.sweeps) for f in test.figures)]
+        tests: tuple[Any, ...] = (*response.steps, *response.sweeps)
+        figures = [*one.figures, *(f for test in tests for f in test.figures)]
         rows += [
             (f"{temperature:g} °C", f.name.replace("_", " "), f.reason) for f in figures if isinstance(f, Absent)
         ]  # fmt: skip

@@ -20,8 +20,9 @@ matplotlib.use("Agg")
 from matplotlib.figure import Figure  # noqa: E402 - the backend comes first
 
 STYLE: Any = {
-    "font.size": 9, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False, "axes.spines.right": False,
-    "lines.linewidth": 1.1, "legend.frameon": False, "legend.fontsize": 8, "figure.dpi": 100,
+    "font.size": 9, "text.parse_math": False, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False,
+    "axes.spines.right": False, "lines.linewidth": 1.1, "legend.frameon": False, "legend.fontsize": 8,
+    "figure.dpi": 100,
 }  # fmt: skip
 COLOURS = ("#1f5fa8", "#d1495b", "#2e8b57", "#e09f3e", "#7a5195", "#5c677d", "#17a2b8", "#8d5524")
 MOST_POINTS = 1200  # of a line: beyond it the extremes of each stretch are drawn, which looks the same
@@ -100,7 +101,7 @@ def picture_characteristic(result: Result, path: Path) -> Path:
     top = reference_current(scenario)
     currents = np.linspace(-top, top, 41)
     cold = static_solution(
-        scenario.valve, current=currents, parts=PartTemperatures.uniform(20.0), routes=(), oil=scenario.oil
+        scenario.valve_at_start, current=currents, parts=PartTemperatures.uniform(20.0), routes=(), oil=scenario.oil
     )  # fmt: skip
     span, end = _cycles(result), float(result.time[-1])
     few = span is not None and span < 0.1 * end  # of many alike: six of them show the drift

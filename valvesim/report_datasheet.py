@@ -39,9 +39,11 @@ def datasheet_report(
     sheet = measure(valve, oil, oil_temperatures=oil_temperatures, progress=progress)
     with tempfile.TemporaryDirectory() as scratch:
         sections = _sections(sheet, Path(scratch))
-        page = write_atomically(
-            folder / "datasheet.html", lambda path: path.write_text(_html(sections), encoding="utf-8") and None
-        )  # fmt: skip
+
+        def write_page(path: Path) -> None:
+            path.write_text(_html(sections), encoding="utf-8")
+
+        page = write_atomically(folder / "datasheet.html", write_page)
         return page, write_atomically(folder / "datasheet.pdf", lambda path: _pdf(sections, path))
 
 

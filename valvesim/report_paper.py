@@ -524,12 +524,31 @@ by
 
 C = C_inf [1 − (Re_c/Re)^n] [1 + h √(Re/Re_h) exp((1 − Re/Re_h)/2)] for Re ≥ Re_low, and C ~ Re (viscous flow) below.
 
-{_table(("orifice", "C_inf", "Re_c", "n", "h", "Re_h", "Re_low"), [
-    ["nozzle", f"{n.limit:.4f}", f"{n.critical:.1f}", f"{n.exponent:.3f}", f"{n.hump:.4f}", f"{n.hump_place:.0f}",
-     f"{n.lowest:.1f}"],
-    ["fixed orifice", f"{o.limit:.4f}", f"{o.critical:.1f}", f"{o.exponent:.3f}", f"{o.hump:g}", "-",
-     f"{o.lowest:.1f}"],
-])}
+{
+        _table(
+            ("orifice", "C_inf", "Re_c", "n", "h", "Re_h", "Re_low"),
+            [
+                [
+                    "nozzle",
+                    f"{n.limit:.4f}",
+                    f"{n.critical:.1f}",
+                    f"{n.exponent:.3f}",
+                    f"{n.hump:.4f}",
+                    f"{n.hump_place:.0f}",
+                    f"{n.lowest:.1f}",
+                ],
+                [
+                    "fixed orifice",
+                    f"{o.limit:.4f}",
+                    f"{o.critical:.1f}",
+                    f"{o.exponent:.3f}",
+                    f"{o.hump:g}",
+                    "-",
+                    f"{o.lowest:.1f}",
+                ],
+            ],
+        )
+    }
 The nozzle has the hump; the fixed orifice has none (left out, it does worse with one). The shape of the hump was
 chosen
 among about ten by its error left one out, which therefore flatters it a little. Re = D √(2 Δp/ρ)/ν with
@@ -554,8 +573,20 @@ with
 Eq. 18, `["yan_2019"]` is Eq. 19. The reference
 valve's flow route at 270 °C is {_num(eq)} % by Eq. 19 and {_num(law)} % by the Reynolds law with the real oil.
 
-{_table(("T [°C]", "nozzle, Table 3", "Eq. 19 [%]", "Re law left out [%]", "orifice, Table 3", "Eq. 19 [%]",
-         "Re law left out [%]"), errors)}
+{
+        _table(
+            (
+                "T [°C]",
+                "nozzle, Table 3",
+                "Eq. 19 [%]",
+                "Re law left out [%]",
+                "orifice, Table 3",
+                "Eq. 19 [%]",
+                "Re law left out [%]",
+            ),
+            errors,
+        )
+    }
 {_picture("flow.png", "Flow coefficients over temperature and over Reynolds number, and the errors.")}"""
 
 

@@ -72,7 +72,7 @@ class Scenario:
         self._check_pressures()
 
     def _check_pressures(self) -> None:
-        """At the start the commanded pressures must make sense as the valve's own do; later none may be negative."""
+        """At the start they must make sense as the valve's own do; none may be negative, no load beyond the supply."""
         names = ("supply", "return", "load")
         for name in names:
             if np.ndim(getattr(self.valve, f"{name}_pressure")):
@@ -87,6 +87,9 @@ class Scenario:
             _ = self.valve_at_start
         except InputError as error:
             raise InputError(f"pressures: at the start of the run, {error}") from None
+        supply, _, load = self.pressures()
+        if (top := largest(load, self.duration)) > (most := largest(supply, self.duration)) * (1 + 1e-9):
+            raise InputError(f"pressures.load: {top / 1e5:.4g} bar is beyond the supply of {most / 1e5:.4g} bar")
 
     @property
     def valve_at_start(self) -> Valve:
@@ -106,12 +109,6 @@ class Scenario:
         return tuple(  # type: ignore[return-value]
             Constant(value=value) if command is None else command for command, value in zip(given, own, strict=True)
         )
-
-    def check_pressures(self) -> None:
-        """InputError where the load pressure goes beyond the supply: no flow law of the ports holds there."""
-        supply, _, load = self.pressures()
-        if (top := largest(load, self.duration)) > (most := largest(supply, self.duration)):
-            raise InputError(f"pressures.load: {top / 1e5:.4g} bar is beyond the supply of {most / 1e5:.4g} bar")
 
     def throttling(self):
         """The oil's temperature rise by throttling as a function of °C, or None where it is off; drop of the start."""

@@ -25,7 +25,8 @@ from .static import solve_rest
 from .thermal import TemperaturePath, temperature_path
 from .units import DISPLAY, quantities, symbol
 
-MAX_STEPS = 50_000_000
+MAX_STEPS = 50_000_000  # of a slice
+MOST_SAMPLES = 2e7  # of a result: 5 GB
 SLICES = 64  # of a run, between which progress is told
 JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
 KNOT_ERROR = 3e-5  # relative error of the coefficients between the knots of the temperature path
@@ -148,11 +149,8 @@ def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[st
     """Run one scenario for a batch of valves: quantities of `scenario.valve` that are arrays (k,) hold one valve each.
 
     Returns the states by name, each (k, n_t), with "time" (n_t,). Members run on `workers` threads (all cores); they
-    share command, oil and pressures. Raises as `simulate` does, and InputError for pressures that are arrays.
+    share command, oil and pressures. Raises as `simulate` does.
     """
-    for name in _array_figures(scenario):
-        if name in ("supply_pressure", "return_pressure", "load_pressure"):
-            raise InputError(f"valve.{name} is an array, but the members of a batch share their pressures")
     problem = _prepare(scenario)
     members, shape = len(problem.knots), (len(problem.times), len(problem.compiled.scale))
     states = np.empty((members, *shape))
@@ -174,7 +172,6 @@ def _array_figures(scenario: Scenario) -> list[str]:
 
 def _prepare(scenario: Scenario) -> _Problem:
     scenario.warn_of_large_command()
-    scenario.check_pressures()
     model, end = scenario.model, scenario.duration
     path, c = _temperature_knots(scenario)
     flat = model.flat_coefficients(c, scenario.effects)
@@ -186,6 +183,11 @@ def _prepare(scenario: Scenario) -> _Problem:
     rows = intervals.rows
     if any(effect.memory for effect in model.effects):
         starts, rows = _soften_jumps(starts, rows)
+    if end * scenario.output_rate > MOST_SAMPLES:
+        raise InputError(
+            f"outputs.rate: {scenario.output_rate:g} Hz over {end:g} s makes more than {MOST_SAMPLES:g} samples; "
+            "lower the rate or the duration"
+        )
     times = np.arange(int(np.floor(end * scenario.output_rate * (1 + 1e-12))) + 1) / scenario.output_rate
     times = np.minimum(times, end)  # rounding may carry the last sample past the end
     compiled = compile_model(model)
@@ -199,7 +201,7 @@ def _temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficient
     thermal, valve = scenario.thermal, scenario.valve
     batch: Any = {name: np.asarray(getattr(valve, name))[:, None] for name in _array_figures(scenario)}
     valve = replace(valve, **batch)
-    spacing = 0.5
+    spacing = min(0.5, scenario.duration / 16.0)
     for _ in range(5):
         path = temperature_path(
             scenario.oil_temperature,
@@ -237,13 +239,16 @@ def _bend(times: np.ndarray, c: Coefficients) -> float:
 def _soften_jumps(starts: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Run every jump of an input as a ramp of `JUMP_TIME`, so that effects driven by its rate pass through it."""
     new_starts, new_rows = [starts[0]], [rows[0]]
+    ends = np.append(starts[1:], np.inf)
     for k in range(1, len(starts)):
         before = np.array([piece_value(row, starts[k])[0] for row in rows[k - 1]])
-        after = np.array([piece_value(row, starts[k] + JUMP_TIME)[0] for row in rows[k]])
+        after = np.array([piece_value(row, starts[k])[0] for row in rows[k]])
         if np.any(np.abs(after - before) > 1e-6 * (np.abs(after) + np.abs(before))):
+            stop = starts[k] + min(JUMP_TIME, (ends[k] - starts[k]) / 2.0)
+            after = np.array([piece_value(row, stop)[0] for row in rows[k]])
             ramp = np.zeros_like(rows[k])
-            ramp[:, 0], ramp[:, 1], ramp[:, 2] = starts[k], before, (after - before) / JUMP_TIME
-            new_starts += [starts[k], starts[k] + JUMP_TIME]
+            ramp[:, 0], ramp[:, 1], ramp[:, 2] = starts[k], before, (after - before) / (stop - starts[k])
+            new_starts += [starts[k], stop]
             new_rows += [ramp, rows[k]]
         else:
             new_starts.append(starts[k])
