@@ -265,6 +265,26 @@ def datasheet(output: Path, oil_temperature: str, settings: tuple[str, ...]) -> 
     _print_written(written)
 
 
+@cli.command()
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("results/reproduce"), show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the starts of the identification.")
+@click.option("--starts", type=click.IntRange(min=1), help="How many starts [as many as the published page has].")
+def reproduce(output: Path, seed: int, starts: int | None) -> None:
+    """The paper's figures and tables recomputed, published beside computed: a page with pictures (minutes)."""
+    from .files import check_folder
+    from .report_paper import reproduce as write
+    from .reproduce import STARTS
+
+    check_folder(output)
+    with _progress() as bar:
+        stage = bar.add_task("recomputing the paper", total=1.0)
+        page = write(
+            output, seed=seed, starts=STARTS if starts is None else starts,
+            progress=lambda text, share: bar.update(stage, description=text, completed=share),
+        )  # fmt: skip
+    _print_written([page])
+
+
 def _print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     table = Table(title=escape(title), title_justify="left", title_style="bold")
     for heading in headings:

@@ -19,6 +19,7 @@ import numpy as np
 from .commands import COMMANDS, VALUE, Command, Constant, Sum, evaluate, largest, read_table
 from .effects import CATALOGUE, ActiveEffect
 from .errors import InputError, unknown_name, warn_once
+from .flow_laws import FLOW_LAWS
 from .fluid import MIL_PRF_5606, OILS, Oil
 from .model import CurrentDrive, Model, VoltageDrive
 from .parameters import ROUTES, Valve, check_routes
@@ -181,7 +182,16 @@ def read_tables(settings: Sequence[str]) -> tuple[Valve, Oil]:
         _override(table, setting)
     reader = _Reader(Path())
     reader.known(table, ("valve", "oil"), "--set")
-    return change(Valve(), table.get("valve", {}), "valve"), reader.oil(table.get("oil", {}))
+    return _valve(table.get("valve", {})), reader.oil(table.get("oil", {}))
+
+
+def _valve(table: dict[str, Any]) -> Valve:
+    """The reference valve with figures from a table; `flow_law` names the law of the pilot's flow coefficients."""
+    figures = dict(table)
+    law = figures.pop("flow_law", "yan_2019")
+    if law not in FLOW_LAWS:
+        raise unknown_name("flow law", str(law), FLOW_LAWS, "valve.flow_law")
+    return dataclasses.replace(change(Valve(), figures, "valve"), flow_coefficients=FLOW_LAWS[law])
 
 
 def _override(table: dict[str, Any], setting: str) -> None:
@@ -240,7 +250,7 @@ class _Reader:
         kind, command = next(iter(commands.items()))
         pressures = table.get("pressures", {})
         self.known(pressures, ("supply", "return", "load"), "pressures")
-        valve = change(Valve(), table.get("valve", {}), "valve")
+        valve = _valve(table.get("valve", {}))
         outputs, solver = table.get("outputs", {}), table.get("solver", {})
         self.known(outputs, ("rate", "channels"), "outputs")
         self.known(solver, ("tolerance",), "solver")
