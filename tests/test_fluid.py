@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvesim.errors import InputError, ValidityWarning, forget_warnings
-from valvesim.fluid import ATMOSPHERE, MIL_PRF_5606, OILS, YH12_PAPER, Oil, aerated_bulk_modulus, viscosity_walther
+from valvesim.fluid import ATMOSPHERE, MIL_PRF_5606, OILS, YH12_PAPER, Oil, aerated_bulk_modulus, WaltherViscosity
 
 oil = MIL_PRF_5606
 
@@ -25,7 +25,7 @@ def test_viscosity_of_5606_goes_on_along_the_walther_line_of_40_and_100(temperat
 
 def test_walther_line_through_two_points_has_the_published_coefficients():
     # field.md 3 [D]: through 40/100 °C A 5.92281, B 2.34849, so 21.5 mm^2/s at 20 °C
-    law = viscosity_walther(((40.0, 13.5), (100.0, 5.1)))
+    law = WaltherViscosity(((40.0, 13.5), (100.0, 5.1)))
     A, B = 5.92281, 2.34849
     for t in (20.0, 60.0, 270.0):
         assert law(t) == pytest.approx((10**10 ** (A - B * np.log10(t + 273.15)) - 0.7) * 1e-6, rel=1e-4)

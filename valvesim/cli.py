@@ -5,12 +5,16 @@ Exit codes: 0 done, 1 a solve failed, 2 the input is wrong. Tables go to standar
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
+import multiprocessing
+import pickle
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -52,31 +56,28 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
     check_channels(case)
     folder = output or Path("results") / scenario.stem
     check_folder(folder)
-    with _progress() as bar:
+    with _artist(wanted=not no_pictures) as draw, _progress() as bar:
         stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
         compile_model(case.model)
         bar.update(stage, description="integrating", total=1.0)
         result = simulate(case, progress=lambda share: bar.update(stage, completed=share))
         bar.update(stage, description="writing result.nc", total=None)
         written = [result.select(case.channels).to_netcdf(folder / "result.nc")]
+        varies = temperature_varies(case)
+        pictures = [draw("picture_run", result, folder / "run.png")]
+        if not varies:
+            pictures.append(draw("picture_characteristic", result, folder / "characteristic.png"))
         if with_csv:
             bar.update(stage, description="writing result.csv")
             written.append(result.select(case.channels).to_csv(folder / "result.csv"))
-        drift = observed = None
-        if temperature_varies(case):
+        drift = None
+        if varies:
             bar.update(stage, description="drift against 20 °C")
             drift = static_drift(result)
             observed = observed_drift(result, simulate(nominal(case)))
-        if not no_pictures:
-            from . import report
-
-            bar.update(stage, description="drawing", total=3.0, completed=0)
-            written.append(report.picture_run(result, folder / "run.png"))
-            bar.advance(stage)
-            written.append(report.picture_characteristic(result, folder / "characteristic.png"))
-            bar.advance(stage)
-            if drift is not None and observed is not None:
-                written.append(report.picture_drift(drift, observed, case.title, folder / "drift.png"))
+            pictures.append(draw("picture_drift", drift, observed, case.title, folder / "drift.png"))
+        bar.update(stage, description="drawing")
+        written += [path for picture in pictures if (path := picture()) is not None]
     _print_run(result, drift, written)
 
 
@@ -84,6 +85,40 @@ _TABLE = (
     "current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle", "nozzle_pressure_1",
     "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage",
 )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _artist(*, wanted: bool) -> Iterator[Callable[..., Callable[[], Path | None]]]:
+    """Draws in a process of its own, which loads matplotlib (half a second) while this one integrates.
+
+    `draw(name, *arguments)` begins a picture of `report` and returns what waits for its path. Where the arguments
+    cannot travel (an effect made of lambdas), the picture is drawn here when it is waited for.
+    """
+    if not wanted:
+        yield lambda name, *arguments: lambda: None
+        return
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        pool.submit(_draw)
+
+        def draw(name: str, *arguments: Any) -> Callable[[], Path | None]:
+            begun = pool.submit(_draw, name, *arguments)
+
+            def wait() -> Path | None:
+                try:
+                    return begun.result()
+                except (pickle.PicklingError, AttributeError, TypeError):
+                    return _draw(name, *arguments)
+
+            return wait
+
+        yield draw
+
+
+def _draw(name: str | None = None, *arguments: Any) -> Path | None:
+    """One picture of `report`, or none: then the module is only loaded."""
+    from . import report
+
+    return None if name is None else getattr(report, name)(*arguments)
 
 
 def _print_run(result: Any, drift: Any, written: list[Path]) -> None:

@@ -22,25 +22,31 @@ KELVIN = 273.15
 COMPUTED_RANGE = (-100.0, 400.0)  # °C: beyond it the oil is solid or gone, and the laws mean nothing
 
 
-def viscosity_walther(table: tuple[tuple[float, float], ...]) -> Callable:
+@dataclass(frozen=True)
+class WaltherViscosity:
     """Walther law (ASTM D341) through a table of (°C, mm^2/s): log10 log10(nu + 0.7) straight in log10 of kelvin.
 
     A straight line between neighbours and on beyond the ends: oils with viscosity-index improver need more than one.
-    Returns nu(T) in m^2/s.
+    Called with °C it returns m^2/s. Raises InputError for a table of one row or out of order.
     """
-    if len(table) < 2 or any(b[0] <= a[0] or b[1] >= a[1] for a, b in zip(table[:-1], table[1:], strict=True)):
-        raise InputError(f"viscosity table {table}: needs two or more rows, temperature rising and viscosity falling")
-    log_kelvin = np.log10(np.array([t for t, _ in table]) + KELVIN)
-    log_log = np.log10(np.log10(np.array([nu for _, nu in table]) + 0.7))
-    slopes = np.diff(log_log) / np.diff(log_kelvin)
 
-    def viscosity(temperature):
+    table: tuple[tuple[float, float], ...]
+
+    def __post_init__(self):
+        rows = self.table
+        if len(rows) < 2 or any(b[0] <= a[0] or b[1] >= a[1] for a, b in zip(rows[:-1], rows[1:], strict=True)):
+            raise InputError(
+                f"viscosity table {rows}: needs rows of rising temperature and falling viscosity"
+            )
+
+    def __call__(self, temperature):
+        log_kelvin = np.log10(np.array([t for t, _ in self.table]) + KELVIN)
+        log_log = np.log10(np.log10(np.array([nu for _, nu in self.table]) + 0.7))
+        slopes = np.diff(log_log) / np.diff(log_kelvin)
         x = np.log10(np.asarray(temperature, dtype=float) + KELVIN)
         segment = np.clip(np.searchsorted(log_kelvin, x) - 1, 0, len(slopes) - 1)
         y = log_log[segment] + slopes[segment] * (x - log_kelvin[segment])
         return (10.0**10.0**y - 0.7) * 1e-6
-
-    return viscosity
 
 
 def viscosity_yan_2019(temperature):
@@ -141,7 +147,7 @@ def aerated_bulk_modulus(clean, pressure, air_fraction, exponent):
 
 MIL_PRF_5606 = Oil(
     name="mil_prf_5606",
-    viscosity_law=viscosity_walther(((-54.0, 2450.0), (-40.0, 495.0), (40.0, 13.5), (100.0, 5.1))),
+    viscosity_law=WaltherViscosity(((-54.0, 2450.0), (-40.0, 495.0), (40.0, 13.5), (100.0, 5.1))),
 )
 YH12_PAPER = Oil(
     name="yh12_paper", viscosity_law=viscosity_yan_2019, rated_low=-40.0, rated_high=150.0
