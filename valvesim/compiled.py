@@ -7,6 +7,7 @@ compiled code again in the next process. States in the compiled functions are sc
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import importlib.util
@@ -14,7 +15,7 @@ import inspect
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -77,11 +78,25 @@ def compile_model(model: Model) -> CompiledModel:
     module = _load(model)
     scale = np.array([channel.scale for channel in model.state_channels])
     n, n_c = len(scale), len(model.coefficient_names)
-    module.run(  # to nowhere, so that it is compiled here and not in somebody's first run
-        np.zeros(n), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, len(INPUT_CHANNELS) - 1, 3)), np.zeros(1),
-        np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, 1e-5, 1, np.zeros(2, dtype=np.int64),
-    )  # fmt: skip
+    with _short_loops():
+        module.run(  # to nowhere, so that it is compiled here and not in somebody's first run
+            np.zeros(n), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, len(INPUT_CHANNELS) - 1, 3)), np.zeros(1),
+            np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, 1e-5, 1, np.zeros(2, dtype=np.int64),
+        )  # fmt: skip
     return CompiledModel(model, scale, module.run, module.derivative, module.jacobian)
+
+
+@contextlib.contextmanager
+def _short_loops() -> Iterator[None]:
+    """No vectoriser while compiling: loops over a few states gain nothing by it, and it takes a fifth of the time."""
+    from numba.core import config
+
+    kept = config.LOOP_VECTORIZE, config.SLP_VECTORIZE
+    config.LOOP_VECTORIZE = config.SLP_VECTORIZE = 0
+    try:
+        yield
+    finally:
+        config.LOOP_VECTORIZE, config.SLP_VECTORIZE = kept
 
 
 def source(model: Model) -> str:

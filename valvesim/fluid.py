@@ -35,9 +35,7 @@ class WaltherViscosity:
     def __post_init__(self):
         rows = self.table
         if len(rows) < 2 or any(b[0] <= a[0] or b[1] >= a[1] for a, b in zip(rows[:-1], rows[1:], strict=True)):
-            raise InputError(
-                f"viscosity table {rows}: needs rows of rising temperature and falling viscosity"
-            )
+            raise InputError(f"viscosity table {rows}: needs rows of rising temperature and falling viscosity")
 
     def __call__(self, temperature):
         log_kelvin = np.log10(np.array([t for t, _ in self.table]) + KELVIN)

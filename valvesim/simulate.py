@@ -27,7 +27,7 @@ from .units import DISPLAY, quantities, symbol
 
 MAX_STEPS = 50_000_000  # of a slice
 MOST_SAMPLES = 2e7  # of a result: 5 GB
-SLICES = 64  # of a run, between which progress is told
+SLICES = 64  # at most, of a run, between which progress is told: none shorter than a second
 JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
 KNOT_ERROR = 3e-5  # relative error of the coefficients between the knots of the temperature path
 
@@ -291,8 +291,9 @@ def _integrate(problem: _Problem, member: int, progress: Callable[[float], None]
     out = np.full((len(problem.times), len(y)), np.nan)
     clock = np.array([0.0, min(1e-5, scenario.duration), 0.0])
     rtol = scenario.tolerance
-    for k in range(1, SLICES + 1):
-        end = scenario.duration * k / SLICES if k < SLICES else scenario.duration
+    slices = int(np.clip(scenario.duration, 1, SLICES))
+    for k in range(1, slices + 1):
+        end = scenario.duration * k / slices if k < slices else scenario.duration
         status = compiled.run(
             y, clock, end, problem.starts, problem.rows, problem.path.times, problem.knots[member], problem.times, out,
             rtol, 0.01 * rtol, MAX_STEPS, count,
@@ -300,7 +301,7 @@ def _integrate(problem: _Problem, member: int, progress: Callable[[float], None]
         if status:
             raise _failure(problem, member, status, y, float(clock[0]))
         if progress is not None:
-            progress(k / SLICES)
+            progress(k / slices)
     return out * compiled.scale, count
 
 
