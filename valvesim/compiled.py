@@ -89,8 +89,9 @@ def compile_model(model: Model) -> CompiledModel:
 @contextlib.contextmanager
 def _short_loops() -> Iterator[None]:
     """No vectoriser while compiling: loops over a few states gain nothing by it, and it takes a fifth of the time."""
-    from numba.core import config
+    from numba.core import config as numba_config
 
+    config: Any = numba_config
     kept = config.LOOP_VECTORIZE, config.SLP_VECTORIZE
     config.LOOP_VECTORIZE = config.SLP_VECTORIZE = 0
     try:
