@@ -130,8 +130,8 @@ class _Problem:
     initial: np.ndarray
 
 
-def simulate(scenario: Scenario, *, progress: Callable[[float], None] | None = None) -> Result:
-    """Run a scenario from rest. `progress` is told the share that is done.
+def simulate(scenario: Scenario, *, progress: Callable[[float], None] | None = None, signals: bool = True) -> Result:
+    """Run a scenario from rest. `progress` is told the share that is done; without `signals` the states come alone.
 
     Raises InputError for input that makes no sense, SolveError (when, in which state, what to try) where it fails.
     """
@@ -142,7 +142,11 @@ def simulate(scenario: Scenario, *, progress: Callable[[float], None] | None = N
     states, count = _integrate(problem, 0, progress)
     seconds = time.perf_counter() - begin
     statistics = {"accepted_steps": float(count[0]), "rejected_steps": float(count[1]), "solver_seconds": seconds}
-    return Result(scenario, problem.times, output_channels(scenario), _values(problem, states), statistics)
+    if signals:
+        return Result(scenario, problem.times, output_channels(scenario), _values(problem, states), statistics)
+    channels = scenario.model.state_channels
+    values = {channel.name: column for channel, column in zip(channels, states.T, strict=True)}
+    return Result(scenario, problem.times, channels, values, statistics)
 
 
 def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[str, np.ndarray]:
