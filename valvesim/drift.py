@@ -16,7 +16,6 @@ from .parameters import PART_NAMES, REFERENCE_TEMPERATURE, ROUTES, PartTemperatu
 from .scenario import Scenario, Thermal
 from .simulate import Result
 from .static import static_solution
-from .thermal import temperature_path
 
 QUANTITIES = ("armature_angle", "spool_position")
 SCALES = {channel.name: channel.scale for channel in STATE_CHANNELS}
@@ -101,14 +100,5 @@ def observed_drift(result: Result, cold: Result, *, windows: int = 60) -> tuple[
 
 def temperature_varies(scenario: Scenario) -> bool:
     """True where the oil or a part is ever away from 20 °C, so that there is a drift to show."""
-    thermal = scenario.thermal
-    path = temperature_path(
-        scenario.oil_temperature,
-        scenario.duration,
-        network=thermal.network,
-        initial=thermal.initial_temperature,
-        ambient=thermal.ambient_temperature,
-        throttling=scenario.throttling(),
-        spacing=0.5,
-    )
+    path = scenario.temperatures(spacing=0.5)
     return any(np.any(np.abs(getattr(path.parts, name) - REFERENCE_TEMPERATURE) > 1e-9) for name in PART_NAMES)

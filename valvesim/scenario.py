@@ -23,7 +23,7 @@ from .flow_laws import FLOW_LAWS
 from .fluid import MIL_PRF_5606, OILS, Oil
 from .model import CurrentDrive, Model, VoltageDrive
 from .parameters import ROUTES, Valve, check_routes
-from .thermal import ThermalNetwork, throttling_rise
+from .thermal import TemperaturePath, ThermalNetwork, temperature_path, throttling_rise
 from .units import POSITIVE, change, check_bounds, parse, quantities, quantity
 
 
@@ -116,6 +116,19 @@ class Scenario:
         valve = self.valve_at_start
         drop = valve.supply_pressure - valve.return_pressure
         return throttling_rise(self.oil, drop) if self.thermal.throttling_heat else None
+
+    def temperatures(self, *, spacing: float) -> TemperaturePath:
+        """Oil and part temperatures of the run on knots at most `spacing` s apart."""
+        thermal = self.thermal
+        return temperature_path(
+            self.oil_temperature,
+            self.duration,
+            network=thermal.network,
+            initial=thermal.initial_temperature,
+            ambient=thermal.ambient_temperature,
+            throttling=self.throttling(),
+            spacing=spacing,
+        )
 
     def warn_of_large_command(self) -> None:
         """Warn once where the command goes beyond the rated current."""

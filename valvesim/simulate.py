@@ -22,7 +22,7 @@ from .parameters import PART_NAMES, Coefficients, PartTemperatures
 from .rosenbrock import STEP_TOO_SMALL, TOO_MANY_STEPS
 from .scenario import Scenario
 from .static import solve_rest
-from .thermal import TemperaturePath, temperature_path
+from .thermal import TemperaturePath
 from .units import DISPLAY, quantities, symbol
 
 MAX_STEPS = 50_000_000  # of a slice
@@ -207,15 +207,7 @@ def _temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficient
     valve = replace(valve, **batch)
     spacing = min(0.5, scenario.duration / 16.0)
     for _ in range(5):
-        path = temperature_path(
-            scenario.oil_temperature,
-            scenario.duration,
-            network=thermal.network,
-            initial=thermal.initial_temperature,
-            ambient=thermal.ambient_temperature,
-            throttling=scenario.throttling(),
-            spacing=spacing,
-        )
+        path = scenario.temperatures(spacing=spacing)
         if all(np.ptp(getattr(path.parts, name)) <= 1e-12 for name in PART_NAMES):
             held = PartTemperatures(**{name: getattr(path.parts, name)[:1] for name in PART_NAMES})
             path = TemperaturePath(times=path.times[:1], parts=held)
