@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from valvesim import compiled, rosenbrock
+from valvesim.catalogue import CATALOGUE
 from valvesim.channels import INPUT_CHANNELS, Inputs, State
 from valvesim.commands import Constant, Sine, merge
 from valvesim.compiled import compile_model, derivatives
-from valvesim.effects import CATALOGUE, Effect, Parameter, Ports
+from valvesim.effects import Effect, Parameter, Ports
 from valvesim.model import NOMINAL, Model, VoltageDrive
 from valvesim.parameters import PartTemperatures, Valve, reference_valve
 from valvesim.static import static_solution

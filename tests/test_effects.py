@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valvesim.catalogue import CATALOGUE, effect
 from valvesim.channels import STATE_CHANNELS, Channel, Inputs, State
-from valvesim.effects import CATALOGUE, Effect, Parameter, Ports, effect
+from valvesim.effects import Effect, Parameter, Ports
 from valvesim.errors import InputError
 from valvesim.fluid import aerated_bulk_modulus
-from valvesim.model import Model, VoltageDrive, torque_constant
+from valvesim.model import AT_20, Model, VoltageDrive, torque_constant
 from valvesim.parameters import PartTemperatures, reference_valve
 from valvesim.static import nozzle_pressures, solve_rest
 
@@ -176,7 +177,7 @@ def test_friction_acts_on_the_spool_alone():
 
 def clogged(share, side=1.0):
     active = effect("fixed_orifice_clogging")(clogged_share=share, side=side)
-    return active.effect.coefficients(C20, active.effect.values(active.numbers))
+    return active.effect.coefficients(C20, active.values, AT_20)
 
 
 def null(c):
@@ -221,14 +222,14 @@ def test_clogging_lowers_the_tare_flow():
 
 def test_clogging_takes_an_array_of_sides():
     entry = effect("fixed_orifice_clogging")
-    c = entry.coefficients(C20, entry.values((0.19, np.array([1.0, 2.0]))))
+    c = entry.coefficients(C20, entry.values((0.19, np.array([1.0, 2.0]))), AT_20)
     assert c.fixed_orifice_diameter_1 / 0.2e-3 == pytest.approx([0.9, 1.0], rel=1e-12)
     assert c.fixed_orifice_diameter_2 / 0.2e-3 == pytest.approx([1.0, 0.9], rel=1e-12)
 
 
 def test_demagnetization_scales_the_polarization_and_the_torque_constant():
     entry = effect("magnet_demagnetization")
-    c = entry.coefficients(C20, entry.values((0.1,)))
+    c = entry.coefficients(C20, entry.values((0.1,)), AT_20)
     assert c.polarization_mmf == pytest.approx(0.9 * 2980.0, rel=1e-12)  # M0 (1 - IL), paper Eq. 4
     assert c._replace(polarization_mmf=C20.polarization_mmf) == C20
     assert torque_constant(c) == pytest.approx(0.9 * torque_constant(C20), rel=1e-12)
@@ -238,7 +239,7 @@ def test_demagnetized_valve_loses_more_angle_than_polarization():
     # model.md 6.6: theta ~ M0/(K - k M0^2), so a stable valve loses at least 5 % of theta to 5 % of M0
     entry = effect("magnet_demagnetization")
     new, old = (
-        solve_rest(entry.coefficients(C20, entry.values((loss,))), 1e-3, 20.0, 21e6, 0.5e6).armature_angle
+        solve_rest(entry.coefficients(C20, entry.values((loss,)), AT_20), 1e-3, 20.0, 21e6, 0.5e6).armature_angle
         for loss in (0.05, 0.0)
     )
     assert -0.10 < new / old - 1 < -0.05

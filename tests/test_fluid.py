@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvesim.errors import InputError, ValidityWarning, forget_warnings
-from valvesim.fluid import ATMOSPHERE, MIL_PRF_5606, OILS, YH12_PAPER, Oil, aerated_bulk_modulus, WaltherViscosity
+from valvesim.fluid import ATMOSPHERE, MIL_PRF_5606, OILS, YH12_PAPER, Oil, WaltherViscosity, aerated_bulk_modulus
 
 oil = MIL_PRF_5606
 

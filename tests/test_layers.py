@@ -12,7 +12,7 @@ import valvesim
 PACKAGE = Path(valvesim.__file__).parent
 PICTURES = ("report", "report_response", "report_bench", "report_paper", "report_datasheet")
 ORDER = (
-    "errors", "units", "figures", "channels", "laws", "fluid", "parameters", "flow_laws", "effects", "model", "static",
+    "errors", "units", "figures", "channels", "laws", "fluid", "parameters", "flow_laws", "effects", "catalogue", "model", "static",
     "reproduce", "files", "commands", "thermal", "rosenbrock", "compiled", "scenario", "simulate", "drift", "response",
     "bench", "linear", "datasheet", *PICTURES, "cli",
 )  # fmt: skip

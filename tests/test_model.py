@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valvesim.catalogue import effect
 from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, STATE_CHANNELS, Inputs, Signals, State
-from valvesim.effects import effect
 from valvesim.model import NOMINAL, Model, VoltageDrive, main_stage, torque_constant
 from valvesim.parameters import Coefficients, PartTemperatures, Valve, reference_valve
 

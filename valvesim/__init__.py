@@ -8,9 +8,10 @@ result = vs.simulate(vs.load_scenario("scenarios/launch_shock.toml"))
 result["spool_position"]                                                     # over time, with its unit
 """
 
+from .catalogue import CATALOGUE, effect
 from .commands import Chirp, Constant, Pulse, Ramp, Sine, Staircase, Step, Sum, Table
 from .compiled import compile_model, derivatives
-from .effects import CATALOGUE, ActiveEffect, Effect, Parameter, Ports, effect
+from .effects import ActiveEffect, Effect, Parameter, Ports
 from .errors import InputError, SolveError, ValidityWarning, ValvesimError
 from .fluid import MIL_PRF_5606, OILS, YH12_PAPER, Oil
 from .model import CurrentDrive, Model, VoltageDrive

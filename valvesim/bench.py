@@ -763,10 +763,11 @@ class _Rig:
 
     def coefficients(self) -> Coefficients:
         """The coefficients at the oil's temperature, changed by the effects."""
-        c = self.valve.at(PartTemperatures.uniform(self.oil_temperature), oil=self.oil)
+        parts = PartTemperatures.uniform(self.oil_temperature)
+        c = self.valve.at(parts, oil=self.oil)
         for active in self.effects:
             if active.effect.coefficients is not None:
-                c = active.effect.coefficients(c, active.effect.values(active.numbers))
+                c = active.effect.coefficients(c, active.values, parts)
         return c
 
     def null(self) -> float:

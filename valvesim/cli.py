@@ -339,7 +339,7 @@ def _print_written(paths: Sequence[Path]) -> None:
 @click.argument("name", required=False)
 def effects(name: str | None) -> None:
     """The catalogue of effects, or one of them in full."""
-    from .effects import CATALOGUE, effect
+    from .catalogue import CATALOGUE, effect
 
     console = _console()
     for entry in [effect(name)] if name else CATALOGUE.values():

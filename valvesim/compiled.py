@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from . import commands, rosenbrock
+from .catalogue import CATALOGUE
 from .channels import INPUT_CHANNELS
-from .effects import CATALOGUE
 from .errors import InputError
 from .model import CurrentDrive, Model, VoltageDrive
 
@@ -216,7 +216,7 @@ def _package_text() -> str:
 
     folder = Path(__file__).parent
     versions = [version("numba"), version("casadi"), version("numpy"), sys.version]
-    names = ("channels", "commands", "compiled", "effects", "fluid", "laws", "model", "parameters", "rosenbrock")
+    names = ("catalogue", "channels", "commands", "compiled", "effects", "fluid", "laws", "model", "parameters", "rosenbrock")
     return "\n".join([*versions, *((folder / f"{name}.py").read_text(encoding="utf-8") for name in names)])
 
 

@@ -531,7 +531,8 @@ def rest_state(
 def _over_time(scenario: Scenario) -> Callable[[float], np.ndarray]:
     """Flat coefficients, then the oil temperature (°C), (n_c + 1,) over time (s), straight between knots."""
     path, c = _temperature_knots(scenario)
-    flat = np.stack(np.broadcast_arrays(*scenario.model.flat_coefficients(c, scenario.effects)), axis=-1).astype(float)
+    coefficients = scenario.model.flat_coefficients(c, scenario.effects, path.parts)
+    flat = np.stack(np.broadcast_arrays(*coefficients), axis=-1).astype(float)
     if flat.ndim > 2:
         raise InputError("nonlinear system: the valve holds arrays; give one valve, not a batch")
     table = np.column_stack([flat.reshape(-1, flat.shape[-1]), np.broadcast_to(path.parts.oil, path.times.shape)])

@@ -30,8 +30,9 @@ from .laws import (
     orifice_flow,
     slot_leakage,
 )
-from .parameters import Coefficients
+from .parameters import REFERENCE_TEMPERATURE, Coefficients, PartTemperatures
 
+AT_20 = PartTemperatures.uniform(REFERENCE_TEMPERATURE)
 FLOW_FORCE_FACTOR = 0.43  # K_f' = 0.43 w (p_s - p_L): 2 C_d C_v cos 69°, paper Eq. 34
 
 
@@ -96,14 +97,20 @@ class Model:
         """Names in the order of the flat coefficients."""
         return Coefficients._fields + tuple(f"{e.name}.{p.name}" for e in self.effects for p in e.parameters)
 
-    def flat_coefficients(self, c: Coefficients, active: Sequence[ActiveEffect]) -> tuple:
-        """Coefficients changed by the effects, followed by the effects' parameters."""
-        if tuple(a.effect for a in active) != self.effects:
+    def flat_coefficients(
+        self, c: Coefficients, active: Sequence[ActiveEffect], parts: PartTemperatures = AT_20
+    ) -> tuple:
+        """Coefficients changed by the effects, then the parameters of the effects that the model holds.
+
+        An effect without a balance need not be one of the model's; `parts` are the temperatures that `c` stands for.
+        """
+        own = [a for a in active if a.effect.balance is not None or a.effect in self.effects]
+        if tuple(a.effect for a in own) != self.effects:
             raise InputError("the active effects are not those of the model, in its order")
         for a in active:
             if a.effect.coefficients is not None:
-                c = a.effect.coefficients(c, a.effect.values(a.numbers))
-        return (*c, *(number for a in active for number in a.numbers))
+                c = a.effect.coefficients(c, a.values, parts)
+        return (*c, *(number for a in own for number in a.numbers))
 
     def rhs(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple:
         """Derivatives of all states, in the order of `state_channels`.
@@ -122,7 +129,12 @@ class Model:
         x, u, c = State(*state[:6]), Inputs(*inputs), Coefficients(*coefficients[: len(Coefficients._fields)])
         theta, omega, p1, p2, x_v, v = x
         i, i_rate, drive_rates = self.drive.current(u, x, tuple(state[6 : 6 + len(self.drive.memory)]), c)
-        added, memory_rates = self._effects(Situation(x, u, i, i_rate, c), state, coefficients)
+        undisturbed_flow, _ = main_stage(x_v, u.supply_pressure, u.load_pressure, c)
+        added, memory_rates = self._effects(Situation(x, u, i, i_rate, undisturbed_flow, c), state, coefficients)
+        u = u._replace(
+            supply_pressure=u.supply_pressure + added.supply_pressure,
+            return_pressure=u.return_pressure + added.return_pressure,
+        )
 
         # torque motor
         N = c.coil_turns * (i + added.coil_current)
@@ -161,8 +173,8 @@ class Model:
         rates = (
             omega,
             torque / c.armature_inertia,
-            (q_01 - q_n1 - c.spool_area * v) / (c.chamber_volume * compliance_1),
-            (q_02 - q_n2 + c.spool_area * v) / (c.chamber_volume * compliance_2),
+            (q_01 - q_n1 - c.spool_area * v + added.chamber_flow_1) / (c.chamber_volume * compliance_1),
+            (q_02 - q_n2 + c.spool_area * v + added.chamber_flow_2) / (c.chamber_volume * compliance_2),
             v,
             force / c.spool_mass,
             *drive_rates,
@@ -179,8 +191,8 @@ class Model:
             pilot_flow=q_01 + q_02,
             nozzle_flow_1=q_n1,
             nozzle_flow_2=q_n2,
-            load_flow=load_flow,
-            internal_leakage=q_01 + q_02 + land_leakage,
+            load_flow=load_flow + added.load_flow,
+            internal_leakage=q_01 + q_02 + land_leakage + added.internal_leakage,
         )
         return rates, named
 

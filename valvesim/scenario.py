@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from .catalogue import CATALOGUE
 from .commands import COMMANDS, VALUE, Command, Constant, Sum, evaluate, largest, read_table
-from .effects import CATALOGUE, ActiveEffect
+from .effects import ActiveEffect
 from .errors import InputError, unknown_name, warn_once
 from .flow_laws import FLOW_LAWS
 from .fluid import MIL_PRF_5606, OILS, Oil
@@ -100,8 +101,9 @@ class Scenario:
 
     @property
     def model(self) -> Model:
-        """The equations that this scenario integrates."""
-        return Model(self.drive, tuple(active.effect for active in self.effects))
+        """The equations that this scenario integrates: effects without a balance act before them or after."""
+        acting = [active.effect for active in self.effects]
+        return Model(self.drive, tuple(effect for effect in acting if effect.balance is not None))
 
     def pressures(self) -> tuple[Command, Command, Command]:
         """Supply, return and load pressure over time."""
@@ -120,7 +122,7 @@ class Scenario:
     def temperatures(self, *, spacing: float) -> TemperaturePath:
         """Oil and part temperatures of the run on knots at most `spacing` s apart."""
         thermal = self.thermal
-        return temperature_path(
+        path = temperature_path(
             self.oil_temperature,
             self.duration,
             network=thermal.network,
@@ -129,6 +131,11 @@ class Scenario:
             throttling=self.throttling(),
             spacing=spacing,
         )
+        for active in self.effects:
+            if active.effect.temperatures is not None:
+                parts = active.effect.temperatures(path.times, path.parts, active.values)
+                path = dataclasses.replace(path, parts=parts)
+        return path
 
     def warn_of_large_command(self) -> None:
         """Warn once where the command goes beyond the rated current."""
@@ -342,9 +349,11 @@ class _Reader:
         for name, figures in table.items():
             if name not in CATALOGUE:
                 raise unknown_name("effect", name, CATALOGUE, "effects")
-            if not isinstance(figures, dict):
-                raise InputError(f"effects.{name}: expected a table of its parameters, got {figures!r}")
-            active.append(CATALOGUE[name].read(figures, f"effects.{name}"))
+            several = figures if isinstance(figures, list) else [figures]  # [[effects.sensor_bias]]: one a channel
+            for one in several:
+                if not isinstance(one, dict):
+                    raise InputError(f"effects.{name}: expected a table of its parameters, got {one!r}")
+                active.append(CATALOGUE[name].read(one, f"effects.{name}"))
         return tuple(active)
 
     def command(self, table: Any, unit: str, where: str, column: str) -> Command:

@@ -15,6 +15,7 @@ import numpy as np
 from .channels import INPUT_CHANNELS, SIGNAL_CHANNELS, Channel, Inputs
 from .commands import evaluate, merge, piece_value
 from .compiled import CompiledModel, compile_model
+from .effects import Reading
 from .errors import InputError, SolveError, unknown_name
 from .files import write_atomically
 from .model import VoltageDrive
@@ -178,7 +179,7 @@ def _prepare(scenario: Scenario) -> _Problem:
     scenario.warn_of_large_command()
     model, end = scenario.model, scenario.duration
     path, c = _temperature_knots(scenario)
-    flat = model.flat_coefficients(c, scenario.effects)
+    flat = model.flat_coefficients(c, scenario.effects, path.parts)
     knots = np.stack(np.broadcast_arrays(*flat), axis=-1).astype(float)
     knots = np.array(np.broadcast_to(knots, (*knots.shape[:-2], len(path.times), knots.shape[-1])))
     knots = knots.reshape(-1, *knots.shape[-2:])
@@ -352,10 +353,15 @@ def _values(problem: _Problem, states: np.ndarray) -> dict[str, np.ndarray]:
     parts = np.column_stack([np.broadcast_to(getattr(problem.path.parts, name), at.shape) for name in PART_NAMES])
     voltage = [command] if isinstance(scenario.drive, VoltageDrive) else []
     columns = (*voltage, *_between(times, at, parts), *pressures, *states.T, *signals)
-    return {
+    values = {
         channel.name: np.broadcast_to(column, times.shape)
         for channel, column in zip(output_channels(scenario), columns, strict=True)
     }
+    for active in scenario.effects:
+        if active.effect.reading is not None:
+            seen = Reading(times, values[active.effect.channel], values["oil_temperature"])
+            values[active.effect.channel] = active.effect.reading(seen, active.values)
+    return values
 
 
 def _between(times: np.ndarray, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
