@@ -1,20 +1,16 @@
-"""Every effect of the catalogue: neutral at its neutral value, refused outside its bounds, its own sign and size."""
+"""What an effect is: neutral at its neutral value, refused outside its bounds, at its port, on its channel."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from valvesim.catalogue import CATALOGUE, effect
-from valvesim.channels import STATE_CHANNELS, Channel, Inputs, State
-from valvesim.effects import Effect, Parameter, Ports
+from valvesim.channels import SIGNAL_CHANNELS, STATE_CHANNELS, Channel, Inputs, State
+from valvesim.effects import CHANNEL, READABLE, Effect, Parameter, Ports, Reading
 from valvesim.errors import InputError
-from valvesim.fluid import aerated_bulk_modulus
-from valvesim.model import AT_20, Model, VoltageDrive, torque_constant
-from valvesim.parameters import PartTemperatures, reference_valve
-from valvesim.static import nozzle_pressures, solve_rest
+from valvesim.model import AT_20, Model, VoltageDrive
+from valvesim.parameters import PART_NAMES, PartTemperatures, reference_valve
 
 valve = reference_valve()
 C20 = valve.at(PartTemperatures.uniform(20.0))
@@ -22,6 +18,13 @@ NAMES = list(CATALOGUE)
 STATE = State(1.2e-4, 0.7, 9.1e6, 8.3e6, 0.9e-4, 0.04)  # everything in motion, nothing on a stop
 INPUTS = Inputs(3e-3, 0.5, 21e6, 0.5e6, 4e6)
 N = len(STATE_CHANNELS)
+WARM = PartTemperatures(  # everything at a temperature of its own, the spool ahead of its sleeve
+    oil=60.0, pilot_metal=55.0, spool=50.0, sleeve=38.0, body=33.0, torque_motor=25.0, spring_tube=45.0,
+    feedback_rod=58.0,
+)  # fmt: skip
+C_WARM = valve.at(WARM)
+_SAMPLES = np.linspace(0.0, 0.1, 101)
+READING = Reading(_SAMPLES, 3e-4 * np.sin(200.0 * _SAMPLES), 20.0 + 400.0 * _SAMPLES)
 
 
 def rates(*active, state=STATE, inputs=INPUTS, memory=0.0, c=C20, drive=None):
@@ -37,55 +40,143 @@ def signals(*active, state=STATE, inputs=INPUTS, memory=0.0, c=C20):
     return model.signals((*state, *memories), inputs, model.flat_coefficients(c, active))
 
 
+def entry(name):
+    """The catalogue's entry; one of a sensor on the spool position."""
+    found = effect(name)
+    return found.on("spool_position") if found.reading is not None else found
+
+
 def some(name, share=0.3):
     """The effect with its amplitude at a share of its upper bound."""
-    entry = effect(name)
-    return entry(**{entry.amplitude.name: share * entry.amplitude.bounds[1]})
+    return at(name, share * entry(name).amplitude.bounds[1])
+
+
+def at(name, amplitude, **shape):
+    """The effect at an amplitude."""
+    return entry(name)(**{entry(name).amplitude.name: amplitude}, **shape)
+
+
+def typical(name, **shape):
+    """The effect at the amplitude that is seen in service."""
+    return at(name, entry(name).amplitude.typical, **shape)
+
+
+def coefficients(active, c=None, parts=AT_20):
+    """The coefficients as the effect changes them."""
+    return active.effect.coefficients(C20 if c is None else c, active.values, parts)
+
+
+def named(hook):
+    """Names of the entries with that hook."""
+    return [name for name in NAMES if getattr(CATALOGUE[name], hook) is not None]
 
 
 # ---------------------------------------------------------------- every entry
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_every_entry_says_what_it_is_and_has_one_amplitude(name):
+    e = entry(name)
+    assert e.name == name and e.doc and e.location and e.signature
+    assert sum(p.neutral is not None for p in e.parameters) == 1
+    assert sum(hook is not None for hook in (e.temperatures, e.coefficients, e.balance, e.reading)) == 1
+    for p in e.parameters:
+        assert p.doc and p.unit and p.bounds[0] <= p.default <= p.bounds[1]
+    assert e.amplitude.default == e.amplitude.neutral != e.amplitude.typical
+    assert e.amplitude.bounds[0] <= e.amplitude.typical <= e.amplitude.bounds[1]
+    assert all(p.typical is None for p in e.parameters if p is not e.amplitude)
+
+
+def test_memories_and_parameters_have_names_of_their_own():
+    memories = [m.name for e in CATALOGUE.values() for m in e.memory]
+    assert len(set(memories) | set(State._fields)) == len(memories) + N
+    for e in CATALOGUE.values():
+        assert len({p.name for p in e.parameters}) == len(e.parameters)
+
+
+@pytest.mark.parametrize("name", named("balance"))
 @pytest.mark.parametrize("memory", [0.0, -0.7, 1.0])
 @pytest.mark.parametrize("voltage", [False, True], ids=["current", "voltage"])
 def test_neutral_amplitude_leaves_exactly_the_nominal_derivatives(name, memory, voltage):
-    entry = effect(name)
-    off = entry(**{entry.amplitude.name: entry.amplitude.neutral})
+    off = at(name, entry(name).amplitude.neutral)
     drive = VoltageDrive() if voltage else None
     state = (*STATE, 2e-3) if voltage else STATE
     nominal = rates(state=state, drive=drive)
     assert rates(off, state=state, memory=memory, drive=drive)[: len(nominal)] == nominal
+    assert signals(off, memory=memory) == signals()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_amplitude_above_neutral_changes_the_derivatives(name):
-    # beyond the play, while it moves, under a memory
+@pytest.mark.parametrize("name", named("coefficients"))
+def test_neutral_amplitude_leaves_exactly_the_nominal_coefficients(name):
+    assert coefficients(at(name, entry(name).amplitude.neutral), C_WARM, WARM) == C_WARM
+
+
+@pytest.mark.parametrize("name", named("temperatures"))
+def test_neutral_amplitude_leaves_exactly_the_nominal_temperatures(name):
+    off = at(name, entry(name).amplitude.neutral)
+    times = np.array([0.0, 1.0, 1.0, 3.0])
+    parts = PartTemperatures.uniform(np.array([20.0, 30.0, 70.0, 71.0]))
+    late = off.effect.temperatures(times, parts, off.values)
+    assert all(np.array_equal(getattr(late, part), getattr(parts, part)) for part in PART_NAMES)
+
+
+@pytest.mark.parametrize("name", named("reading"))
+def test_neutral_amplitude_leaves_exactly_the_nominal_reading(name):
+    off = at(name, entry(name).amplitude.neutral)
+    assert np.array_equal(off.effect.reading(READING, off.values), READING.values)
+
+
+@pytest.mark.parametrize("name", named("balance"))
+def test_amplitude_off_neutral_changes_the_derivatives(name):
+    # beyond the play, while it moves, under a memory, in a spool warmer than its sleeve
     state = STATE._replace(spool_position=4.1e-4)
-    assert rates(some(name), state=state, memory=0.5)[:N] != rates(state=state)
+    assert rates(typical(name), state=state, memory=0.5, c=C_WARM)[:N] != rates(state=state, c=C_WARM)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_entry_says_what_it_is_and_has_one_amplitude(name):
-    entry = effect(name)
-    assert entry.name == name and entry.doc and entry.location and entry.signature
-    assert sum(p.neutral is not None for p in entry.parameters) == 1
-    assert (entry.balance is None) != (entry.coefficients is None)
-    for p in entry.parameters:
-        assert p.doc and p.unit and p.bounds[0] <= p.default <= p.bounds[1]
+@pytest.mark.parametrize("name", named("coefficients"))
+def test_amplitude_off_neutral_changes_a_derivative_or_a_signal(name):
+    changed = coefficients(typical(name), C_WARM, WARM)
+    new, old = (
+        (rates(state=(*STATE, 2e-3), drive=VoltageDrive(), c=c), signals(c=c)) for c in (changed, C_WARM)
+    )  # fmt: skip
+    assert new != old
+
+
+@pytest.mark.parametrize("name", named("reading"))
+@pytest.mark.parametrize("channel", ["spool_position", "nozzle_pressure_1", "body_temperature"])
+def test_amplitude_off_neutral_changes_the_reading_by_a_visible_share(name, channel):
+    e = effect(name).on(channel)
+    active = e(**{e.amplitude.name: e.amplitude.typical})
+    values = READABLE[channel].scale * np.sin(300.0 * READING.time)
+    off = np.abs(active.effect.reading(READING._replace(values=values), active.values) - values)
+    assert 1e-3 < np.max(off) / READABLE[channel].scale < 0.5
+
+
+@pytest.mark.parametrize("name", named("balance") + named("coefficients"))
+def test_an_array_of_amplitudes_is_as_one_by_one(name):
+    e, shape = entry(name), entry(name).amplitude
+    amplitudes = np.array([shape.neutral, (shape.neutral + shape.typical) / 2, shape.typical])
+    together = at(name, amplitudes)
+    for k, amplitude in enumerate(amplitudes):
+        if e.balance is not None:
+            both = [rates(a, memory=0.5, c=C_WARM) for a in (together, at(name, amplitude))]
+        else:
+            both = [coefficients(a, C_WARM, WARM) for a in (together, at(name, amplitude))]
+        for many, one in zip(*both, strict=True):
+            assert np.broadcast_to(many, 3)[k] == pytest.approx(one, rel=1e-12)
 
 
 @pytest.mark.parametrize("name, parameter", [(n, p.name) for n in NAMES for p in effect(n).parameters])
 @pytest.mark.parametrize("end", [0, 1])
 def test_parameter_outside_its_bounds_is_refused_with_name_and_range(name, parameter, end):
-    entry = effect(name)
-    bounds = next(p.bounds for p in entry.parameters if p.name == parameter)
-    numbers = {entry.amplitude.name: entry.amplitude.bounds[1] / 2, parameter: bounds[end] + (end - 0.5) * bounds[1]}
+    e = entry(name)
+    bounds = next(p.bounds for p in e.parameters if p.name == parameter)
+    numbers = {e.amplitude.name: e.amplitude.bounds[1] / 2, parameter: bounds[end] + (end - 0.5) * bounds[1]}
     with pytest.raises(InputError) as error:
-        entry(**numbers)
+        e(**numbers)
     assert f"effects.{name}.{parameter} = {numbers[parameter]}" in str(error.value)
     assert f"[{bounds[0]:g}, {bounds[1]:g}]" in str(error.value)
-    assert entry(**{**numbers, parameter: bounds[end]}).effect is entry  # the bound itself is allowed
+    assert e(**{**numbers, parameter: bounds[end]}).effect is e  # the bound itself is allowed
 
 
 @pytest.mark.parametrize("value", [np.nan, np.array([1.0, np.nan])])
@@ -96,8 +187,8 @@ def test_parameter_that_is_not_a_number_is_refused(value):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_missing_amplitude_is_refused_by_name(name):
-    with pytest.raises(InputError, match=f"effects.{name} needs {effect(name).amplitude.name}"):
-        effect(name)()
+    with pytest.raises(InputError, match=f"effects.{name} needs {effect(name).amplitude.name} "):
+        entry(name)()
 
 
 def test_unknown_parameter_is_refused_with_the_nearest_name():
@@ -129,181 +220,70 @@ def test_effects_of_another_order_are_refused_by_the_model():
         Model(effects=(a.effect, b.effect)).flat_coefficients(C20, (b, a))
 
 
-# ---------------------------------------------------------------- friction
-
-speeds = st.floats(1e-3, 1.0)
+# ---------------------------------------------------------------- on a channel
 
 
-@pytest.mark.parametrize("name", ["spool_coulomb_friction", "spool_stribeck_friction"])
-@given(speed=speeds, direction=st.sampled_from([-1.0, 1.0]))
-def test_friction_opposes_the_motion_that_saturates_its_memory(name, speed, direction):
-    v = direction * speed
-    moving = STATE._replace(spool_velocity=v)
-    assert np.sign(rates(some(name), state=moving)[N]) == direction  # the memory follows the velocity
-    slowed = rates(some(name), state=moving, memory=direction)[5] - rates(state=moving)[5]
-    assert slowed * direction < 0.0
-    assert rates(some(name), state=moving, memory=direction)[N] == 0.0  # and saturates there
+SCALED = [channel.name for channel in READABLE.values()]
 
 
-def test_coulomb_friction_has_its_force_at_every_speed():
-    active = effect("spool_coulomb_friction")(friction_force=2.0)
-    for v in (1e-4, 0.5):
-        state = STATE._replace(spool_velocity=v)
-        change = rates(active, state=state, memory=1.0)[5] - rates(state=state)[5]
-        assert change * valve.spool_mass == pytest.approx(-2.0, rel=1e-9)
+@pytest.mark.parametrize("channel", SCALED)
+def test_a_sensor_effect_takes_the_unit_and_the_scale_of_its_channel(channel):
+    target, free, bound = READABLE[channel], effect("sensor_bias"), effect("sensor_bias").on(channel)
+    assert bound.channel == channel and bound.amplitude.neutral == 0.0
+    assert bound.amplitude.unit == ("delta_degC" if target.unit == "degC" else target.unit)
+    assert bound.amplitude.bounds == tuple(end * target.scale for end in free.amplitude.bounds)
+    assert bound.amplitude.typical == free.amplitude.typical * target.scale
+    assert CHANNEL not in effect("sensor_temperature_drift").on(channel).amplitude.unit
 
 
-def test_coulomb_friction_reverses_within_three_presliding_distances():
-    active = effect("spool_coulomb_friction")(friction_force=2.0, presliding_distance=1e-6)
-    assert rates(active, memory=0.0)[N] == pytest.approx(STATE.spool_velocity / 1e-6, rel=1e-12)
-    assert rates(active, memory=-1.0)[N] == pytest.approx(2 * STATE.spool_velocity / 1e-6, rel=1e-12)
+def test_a_sensor_figure_without_the_channels_unit_stays_as_it_is():
+    assert effect("sensor_lag").on("load_flow").parameters == effect("sensor_lag").parameters
 
 
-@pytest.mark.parametrize("speed, force", [(0.0, 5.0), (1e-3, 5 * (0.4 + 0.6 / np.e)), (0.1, 2.0)])
-def test_stribeck_friction_falls_from_breakaway_to_its_kinetic_share(speed, force):
-    active = effect("spool_stribeck_friction")(breakaway_force=5.0, kinetic_share=0.4, stribeck_velocity=1e-3)
-    state = STATE._replace(spool_velocity=speed)
-    change = rates(active, state=state, memory=1.0)[5] - rates(state=state)[5]
-    assert -change * valve.spool_mass == pytest.approx(force, rel=1e-9)  # F [k + (1-k) exp(-(v/v_s)^2)]
+@pytest.mark.parametrize(
+    "channel, table, amplitude",
+    [
+        ("spool_position", {"bias": "5 um"}, 5e-6),
+        ("body_temperature", {"bias": "2 K"}, 2.0),
+        ("body_temperature", {"bias": "2 degC"}, 2.0),
+        ("load_flow", {"bias": "-0.6 L/min"}, -1e-5),
+    ],
+)
+def test_a_sensor_effect_is_read_in_any_unit_of_its_channel(channel, table, amplitude):
+    active = effect("sensor_bias").read({"channel": channel, **table}, "here")
+    assert active.effect.channel == channel and active.numbers == pytest.approx((amplitude,))
 
 
-def test_friction_acts_on_the_spool_alone():
-    change = np.subtract(rates(some("spool_coulomb_friction"), memory=1.0)[:N], rates())
-    assert np.flatnonzero(change).tolist() == [5]
+def test_a_drift_with_temperature_is_read_per_kelvin():
+    active = effect("sensor_temperature_drift").read({"channel": "nozzle_pressure_1", "drift": "0.1 bar/K"})
+    assert active.numbers == pytest.approx((1e4,))
 
 
-# ---------------------------------------------------------------- clogging and demagnetization
+@pytest.mark.parametrize("call", [lambda e: e(bias=1e-5), lambda e: e.read({"bias": "5 um"})])
+def test_a_sensor_effect_without_a_channel_is_refused(call):
+    with pytest.raises(InputError, match=r"effects\.sensor_bias needs a channel, such as spool_position"):
+        call(effect("sensor_bias"))
 
 
-def clogged(share, side=1.0):
-    active = effect("fixed_orifice_clogging")(clogged_share=share, side=side)
-    return active.effect.coefficients(C20, active.values, AT_20)
+def test_an_unknown_channel_is_refused_with_the_nearest():
+    with pytest.raises(InputError, match=r"effects\.sensor_lag\.channel: unknown channel 'spol_pos.*'spool_position'"):
+        effect("sensor_lag").on("spol_position")
 
 
-def null(c):
-    return solve_rest(c, 0.0, 20.0, valve.supply_pressure, valve.return_pressure)
+def test_an_effect_that_is_no_sensors_takes_no_channel():
+    with pytest.raises(InputError, match="effect entrained_air does not act on a sensor, so it takes no channel"):
+        effect("entrained_air").on("spool_position")
+    with pytest.raises(InputError, match="unknown parameter of effect entrained_air 'channel'"):
+        effect("entrained_air").read({"air_fraction": "0.01", "channel": "spool_position"})
 
 
-def test_clogging_takes_its_share_of_the_orifice_area_on_its_side_only():
-    c = clogged(0.19)
-    assert (c.fixed_orifice_diameter_1 / C20.fixed_orifice_diameter_1) ** 2 == pytest.approx(0.81, rel=1e-12)
-    assert c._replace(fixed_orifice_diameter_1=C20.fixed_orifice_diameter_1) == C20
-    other = clogged(0.19, side=2.0)
-    assert (other.fixed_orifice_diameter_2 / C20.fixed_orifice_diameter_2) ** 2 == pytest.approx(0.81, rel=1e-12)
-    assert other.fixed_orifice_diameter_1 == C20.fixed_orifice_diameter_1
+def test_a_sensor_bias_beyond_the_scale_of_its_channel_is_refused():
+    with pytest.raises(InputError, match=r"effects\.sensor_bias\.bias = 0\.001 m is outside \[-0\.0004, 0\.0004\] m"):
+        effect("sensor_bias").on("spool_position")(bias=1e-3)
 
 
-def test_clogged_side_1_starves_nozzle_1_and_shifts_the_null_to_negative_spool():
-    rest = [null(clogged(share)) for share in (0.0, 0.05, 0.1, 0.2)]
-    shift = [float(r.spool_position) for r in rest]
-    assert shift[0] == pytest.approx(0.0, abs=1e-15)
-    assert shift[0] > shift[1] > shift[2] > shift[3]
-    assert all(r.nozzle_pressure_1 < r.nozzle_pressure_2 for r in rest[1:])
-
-
-def test_null_shift_of_clogging_is_near_proportional_and_mirrored_by_the_other_side():
-    small, double, mirrored = (float(null(clogged(*a)).spool_position) for a in ((0.02,), (0.04,), (0.04, 2.0)))
-    assert double / small == pytest.approx(2.0, rel=0.05)
-    assert mirrored == pytest.approx(-double, rel=1e-9)
-
-
-def test_clogged_orifice_divides_the_pressure_by_its_reduced_area():
-    p1, p2 = nozzle_pressures(0.0, clogged(0.2), 21e6, 0.5e6)
-    A = (0.8 * C20.fixed_orifice_diameter_1**2 * C20.orifice_flow_coefficient) ** 2  # model.md section 4
-    B = (4 * C20.nozzle_diameter_1 * C20.null_gap_1 * C20.nozzle_flow_coefficient) ** 2
-    assert p1 == pytest.approx((A * 21e6 + B * 0.5e6) / (A + B), rel=1e-12)
-    assert p2 == pytest.approx(nozzle_pressures(0.0, C20, 21e6, 0.5e6)[1], rel=1e-12)
-
-
-def test_clogging_lowers_the_tare_flow():
-    active = effect("fixed_orifice_clogging")(clogged_share=0.2)
-    assert signals(active).pilot_flow < signals().pilot_flow
-
-
-def test_clogging_takes_an_array_of_sides():
-    entry = effect("fixed_orifice_clogging")
-    c = entry.coefficients(C20, entry.values((0.19, np.array([1.0, 2.0]))), AT_20)
-    assert c.fixed_orifice_diameter_1 / 0.2e-3 == pytest.approx([0.9, 1.0], rel=1e-12)
-    assert c.fixed_orifice_diameter_2 / 0.2e-3 == pytest.approx([1.0, 0.9], rel=1e-12)
-
-
-def test_demagnetization_scales_the_polarization_and_the_torque_constant():
-    entry = effect("magnet_demagnetization")
-    c = entry.coefficients(C20, entry.values((0.1,)), AT_20)
-    assert c.polarization_mmf == pytest.approx(0.9 * 2980.0, rel=1e-12)  # M0 (1 - IL), paper Eq. 4
-    assert c._replace(polarization_mmf=C20.polarization_mmf) == C20
-    assert torque_constant(c) == pytest.approx(0.9 * torque_constant(C20), rel=1e-12)
-
-
-def test_demagnetized_valve_loses_more_angle_than_polarization():
-    # model.md 6.6: theta ~ M0/(K - k M0^2), so a stable valve loses at least 5 % of theta to 5 % of M0
-    entry = effect("magnet_demagnetization")
-    new, old = (
-        solve_rest(entry.coefficients(C20, entry.values((loss,)), AT_20), 1e-3, 20.0, 21e6, 0.5e6).armature_angle
-        for loss in (0.05, 0.0)
-    )
-    assert -0.10 < new / old - 1 < -0.05
-
-
-# ---------------------------------------------------------------- backlash, hysteresis, air
-
-
-@given(st.floats(-0.999, 0.999))
-def test_backlash_passes_nothing_within_the_play(share):
-    active = effect("feedback_ball_backlash")(half_play=1e-5)
-    theta = 1e-3
-    position = share * 1e-5 - (valve.nozzle_arm + valve.feedback_arm) * theta
-    state = STATE._replace(armature_angle=theta, spool_position=position)
-    assert signals(active, state=state).feedback_force == pytest.approx(0.0, abs=1e-12)  # K_f of a rounded deflection
-
-
-@given(st.floats(1e-7, 3e-4), st.sampled_from([-1.0, 1.0]))
-def test_backlash_takes_half_its_play_off_the_deflection_beyond(beyond, side):
-    active = effect("feedback_ball_backlash")(half_play=1e-5)
-    state = STATE._replace(armature_angle=0.0, spool_position=side * (1e-5 + beyond))
-    assert signals(active, state=state).feedback_force == pytest.approx(side * 2780.0 * beyond, rel=1e-9)
-
-
-def test_hysteresis_opposes_the_change_of_current():
-    active = some("magnetic_hysteresis")
-    for direction in (-1.0, 1.0):
-        inputs = INPUTS._replace(command_rate=direction * 0.5)
-        assert np.sign(rates(active, inputs=inputs)[N]) == direction
-        lagging = signals(active, inputs=inputs, memory=direction).drive_torque - signals(inputs=inputs).drive_torque
-        assert lagging * direction < 0.0
-
-
-def test_hysteresis_magnetises_as_a_current_less_by_its_coercive_current():
-    active = effect("magnetic_hysteresis")(coercive_current=1e-4)
-    assert signals(active, memory=0.8).drive_torque == pytest.approx(
-        signals(inputs=INPUTS._replace(command=3e-3 - 0.8e-4)).drive_torque, rel=1e-12
-    )
-    assert signals(active, memory=0.8).current == 3e-3
-
-
-def test_hysteresis_turns_over_its_turning_current():
-    active = effect("magnetic_hysteresis")(coercive_current=1e-4, turning_current=1e-3)
-    assert rates(active, memory=-1.0)[N] == pytest.approx(2 * 0.5 / 1e-3, rel=1e-12)  # 2 i'/i_t
-
-
-def test_hysteresis_follows_the_coil_current_of_a_voltage_drive():
-    active = some("magnetic_hysteresis")
-    state = (*STATE, 2e-3)
-    all_rates = rates(active, state=state, inputs=INPUTS._replace(command=30.0), drive=VoltageDrive())
-    di = all_rates[N]
-    assert di > 0.0
-    assert all_rates[N + 1] == pytest.approx(di / 2e-3, rel=1e-12)  # memory at zero, default turning current 2 mA
-
-
-@given(st.floats(1e4, 2e7), st.floats(1e-4, 0.2), st.floats(1.0, 1.67))
-def test_entrained_air_slows_the_chambers_by_the_aerated_modulus(pressure, air, exponent):
-    active = effect("entrained_air")(air_fraction=air, exponent=exponent)
-    state = STATE._replace(nozzle_pressure_1=pressure, nozzle_pressure_2=5e6)
-    for k, p in ((2, pressure), (3, 5e6)):
-        clean = C20.bulk_modulus_at_zero + C20.bulk_modulus_slope * p
-        ratio = rates(active, state=state)[k] / rates(state=state)[k]
-        assert ratio == pytest.approx(aerated_bulk_modulus(clean, p, air, exponent) / clean, rel=1e-9)
-        assert ratio < 1.0
+def test_every_state_and_signal_can_be_read_by_a_sensor():
+    assert {c.name for c in (*STATE_CHANNELS, *SIGNAL_CHANNELS)} < set(READABLE)
 
 
 # ---------------------------------------------------------------- a user's own effect
@@ -332,6 +312,29 @@ def test_ports_add_to_the_balance_that_they_name():
 def test_current_port_adds_to_the_magnetising_current():
     more = np.subtract(rates(inputs=INPUTS._replace(command=INPUTS.command + 1e-4)), rates())
     assert change(coil_current=2e-4) == pytest.approx(more, rel=1e-9)
+
+
+@pytest.mark.parametrize("pressure", ["supply_pressure", "return_pressure"])
+def test_pressure_ports_add_to_the_pressure_in_every_equation(pressure):
+    size = getattr(INPUTS, pressure)
+    more = INPUTS._replace(**{pressure: 1.5 * size})
+    assert rates(own(**{pressure: size})(size=0.5)) == rates(inputs=more)
+    assert signals(own(**{pressure: size})(size=0.5)) == signals(inputs=more)
+
+
+@pytest.mark.parametrize("side", [1, 2])
+def test_chamber_flow_port_fills_its_chamber(side):
+    compliance = 1.0 / (C20.bulk_modulus_at_zero + C20.bulk_modulus_slope * STATE[1 + side])
+    expected = np.zeros(N)
+    expected[1 + side] = 1e-6 / (valve.chamber_volume * compliance)
+    assert change(**{f"chamber_flow_{side}": 2e-6}) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("flow", ["load_flow", "internal_leakage"])
+def test_flow_ports_are_added_to_the_signal_and_move_nothing(flow):
+    active = own(**{flow: 2e-6})(size=0.5)
+    assert rates(active) == rates()
+    assert signals(active) == signals()._replace(**{flow: getattr(signals(), flow) + 1e-6})
 
 
 @pytest.mark.parametrize("side", [1, 2])
@@ -369,3 +372,17 @@ def test_memory_of_a_users_effect_is_a_state_of_the_model():
     with_lag = rates(lag(size=0.5), memory=0.2)
     assert with_lag[N] == pytest.approx(0.3, rel=1e-12)
     assert (with_lag[5] - rates()[5]) * valve.spool_mass == pytest.approx(0.2, rel=1e-9)
+
+
+def test_an_effect_sees_the_flows_at_the_pressures_of_the_inputs():
+    seen = []
+
+    def look(situation, p, memory):
+        seen.append(situation)
+        return Ports(supply_pressure=-1e6, return_pressure=1e5), ()
+
+    spy = dataclasses.replace(own(), balance=look)
+    signals(spy(size=0.5))
+    undisturbed = signals()
+    assert seen[0].load_flow == undisturbed.load_flow
+    assert (seen[0].nozzle_flow_1, seen[0].nozzle_flow_2) == (undisturbed.nozzle_flow_1, undisturbed.nozzle_flow_2)

@@ -11,6 +11,7 @@ from valvesim.laws import (
     bridge_flux,
     contact_force,
     dahl_rate,
+    lagged,
     land_opening,
     magnetic_torque,
     orifice_flow,
@@ -271,3 +272,37 @@ def test_dahl_loop_closes_over_a_cycle_and_encloses_an_area():
     assert (up, down) == (pytest.approx(1.0, abs=1e-4), pytest.approx(-1.0, abs=1e-4))  # 2 e^-10
     middle = [walk(-1.0, 10e-6, 2e-6), walk(1.0, -10e-6, 2e-6)]
     assert middle[0] > 0.9 and middle[1] < -0.9
+
+
+# ---------------------------------------------------------------- lag over time
+
+
+def test_lag_of_a_jump_is_an_exponential_from_the_value_before_it():
+    times, values = np.array([0.0, 1.0, 1.0, 1.5, 4.0]), np.array([2.0, 2.0, 5.0, 5.0, 5.0])
+    expected = [2.0, 2.0, 2.0, 5.0 - 3.0 * np.exp(-0.5 / 0.7), 5.0 - 3.0 * np.exp(-3.0 / 0.7)]
+    assert lagged(times, values, 0.7) == pytest.approx(expected, rel=1e-14)
+
+
+@given(st.floats(1e-6, 1e6))
+def test_lag_of_a_ramp_trails_it_by_the_time_constant(tau):
+    times = np.array([0.0, 0.1, 1.0, 3.0, 10.0])
+    trail = 3.0 * times - lagged(times, 3.0 * times, tau)
+    assert trail == pytest.approx(-3.0 * tau * np.expm1(-times / tau), rel=1e-6, abs=1e-12)
+
+
+@given(st.floats(1e-4, 1e2), st.integers(0, 1000))
+def test_lag_is_the_same_over_one_line_and_over_its_pieces(tau, seed):
+    rng = np.random.default_rng(seed)
+    times, values = np.cumsum(rng.uniform(0.01, 1.0, 8)), rng.normal(size=8)
+    fine = np.sort(np.append(times, rng.uniform(times[0], times[-1], 20)))
+    whole = lagged(fine, np.interp(fine, times, values), tau)
+    assert np.interp(times, fine, whole) == pytest.approx(lagged(times, values, tau), abs=1e-12)
+
+
+def test_lag_without_a_time_constant_is_the_values_themselves():
+    values = np.array([1.0, 4.0, 9.0])
+    assert lagged(np.array([0.0, 0.0, 1.0]), values, 0.0) is values
+
+
+def test_lag_of_a_single_value_is_that_value():
+    assert lagged(np.array([0.0]), np.array([3.0]), 2.0).tolist() == [3.0]

@@ -12,9 +12,9 @@ import valvesim
 PACKAGE = Path(valvesim.__file__).parent
 PICTURES = ("report", "report_response", "report_bench", "report_paper", "report_datasheet")
 ORDER = (
-    "errors", "units", "figures", "channels", "laws", "fluid", "parameters", "flow_laws", "effects", "catalogue", "model", "static",
-    "reproduce", "files", "commands", "thermal", "rosenbrock", "compiled", "scenario", "simulate", "drift", "response",
-    "bench", "linear", "datasheet", *PICTURES, "cli",
+    "errors", "units", "figures", "channels", "laws", "fluid", "parameters", "flow_laws", "effects", "catalogue",
+    "model", "static", "reproduce", "files", "commands", "thermal", "rosenbrock", "compiled", "scenario", "simulate",
+    "drift", "response", "bench", "linear", "datasheet", "session", "prediction", "sensitivity", *PICTURES, "cli",
 )  # fmt: skip
 HEAVY = {"matplotlib", "control", "xarray", "casadi", "pint", "numba", "netCDF4"}
 

@@ -20,7 +20,7 @@ from valvesim.parameters import (
     flow_coefficients_yan_2019,
     reference_valve,
 )
-from valvesim.units import POSITIVE, convert, quantities
+from valvesim.units import POSITIVE, convert, quantities, tolerance_text
 
 valve = reference_valve()
 
@@ -351,3 +351,47 @@ def test_difference_is_side_1_minus_side_2_with_the_mean_kept(difference, first,
     assert not uneven.is_symmetric
     assert one - two == pytest.approx([0.0, 4e-6], abs=1e-15)
     assert (one + two) / 2 == pytest.approx(getattr(even, first), rel=1e-12)
+
+
+# ---------------------------------------------------------------- lands and tolerances
+
+
+def test_every_land_has_the_overlap_of_the_valve_at_every_temperature():
+    for overlap in (-5e-6, 0.0, 8e-6):
+        c = Valve(land_overlap=overlap).at(PartTemperatures.uniform(np.array([20.0, 100.0])))
+        assert c.land_overlap == overlap
+    assert valve.land_overlap == 0.0 and Valve(land_overlap=1e-6).is_symmetric
+
+
+# what a unit's spread leaves uncertain: figures that hold no place in `Valve.at` or are measured have none
+CERTAIN = {
+    *(f"length_{k}" for k in range(1, 7)), "copper_resistance_slope", "rated_current", "transition_pressure",
+    "flapper_stop_stiffness", "spool_stroke", "spool_stop_stiffness", "stop_damping", "supply_pressure",
+    "return_pressure", "load_pressure",
+}  # fmt: skip
+
+
+def test_every_figure_of_the_valve_has_a_tolerance_or_is_certain():
+    fields = quantities(Valve)
+    assert {name for name, field in fields.items() if field.metadata["tolerance"] == 0.0} == CERTAIN
+    assert all(field.metadata["tolerance"] >= 0.0 for field in fields.values())
+
+
+@pytest.mark.parametrize("name", sorted(set(quantities(Valve)) - CERTAIN))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_valve_at_its_tolerance_is_a_valve(name, sign):
+    field = quantities(Valve)[name]
+    off = sign * field.metadata["tolerance"] * (field.default or 1.0)
+    c = Valve(**{name: field.default + off}).at(PartTemperatures.uniform(60.0))
+    assert c != valve.at(PartTemperatures.uniform(60.0))
+
+
+@pytest.mark.parametrize(
+    "name, text",
+    [
+        ("nozzle_diameter", "±2 %"), ("polarization_mmf", "±2 %"), ("spool_damping", "±30 %"),
+        ("null_gap_difference", "±3e-07 m"), ("land_overlap", "±1e-06 m"), ("length_1", ""), ("load_pressure", ""),
+    ],
+)  # fmt: skip
+def test_a_tolerance_is_told_in_percent_or_in_the_unit_of_what_is_zero(name, text):
+    assert tolerance_text(quantities(Valve)[name]) == text

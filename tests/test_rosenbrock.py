@@ -36,7 +36,8 @@ class Run:
 
         for stop in (*slices, end):
             self.status = rosenbrock.integrate(
-                counted, jacobian, self.y, self.clock, stop, starts, rows, *knots, self.t_out, self.out, rtol, atol,
+                counted, jacobian, self.y, self.clock, stop, starts, rows, *knots, self.t_out, self.out, rtol,
+                np.full(len(self.y), atol),
                 max_steps, self.count,
             )  # fmt: skip
 

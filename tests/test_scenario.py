@@ -173,6 +173,52 @@ def test_isothermal_leaves_no_network_and_no_routes_is_no_route(load):
     assert thermal.network is None and thermal.routes == ()
 
 
+def test_a_sensor_effect_is_given_once_for_each_channel(load):
+    effects = load(
+        BASE
+        + '[[effects.sensor_bias]]\nchannel = "spool_position"\nbias = "5 um"\n'
+        + '[[effects.sensor_bias]]\nchannel = "load_flow"\nbias = "0.6 L/min"\n'
+        + '[effects.sensor_temperature_drift]\nchannel = "nozzle_pressure_1"\ndrift = "0.1 bar/K"\n'
+        + '[effects.thermal_lag]\ntime_constant = "5 s"\n'
+    ).effects
+    told = [(active.effect.name, active.effect.channel) for active in effects]
+    assert told == [
+        ("sensor_bias", "spool_position"), ("sensor_bias", "load_flow"),
+        ("sensor_temperature_drift", "nozzle_pressure_1"), ("thermal_lag", ""),
+    ]  # fmt: skip
+    assert [active.numbers[0] for active in effects] == pytest.approx([5e-6, 1e-5, 1e4, 5.0])
+
+
+@pytest.mark.parametrize(
+    "name, text",
+    [
+        ("coil_resistance_drift", 'share = "5 %"'), ("spool_lap", 'overlap = "-3 um"'),
+        ("supply_pressure_droop", 'resistance = "2 bar/(L/min)"\ntime_constant = "5 ms"'),
+        ("spool_thermal_pinch", 'friction_per_clearance = "4 N/um"'), ("oil_viscosity_grade", "viscosity_factor = 2"),
+        ("thermal_gradient_null_drift", 'drift = "0.05 um/K"'),
+    ],
+)  # fmt: skip
+def test_effects_are_read_in_the_units_of_the_field(load, name, text):
+    (active,) = load(BASE + f"[effects.{name}]\n{text}\n").effects
+    expected = {
+        "coil_resistance_drift": (0.05,), "spool_lap": (-3e-6,), "supply_pressure_droop": (1.2e10, 5e-3),
+        "spool_thermal_pinch": (4e6, 3e-6, 0.5e-6), "oil_viscosity_grade": (2.0,),
+        "thermal_gradient_null_drift": (5e-8,),
+    }  # fmt: skip
+    assert active.effect is vs.effect(name) and active.numbers == pytest.approx(expected[name])
+
+
+def test_only_effects_with_a_balance_are_integrated(load):
+    scenario = load(
+        BASE
+        + '[effects.spool_lap]\noverlap = "1 um"\n[effects.eddy_current_lag]\nshare = 0.1\n'
+        + '[effects.thermal_lag]\ntime_constant = "1 s"\n'
+        + '[effects.sensor_lag]\nchannel = "current"\ntime_constant = "1 ms"\n'
+    )
+    assert len(scenario.effects) == 4
+    assert [effect.name for effect in scenario.model.effects] == ["eddy_current_lag"]
+
+
 COMMANDS = {
     "constant": ('constant = "2 mA"', 2e-3),
     "constant as a table": ('constant = { value = "2 mA" }', 2e-3),
@@ -306,6 +352,26 @@ WRONG = {
     "effect without its amplitude": (
         "[effects.spool_stribeck_friction]\nkinetic_share = 0.5\n",
         "line 4: effects.spool_stribeck_friction needs breakaway_force (force F at rest)",
+    ),
+    "sensor effect without a channel": (
+        '[effects.sensor_bias]\nbias = "5 um"\n',
+        "line 4: effects.sensor_bias needs a channel, such as spool_position",
+    ),
+    "sensor effect on an unknown channel": (
+        '[effects.sensor_lag]\nchannel = "spool_positon"\ntime_constant = "1 ms"\n',
+        "line 5: effects.sensor_lag.channel: unknown channel 'spool_positon'; did you mean 'spool_position'?",
+    ),
+    "sensor effect in another unit": (
+        '[effects.sensor_bias]\nchannel = "spool_position"\nbias = "5 bar"\n',
+        "line 6: effects.sensor_bias.bias: 'bar' has the wrong dimension; expected a unit that converts to 'm'",
+    ),
+    "sensor effect in a table of lists": (
+        "[effects]\nsensor_bias = [3]\n",
+        "line 5: effects.sensor_bias: expected a table of its parameters, got 3",
+    ),
+    "channel of what is no sensor": (
+        '[effects.spool_lap]\noverlap = "1 um"\nchannel = "load_flow"\n',
+        "line 6: effects.spool_lap: unknown parameter of effect spool_lap 'channel'",
     ),
     "too high a rate": ('[outputs]\nrate = "1 GHz"\n', "line 5: outputs.rate = 1e+09 Hz is outside (0, 1e+07] Hz"),
     "no rate": ('[outputs]\nrate = "0 Hz"\n', "line 5: outputs.rate = 0 Hz is outside (0, 1e+07] Hz"),

@@ -16,7 +16,8 @@ import valvesim as vs
 from valvesim.compiled import trace
 from valvesim.errors import InputError, SolveError, ValidityWarning
 from valvesim.fluid import MIL_PRF_5606
-from valvesim.parameters import PART_NAMES
+from valvesim.model import main_stage
+from valvesim.parameters import PART_NAMES, PartTemperatures
 
 MODULE = import_module("valvesim.simulate")  # the package's name for it is the function
 ISOTHERMAL = vs.Thermal(network=None)
@@ -333,6 +334,76 @@ def test_within_the_backlash_the_valve_rests_as_without_a_feedback_rod():
     result = run(vs.Step(after=1e-5, time=1e-3), 0.5, effects=spoiled(play=20e-6))
     assert result.values["spool_position"][-1] == pytest.approx(float(rest.spool_position), rel=1e-5)
     assert float(rest.spool_position) > 5.0 * 3.9378931e-7  # against model.md 5 with the rod: a jump through null
+
+
+def every_effect():
+    """Every effect with a balance, small: one compiled model, that of test_compiled.py."""
+    acting = [e for e in vs.CATALOGUE.values() if e.balance is not None]
+    return tuple(e(**{e.amplitude.name: 0.3 * e.amplitude.typical}) for e in acting)
+
+
+def test_a_run_with_every_effect_starts_from_rest_with_its_memories():
+    drive, voltage = vs.VoltageDrive(), vs.Constant(value=3e-3 * VALVE.coil_resistance)
+    result = run(voltage, 0.02, effects=every_effect(), drive=drive, tolerance=1e-6)
+    assert np.max(np.ptp(states(result), axis=1)) < 1e-5
+    memory = {name: result.values[name] for name in ("eddy_lagging_current", "supply_droop_flow", "silt")}
+    assert memory["eddy_lagging_current"] == pytest.approx(3e-3, rel=1e-6)
+    assert memory["silt"] == pytest.approx(1.0, rel=1e-6)
+    # the flow that the supply feels is that at its undisturbed pressure
+    c = VALVE.at(PartTemperatures.uniform(20.0))
+    flow, _ = main_stage(result.values["spool_position"], VALVE.supply_pressure, 0.0, c)
+    assert memory["supply_droop_flow"] == pytest.approx(flow, rel=1e-5)
+    assert np.all(flow > 1e-5)
+
+
+def test_a_sensor_effect_changes_its_channel_and_no_other():
+    sensors = (
+        vs.effect("sensor_gain").on("spool_position")(gain_error=0.1),
+        vs.effect("sensor_bias").on("spool_position")(bias=-4e-6),
+        vs.effect("sensor_delay").on("load_flow")(delay=5e-3),
+        vs.effect("sensor_temperature_drift").on("nozzle_pressure_1")(drift=1e4),
+    )
+    plain, read = (run(STEP, 0.02, 50.0, effects=effects).values for effects in ((), sensors))
+    assert read["spool_position"] == pytest.approx(1.1 * plain["spool_position"] - 4e-6, rel=1e-12, abs=1e-18)
+    assert read["load_flow"][5:] == pytest.approx(plain["load_flow"][:-5], rel=1e-9, abs=1e-12)
+    assert read["load_flow"][:5] == pytest.approx(np.full(5, plain["load_flow"][0]), abs=1e-12)
+    assert read["nozzle_pressure_1"] - plain["nozzle_pressure_1"] == pytest.approx(1e4 * (50.0 - 20.0), rel=1e-6)
+    changed = {"spool_position", "load_flow", "nozzle_pressure_1"}
+    assert all(np.array_equal(read[name], plain[name]) for name in plain if name not in changed)
+
+
+def test_sensors_read_in_the_order_in_which_they_are_given():
+    gain = vs.effect("sensor_gain").on("armature_angle")(gain_error=0.5)
+    bias = vs.effect("sensor_bias").on("armature_angle")(bias=1e-4)
+    plain, one, other = (
+        run(STEP, 0.005, effects=effects).values["armature_angle"] for effects in ((), (gain, bias), (bias, gain))
+    )
+    assert one == pytest.approx(1.5 * plain + 1e-4, rel=1e-12)
+    assert other == pytest.approx(1.5 * (plain + 1e-4), rel=1e-12)
+
+
+def test_a_thermal_lag_moves_every_part_but_the_oil():
+    ramp = vs.Ramp(start_value=20.0, end_value=60.0, rate=40.0)
+    more = {"oil_temperature": ramp, "output_rate": 100.0}
+    plain, late, neutral = (
+        run(STEP, 1.0, effects=effects, **more).values
+        for effects in ((), *((vs.effect("thermal_lag")(time_constant=tau),) for tau in (0.5, 0.0)))
+    )
+    time = np.linspace(0.0, 1.0, 101)
+    assert np.array_equal(late["oil_temperature"], plain["oil_temperature"])
+    # a first-order lag of a ramp; the lines between its knots are good to what the coefficients ask for
+    expected = 20.0 + 40.0 * (time - 0.5 * (1.0 - np.exp(-time / 0.5)))
+    for name in ("body", "feedback_rod", "spool"):
+        assert late[f"{name}_temperature"] == pytest.approx(expected, abs=0.05)
+    assert np.max(np.abs(late["spool_position"] - plain["spool_position"])) > 1e-7
+    assert all(np.array_equal(neutral[name], plain[name]) for name in plain)
+
+
+@pytest.mark.parametrize("name, figures", [("spool_lap", {"overlap": 1e-5}), ("spool_edge_wear", {"rounding": 1e-5})])
+def test_worn_lands_change_the_flow_and_leave_the_spool(name, figures):
+    plain, worn = (run(STEP, 0.02, effects=effects).values for effects in ((), (vs.effect(name)(**figures),)))
+    assert np.array_equal(worn["spool_position"], plain["spool_position"])
+    assert np.max(np.abs(worn["load_flow"] - plain["load_flow"])) > 1e-6
 
 
 def test_beyond_the_backlash_the_spool_has_jumped_by_a_constant_amount():

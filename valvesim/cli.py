@@ -26,7 +26,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from .errors import InputError, SolveError, ValidityWarning
-from .units import DISPLAY, parse_list, quantities, range_text, symbol
+from .units import DISPLAY, parse_list, quantities, range_text, symbol, tolerance_text
 
 _settings_option = click.option(
     "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Override a figure: valve.null_gap='0.03 mm'."
@@ -349,7 +349,8 @@ def effects(name: str | None) -> None:
             unit, factor = DISPLAY.get(p.unit, (p.unit, 1.0))
             low, high = (f"{bound * factor:g}" for bound in p.bounds)
             value = "neutral at" if p.neutral is not None else "default"
-            line = f"  {p.name} [{symbol(unit)}], {low} to {high}, {value} {p.default * factor:g}: {p.doc}"
+            seen = "" if p.typical is None else f", in service {p.typical * factor:g}"
+            line = f"  {p.name} [{symbol(unit)}], {low} to {high}, {value} {p.default * factor:g}{seen}: {p.doc}"
             console.print(escape(line))
         console.print()
 
@@ -367,10 +368,9 @@ def parameters(form: str) -> None:
     for where, instance in (("valve", Valve()), ("oil", MIL_PRF_5606), ("thermal", ThermalNetwork())):
         for name, field in quantities(instance).items():
             data = field.metadata
-            spread = f"±{100 * data['tolerance']:g} %" if data["tolerance"] else ""
             rows.append(
-                (f"{where}.{name}", f"{getattr(instance, name):.6g}", symbol(data["unit"]), range_text(field), spread,
-                 data["doc"], data["source"])
+                (f"{where}.{name}", f"{getattr(instance, name):.6g}", symbol(data["unit"]), range_text(field),
+                 tolerance_text(field), data["doc"], data["source"])
             )  # fmt: skip
     if form == "csv":
         text = io.StringIO()

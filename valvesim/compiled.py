@@ -39,6 +39,7 @@ class CompiledModel:
     run: Any
     derivative: Any
     jacobian: Any
+    jacobians: Any
 
 
 def trace(model: Model) -> tuple[Any, dict[str, Any]]:
@@ -81,9 +82,9 @@ def compile_model(model: Model) -> CompiledModel:
     with _short_loops():
         module.run(  # to nowhere, so that it is compiled here and not in somebody's first run
             np.zeros(n), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, len(INPUT_CHANNELS) - 1, 3)), np.zeros(1),
-            np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, 1e-5, 1, np.zeros(2, dtype=np.int64),
+            np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, np.full(n, 1e-5), 1, np.zeros(2, dtype=np.int64),
         )  # fmt: skip
-    return CompiledModel(model, scale, module.run, module.derivative, module.jacobian)
+    return CompiledModel(model, scale, module.run, module.derivative, module.jacobian, module.jacobians)
 
 
 @contextlib.contextmanager
@@ -127,9 +128,18 @@ def source(model: Model) -> str:
             *_print_function("derivative", rate, [f"out[{k}]" for k in range(n)], []),
             *_print_function("jacobian", slope, [f"out[{i}, {j}]" for i, j in zip(rows, columns, strict=True)], zeros),
             "@njit(cache=True, nogil=True, error_model='numpy')",
+            _JACOBIANS,
+            "@njit(cache=True, nogil=True, error_model='numpy')",
             _integrator_source(),
         ]
     )
+
+
+_JACOBIANS = """def jacobians(y, u, c, out):
+    for k in range(y.shape[0]):
+        jacobian(y[k], u[k], c[min(k, c.shape[0] - 1)], out[k])
+"""
+"""The Jacobian along a course: y (n, states), u (n, inputs), c (n or 1, coefficients) -> out (n, states, states)."""
 
 
 def _make_callable() -> None:
@@ -216,7 +226,9 @@ def _package_text() -> str:
 
     folder = Path(__file__).parent
     versions = [version("numba"), version("casadi"), version("numpy"), sys.version]
-    names = ("catalogue", "channels", "commands", "compiled", "effects", "fluid", "laws", "model", "parameters", "rosenbrock")
+    names = (
+        "catalogue", "channels", "commands", "compiled", "effects", "fluid", "laws", "model", "parameters", "rosenbrock",
+    )  # fmt: skip
     return "\n".join([*versions, *((folder / f"{name}.py").read_text(encoding="utf-8") for name in names)])
 
 

@@ -46,13 +46,15 @@ class Ports(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """What an effect sees of the valve at one instant; the load flow is that at the pressures of `inputs`."""
+    """What an effect sees of the valve at one instant; the flows are those at the pressures of `inputs`."""
 
     state: State
     inputs: Inputs
     coil_current: Any
     coil_current_rate: Any
     load_flow: Any
+    nozzle_flow_1: Any
+    nozzle_flow_2: Any
     coefficients: Coefficients
 
 
@@ -66,7 +68,11 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A figure of an effect. The amplitude has a `neutral` value; a shape parameter (neutral None) has none."""
+    """A figure of an effect. The amplitude has a `neutral` value; a shape parameter (neutral None) has none.
+
+    `typical` is an amplitude seen in service, in the same unit and within the bounds; every amplitude of the catalogue
+    has one.
+    """
 
     name: str
     unit: str
@@ -74,6 +80,7 @@ class Parameter:
     default: float
     bounds: tuple[float, float]
     neutral: float | None = None
+    typical: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +123,7 @@ class Effect:
                 unit=p.unit.replace(CHANNEL, unit),
                 default=p.default * target.scale,
                 bounds=(low * target.scale, high * target.scale),
+                typical=None if p.typical is None else p.typical * target.scale,
             )
 
         return replace(self, channel=channel, parameters=tuple(bound(p) for p in self.parameters))
@@ -138,8 +146,7 @@ class Effect:
         Raises InputError for an unknown parameter, one outside its bounds, a missing amplitude, or a sensor effect
         without its channel.
         """
-        if self.reading is not None and not self.channel:
-            raise InputError(f"effects.{self.name} needs a channel, such as spool_position")
+        self._check_channel()
         known = {p.name: p for p in self.parameters}
         for name, value in numbers.items():
             if name not in known:
@@ -159,11 +166,16 @@ class Effect:
         """The effect from text with units, as in a scenario file; raises InputError."""
         if self.reading is not None and not self.channel and "channel" in table:
             return self.on(str(table["channel"])).read({k: v for k, v in table.items() if k != "channel"}, where)
+        self._check_channel()
         known = {p.name: p for p in self.parameters}
         for name in table:
             if name not in known:
                 raise unknown_name(f"parameter of effect {self.name}", name, known, where)
         return self(**{name: parse(text, known[name].unit, f"{where}.{name}") for name, text in table.items()})
+
+    def _check_channel(self) -> None:
+        if self.reading is not None and not self.channel:
+            raise InputError(f"effects.{self.name} needs a channel, such as spool_position")
 
 
 @dataclass(frozen=True)

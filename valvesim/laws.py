@@ -6,10 +6,13 @@ Symbols
     theta armature angle rad, x displacement m, v velocity m/s, F force N
 
 Only `sqrt`, `abs`, `exp`, `maximum`, `minimum` and arithmetic are used and nothing branches on a state, so that the
-tracer (`valvesim.compiled`) sees every term. Every square root has a named width at zero.
+tracer (`valvesim.compiled`) sees every term. Every square root has a named width at zero. `lagged` alone is for series
+over time.
 """
 
 from __future__ import annotations
+
+from itertools import accumulate
 
 import numpy as np
 
@@ -80,6 +83,22 @@ def contact_force(position, velocity, low, high, stiffness, damping):
 def play(displacement, half_width):
     """What a joint with play +-half_width passes on of a displacement: zero inside the play."""
     return displacement - np.minimum(np.maximum(displacement, -half_width), half_width)
+
+
+def lagged(times, values, time_constant):
+    """A first-order lag of values (n,) at times (n,), from rest: exact for straight lines between them.
+
+    Times ascend; a pair of equal times is a jump. `time_constant` (s) is one number; zero gives the values themselves.
+    """
+    if time_constant == 0.0:
+        return values
+    step, change = np.diff(times) / time_constant, np.diff(values)
+    left = np.exp(-step)
+    ramp = np.divide(-np.expm1(-step), step, out=np.ones_like(step), where=step > 0.0)
+    # the distance d of the lag from its input: d' = -d/tau - u'
+    pairs = zip(left.tolist(), (ramp * change).tolist(), strict=True)
+    distance = accumulate(pairs, lambda d, pair: pair[0] * d - pair[1], initial=0.0)
+    return values + np.fromiter(distance, float, len(values))
 
 
 def dahl_rate(rate, memory, width):

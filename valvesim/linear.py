@@ -34,7 +34,7 @@ from .fluid import MIL_PRF_5606, Oil
 from .model import NOMINAL, CurrentDrive, Model
 from .parameters import Coefficients, PartTemperatures, Valve
 from .scenario import Scenario
-from .simulate import _temperature_knots
+from .simulate import temperature_knots
 from .static import solve_rest
 
 OUTPUTS = (
@@ -530,7 +530,7 @@ def rest_state(
 
 def _over_time(scenario: Scenario) -> Callable[[float], np.ndarray]:
     """Flat coefficients, then the oil temperature (°C), (n_c + 1,) over time (s), straight between knots."""
-    path, c = _temperature_knots(scenario)
+    path, c = temperature_knots(scenario)
     coefficients = scenario.model.flat_coefficients(c, scenario.effects, path.parts)
     flat = np.stack(np.broadcast_arrays(*coefficients), axis=-1).astype(float)
     if flat.ndim > 2:

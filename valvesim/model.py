@@ -119,18 +119,18 @@ class Model:
         `inputs` are `Inputs`, `coefficients` flat. Valid for any armature angle and spool position: beyond the
         clearances the stops carry. Source: model.md section 3.
         """
-        return self._balances(state, inputs, coefficients)[0]
+        return self.evaluate(state, inputs, coefficients)[0]
 
     def signals(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> Signals:
         """The named torques, forces, pressures and flows, computed by the same lines as the derivatives."""
-        return self._balances(state, inputs, coefficients)[1]
+        return self.evaluate(state, inputs, coefficients)[1]
 
-    def _balances(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple[tuple, Signals]:
+    def evaluate(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple[tuple, Signals]:
+        """Derivatives and named terms at once; see `rhs`."""
         x, u, c = State(*state[:6]), Inputs(*inputs), Coefficients(*coefficients[: len(Coefficients._fields)])
         theta, omega, p1, p2, x_v, v = x
         i, i_rate, drive_rates = self.drive.current(u, x, tuple(state[6 : 6 + len(self.drive.memory)]), c)
-        undisturbed_flow, _ = main_stage(x_v, u.supply_pressure, u.load_pressure, c)
-        added, memory_rates = self._effects(Situation(x, u, i, i_rate, undisturbed_flow, c), state, coefficients)
+        added, memory_rates = self._effects(_situation(x, u, i, i_rate, c), state, coefficients)
         u = u._replace(
             supply_pressure=u.supply_pressure + added.supply_pressure,
             return_pressure=u.return_pressure + added.return_pressure,
@@ -154,12 +154,9 @@ class Model:
         # pilot stage
         A_01 = np.pi * c.fixed_orifice_diameter_1**2 / 4.0 * c.orifice_flow_coefficient
         A_02 = np.pi * c.fixed_orifice_diameter_2**2 / 4.0 * c.orifice_flow_coefficient
-        A_n1 = np.pi * c.nozzle_diameter_1 * np.maximum(g1 - x_f, 0.0) * c.nozzle_flow_coefficient
-        A_n2 = np.pi * c.nozzle_diameter_2 * np.maximum(g2 + x_f, 0.0) * c.nozzle_flow_coefficient
         q_01 = orifice_flow(A_01, u.supply_pressure - p1, c.density, c.transition_pressure)
         q_02 = orifice_flow(A_02, u.supply_pressure - p2, c.density, c.transition_pressure)
-        q_n1 = orifice_flow(A_n1, p1 - u.return_pressure, c.density, c.transition_pressure)
-        q_n2 = orifice_flow(A_n2, p2 - u.return_pressure, c.density, c.transition_pressure)
+        q_n1, q_n2 = nozzle_flows(x_f, p1, p2, u.return_pressure, c)
         compliance_1 = 1.0 / (c.bulk_modulus_at_zero + c.bulk_modulus_slope * p1) + added.compliance_1
         compliance_2 = 1.0 / (c.bulk_modulus_at_zero + c.bulk_modulus_slope * p2) + added.compliance_2
 
@@ -211,6 +208,14 @@ class Model:
         return total, rates
 
 
+def _situation(x: State, u: Inputs, current, current_rate, c: Coefficients) -> Situation:
+    """What the effects see, before any of them acts."""
+    load_flow, _ = main_stage(x.spool_position, u.supply_pressure, u.load_pressure, c)
+    x_f = c.nozzle_arm * x.armature_angle
+    nozzles = nozzle_flows(x_f, x.nozzle_pressure_1, x.nozzle_pressure_2, u.return_pressure, c)
+    return Situation(x, u, current, current_rate, load_flow, *nozzles, c)
+
+
 def drive_torque(theta, N, c: Coefficients):
     """T_d of the torque motor at angle theta and coil magnetomotive force N, N m (model.md section 2)."""
     R1 = (c.upper_air_gap_1 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
@@ -234,15 +239,27 @@ def flapper_torques(theta, p1, p2, supply_pressure, return_pressure, c: Coeffici
     return T_nozzles, jets * (2.0 * r * theta + g2 - g1)
 
 
+def nozzle_flows(x_f, p1, p2, return_pressure, c: Coefficients) -> tuple[Any, Any]:
+    """(q_n1, q_n2) out of the nozzles, m^3/s: curtain area pi d_n times the gap that the flapper at x_f leaves."""
+    A_n1 = np.pi * c.nozzle_diameter_1 * np.maximum(c.null_gap_1 - x_f, 0.0) * c.nozzle_flow_coefficient
+    A_n2 = np.pi * c.nozzle_diameter_2 * np.maximum(c.null_gap_2 + x_f, 0.0) * c.nozzle_flow_coefficient
+    return (
+        orifice_flow(A_n1, p1 - return_pressure, c.density, c.transition_pressure),
+        orifice_flow(A_n2, p2 - return_pressure, c.density, c.transition_pressure),
+    )
+
+
 def main_stage(x_v, supply_pressure, load_pressure, c: Coefficients) -> tuple[Any, Any]:
     """(load flow, leakage past the lands), m^3/s, of four lands with port pressures (p_s +- p_L)/2.
 
     Wide open this is model.md's Q_L = C_d w x sqrt((p_s - sign(x) p_L)/rho); the leakage is what passes the closing
-    land of each port, for |p_L| <= p_s. The main return is at zero pressure, as in the paper.
+    land of each port, for |p_L| <= p_s. The main return is at zero pressure, as in the paper. Every land opens once the
+    spool has passed its overlap (negative: underlap).
     """
     p_A, p_B = (supply_pressure + load_pressure) / 2.0, (supply_pressure - load_pressure) / 2.0
 
-    def land(opening, pressure_drop):
+    def land(travel, pressure_drop):
+        opening = travel - c.land_overlap
         area = c.port_flow_coefficient * c.port_width * land_opening(opening, c.null_opening)
         length = c.land_length + np.maximum(-opening, 0.0)
         return orifice_flow(area, pressure_drop, c.density, c.transition_pressure) + slot_leakage(

@@ -99,6 +99,7 @@ class Coefficients(NamedTuple):
     port_width: Any
     port_flow_coefficient: Any
     null_opening: Any
+    land_overlap: Any
     spool_circumference: Any
     radial_clearance: Any
     land_length: Any
@@ -123,66 +124,122 @@ class Valve:
     Any quantity may also be an array: a batch of valves. Raises InputError for a value outside its bounds.
     """
 
-    # torque motor
+    # torque motor; its lengths have no tolerance: the gaps are their differences, a thirtieth of them, and are set in
+    # assembly. What is left of a unit's spread in the gaps shows in polarization and air_gap_difference
     length_1: float = quantity(7.05e-3, "m", "L1, top of the lower pole", (POSITIVE, 0.1), _PAPER + ", Table 2")
     length_2: float = quantity(7.29e-3, "m", "L2, bottom of the armature", (POSITIVE, 0.1), _PAPER + ", Table 2")
     length_3: float = quantity(8.62e-3, "m", "L3, top of the armature", (POSITIVE, 0.1), _PAPER + ", Table 2")
     length_4: float = quantity(8.85e-3, "m", "L4, bottom of the upper pole", (POSITIVE, 0.1), _PAPER + ", Table 2")
     length_5: float = quantity(2.83e-3, "m", "L5, foot of the magnet", (POSITIVE, 0.1), _PAPER + ", Table 2")
     length_6: float = quantity(10.24e-3, "m", "L6, magnet", (POSITIVE, 0.1), _PAPER + ", Table 2")
-    magnet_expansion: float = quantity(11e-6, "1/K", "a_m, AlNiCo", (0.0, 1e-4), _PAPER + ", Table 1")
-    pole_expansion: float = quantity(9.2e-6, "1/K", "a_c, 1J50", (0.0, 1e-4), _PAPER + ", Table 1")
-    armature_expansion: float = quantity(9.2e-6, "1/K", "a_x, 1J50", (0.0, 1e-4), _PAPER + ", Table 1")
-    feedback_rod_expansion: float = quantity(12.14e-6, "1/K", "a_f, 3J1", (0.0, 1e-4), _PAPER + ", Table 1")
-    spring_tube_expansion: float = quantity(17.6e-6, "1/K", "a_s, QBe1.9", (0.0, 1e-4), _PAPER + ", Table 1")
-    air_gap_area: float = quantity(10e-6, "m^2", "A_g, one air gap", (POSITIVE, 1e-3), _FITTED)
-    air_gap_difference: float = quantity(0.0, "m", "air gaps of end 1 minus end 2", (-2e-4, 2e-4), "symmetric")
-    flux_share: float = quantity(0.30, "1", "gamma, magnet flux that reaches the gaps", (POSITIVE, 1.0), _PAPER)
-    polarization_mmf: float = quantity(2980.0, "A", "M0 of one magnet", (POSITIVE, 1e5), _PAPER + ", Eq. 5")
-    polarization_mmf_slope: float = quantity(-0.596, "A/K", "dM0/dT, reversible", (-10.0, 10.0), _PAPER + ", Eq. 5")
-    magnet_reluctance: float = quantity(1.76e8, "A/Wb", "R0 of one magnet", (POSITIVE, 1e11), _FITTED)
-    coil_turns: float = quantity(4780.0, "1", "N_c, both coils", (POSITIVE, 1e5), _FITTED)
-    coil_resistance: float = quantity(600.0, "ohm", "coils and amplifier at 20 °C", (POSITIVE, 1e5), _NASA)
-    coil_inductance: float = quantity(0.57, "H", "coils", (POSITIVE, 100.0), _NASA)
+    magnet_expansion: float = quantity(11e-6, "1/K", "a_m, AlNiCo", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05)
+    pole_expansion: float = quantity(9.2e-6, "1/K", "a_c, 1J50", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05)
+    armature_expansion: float = quantity(9.2e-6, "1/K", "a_x, 1J50", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05)
+    feedback_rod_expansion: float = quantity(
+        12.14e-6, "1/K", "a_f, 3J1", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05
+    )
+    spring_tube_expansion: float = quantity(
+        17.6e-6, "1/K", "a_s, QBe1.9", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05
+    )
+    air_gap_area: float = quantity(10e-6, "m^2", "A_g, one air gap", (POSITIVE, 1e-3), _FITTED, tolerance=0.02)
+    air_gap_difference: float = quantity(
+        0.0, "m", "air gaps of end 1 minus end 2", (-2e-4, 2e-4), "symmetric", tolerance=1e-6
+    )
+    flux_share: float = quantity(
+        0.30, "1", "gamma, magnet flux that reaches the gaps", (POSITIVE, 1.0), _PAPER, tolerance=0.02
+    )
+    polarization_mmf: float = quantity(
+        2980.0, "A", "M0 of one magnet", (POSITIVE, 1e5), _PAPER + ", Eq. 5", tolerance=0.02
+    )
+    polarization_mmf_slope: float = quantity(
+        -0.596, "A/K", "dM0/dT, reversible", (-10.0, 10.0), _PAPER + ", Eq. 5", tolerance=0.05
+    )
+    magnet_reluctance: float = quantity(1.76e8, "A/Wb", "R0 of one magnet", (POSITIVE, 1e11), _FITTED, tolerance=0.02)
+    coil_turns: float = quantity(4780.0, "1", "N_c, both coils", (POSITIVE, 1e5), _FITTED, tolerance=0.02)
+    coil_resistance: float = quantity(
+        600.0, "ohm", "coils and amplifier at 20 °C", (POSITIVE, 1e5), _NASA, tolerance=0.02
+    )
+    coil_inductance: float = quantity(0.57, "H", "coils", (POSITIVE, 100.0), _NASA, tolerance=0.1)
     copper_resistance_slope: float = quantity(3.93e-3, "1/K", "of copper at 20 °C", (0.0, 0.02), "handbook")
     rated_current: float = quantity(10e-3, "A", "rated current", (POSITIVE, 1.0), "model.md 5")
-    armature_arm: float = quantity(14.5e-3, "m", "a, arm of the gap forces", (POSITIVE, 0.2), _TEXTBOOK)
-    armature_inertia: float = quantity(1.78e-7, "kg*m^2", "J, armature and flapper", (POSITIVE, 1e-3), _TEXTBOOK)
-    armature_damping: float = quantity(1.24e-3, "N*m*s/rad", "B_a, armature", (0.0, 1.0), _ESTIMATE + ": ratio 0.4")
-    spring_tube_stiffness: float = quantity(10.18, "N*m/rad", "K_s, spring tube", (POSITIVE, 1e4), _TEXTBOOK)
-    feedback_rod_stiffness: float = quantity(2780.0, "N/m", "K_f, feedback rod at the ball", (POSITIVE, 1e6), _TEXTBOOK)
+    armature_arm: float = quantity(14.5e-3, "m", "a, arm of the gap forces", (POSITIVE, 0.2), _TEXTBOOK, tolerance=0.02)
+    armature_inertia: float = quantity(
+        1.78e-7, "kg*m^2", "J, armature and flapper", (POSITIVE, 1e-3), _TEXTBOOK, tolerance=0.02
+    )
+    armature_damping: float = quantity(
+        1.24e-3, "N*m*s/rad", "B_a, armature", (0.0, 1.0), _ESTIMATE + ": ratio 0.4", tolerance=0.2
+    )
+    spring_tube_stiffness: float = quantity(
+        10.18, "N*m/rad", "K_s, spring tube", (POSITIVE, 1e4), _TEXTBOOK, tolerance=0.02
+    )
+    feedback_rod_stiffness: float = quantity(
+        2780.0, "N/m", "K_f, feedback rod at the ball", (POSITIVE, 1e6), _TEXTBOOK, tolerance=0.02
+    )
     # pilot stage
-    nozzle_arm: float = quantity(8.9e-3, "m", "r, pivot to nozzle", (POSITIVE, 0.2), _TEXTBOOK)
-    feedback_arm: float = quantity(13.3e-3, "m", "b, nozzle to ball", (POSITIVE, 0.2), _TEXTBOOK)
-    nozzle_diameter: float = quantity(0.30e-3, "m", "d_n, nozzle", (POSITIVE, 5e-3), _NASA + ", implied")
-    fixed_orifice_diameter: float = quantity(0.20e-3, "m", "d_0, fixed orifice", (POSITIVE, 5e-3), _NASA + ", implied")
-    null_gap: float = quantity(0.035e-3, "m", "x_f0, nozzle to flapper", (POSITIVE, 1e-3), _NASA + ", implied")
-    null_gap_difference: float = quantity(0.0, "m", "null gap of side 1 minus side 2", (-1e-4, 1e-4), "symmetric")
-    nozzle_diameter_difference: float = quantity(0.0, "m", "nozzle 1 minus nozzle 2", (-5e-4, 5e-4), "symmetric")
-    fixed_orifice_difference: float = quantity(0.0, "m", "fixed orifice 1 minus 2", (-5e-4, 5e-4), "symmetric")
-    nozzle_length: float = quantity(0.3e-3, "m", "l_n, wall that narrows the nozzle", (0.0, 0.05), _ESTIMATE)
-    fixed_orifice_length: float = quantity(0.3e-3, "m", "l_0, wall that narrows the orifice", (0.0, 0.05), _ESTIMATE)
-    flapper_length: float = quantity(0.6e-3, "m", "l_x, metal that closes the null gap", (0.0, 0.05), _ESTIMATE)
-    pilot_expansion: float = quantity(11e-6, "1/K", "a_p, pilot metal", (0.0, 1e-4), _ESTIMATE)
-    chamber_volume: float = quantity(0.1e-6, "m^3", "V_1 = V_2, spool end chamber", (POSITIVE, 1e-3), _ESTIMATE)
+    nozzle_arm: float = quantity(8.9e-3, "m", "r, pivot to nozzle", (POSITIVE, 0.2), _TEXTBOOK, tolerance=0.02)
+    feedback_arm: float = quantity(13.3e-3, "m", "b, nozzle to ball", (POSITIVE, 0.2), _TEXTBOOK, tolerance=0.02)
+    nozzle_diameter: float = quantity(
+        0.30e-3, "m", "d_n, nozzle", (POSITIVE, 5e-3), _NASA + ", implied", tolerance=0.02
+    )
+    fixed_orifice_diameter: float = quantity(
+        0.20e-3, "m", "d_0, fixed orifice", (POSITIVE, 5e-3), _NASA + ", implied", tolerance=0.02
+    )
+    null_gap: float = quantity(
+        0.035e-3, "m", "x_f0, nozzle to flapper", (POSITIVE, 1e-3), _NASA + ", implied", tolerance=0.02
+    )
+    null_gap_difference: float = quantity(
+        0.0, "m", "null gap of side 1 minus side 2", (-1e-4, 1e-4), "symmetric", tolerance=0.3e-6
+    )
+    nozzle_diameter_difference: float = quantity(
+        0.0, "m", "nozzle 1 minus nozzle 2", (-5e-4, 5e-4), "symmetric", tolerance=1e-6
+    )
+    fixed_orifice_difference: float = quantity(
+        0.0, "m", "fixed orifice 1 minus 2", (-5e-4, 5e-4), "symmetric", tolerance=1e-6
+    )
+    nozzle_length: float = quantity(
+        0.3e-3, "m", "l_n, wall that narrows the nozzle", (0.0, 0.05), _ESTIMATE, tolerance=0.2
+    )
+    fixed_orifice_length: float = quantity(
+        0.3e-3, "m", "l_0, wall that narrows the orifice", (0.0, 0.05), _ESTIMATE, tolerance=0.2
+    )
+    flapper_length: float = quantity(
+        0.6e-3, "m", "l_x, metal that closes the null gap", (0.0, 0.05), _ESTIMATE, tolerance=0.2
+    )
+    pilot_expansion: float = quantity(11e-6, "1/K", "a_p, pilot metal", (0.0, 1e-4), _ESTIMATE, tolerance=0.05)
+    chamber_volume: float = quantity(
+        0.1e-6, "m^3", "V_1 = V_2, spool end chamber", (POSITIVE, 1e-3), _ESTIMATE, tolerance=0.2
+    )
     transition_pressure: float = quantity(
         1e3, "Pa", "pressure drop below which an orifice is laminar", (POSITIVE, 1e6), _ESTIMATE
     )
     flapper_stop_stiffness: float = quantity(5e6, "N/m", "flapper on nozzle", (POSITIVE, 1e10), _ESTIMATE)
     # spool and main stage
-    spool_area: float = quantity(16.8e-6, "m^2", "A_v, spool end", (POSITIVE, 1e-2), _NASA)
-    spool_mass: float = quantity(4e-3, "kg", "m, spool", (POSITIVE, 10.0), _ESTIMATE)
-    spool_damping: float = quantity(1.0, "N*s/m", "B_v, viscous damping of the spool", (0.0, 1e4), _ESTIMATE)
+    spool_area: float = quantity(16.8e-6, "m^2", "A_v, spool end", (POSITIVE, 1e-2), _NASA, tolerance=0.02)
+    spool_mass: float = quantity(4e-3, "kg", "m, spool", (POSITIVE, 10.0), _ESTIMATE, tolerance=0.1)
+    spool_damping: float = quantity(
+        1.0, "N*s/m", "B_v, viscous damping of the spool", (0.0, 1e4), _ESTIMATE, tolerance=0.3
+    )
     spool_stroke: float = quantity(0.42e-3, "m", "half stroke to the end stop", (POSITIVE, 0.05), "model.md 5")
     spool_stop_stiffness: float = quantity(2e7, "N/m", "spool on end stop", (POSITIVE, 1e12), _ESTIMATE)
     stop_damping: float = quantity(1.0, "s/m", "damping of every stop per depth", (0.0, 100.0), _ESTIMATE)
-    port_width: float = quantity(12.1e-3, "m", "w, area gradient of a port", (POSITIVE, 1.0), _NASA + ", implied")
-    port_flow_coefficient: float = quantity(0.61, "1", "C_d of a port", (POSITIVE, 1.0), "Merritt (1967)")
-    null_opening: float = quantity(3e-6, "m", "opening with the leakage of a closed land", (POSITIVE, 1e-4), _ESTIMATE)
-    radial_clearance: float = quantity(3e-6, "m", "spool in sleeve", (POSITIVE, 1e-4), "field.md 4: 0.6-8 um")
-    land_length: float = quantity(1e-3, "m", "leakage length of a land", (POSITIVE, 0.1), _ESTIMATE)
-    spool_expansion: float = quantity(12e-6, "1/K", "spool steel", (0.0, 1e-4), _ESTIMATE)
-    sleeve_expansion: float = quantity(12e-6, "1/K", "sleeve steel", (0.0, 1e-4), _ESTIMATE)
+    port_width: float = quantity(
+        12.1e-3, "m", "w, area gradient of a port", (POSITIVE, 1.0), _NASA + ", implied", tolerance=0.02
+    )
+    port_flow_coefficient: float = quantity(
+        0.61, "1", "C_d of a port", (POSITIVE, 1.0), "Merritt (1967)", tolerance=0.02
+    )
+    null_opening: float = quantity(
+        3e-6, "m", "opening with the leakage of a closed land", (POSITIVE, 1e-4), _ESTIMATE, tolerance=0.3
+    )
+    land_overlap: float = quantity(
+        0.0, "m", "closed travel before a land opens", (-5e-5, 5e-5), "critical centre", tolerance=1e-6
+    )
+    radial_clearance: float = quantity(
+        3e-6, "m", "spool in sleeve", (POSITIVE, 1e-4), "field.md 4: 0.6-8 um", tolerance=0.2
+    )
+    land_length: float = quantity(1e-3, "m", "leakage length of a land", (POSITIVE, 0.1), _ESTIMATE, tolerance=0.2)
+    spool_expansion: float = quantity(12e-6, "1/K", "spool steel", (0.0, 1e-4), _ESTIMATE, tolerance=0.05)
+    sleeve_expansion: float = quantity(12e-6, "1/K", "sleeve steel", (0.0, 1e-4), _ESTIMATE, tolerance=0.05)
     # pressures
     supply_pressure: float = quantity(21e6, "Pa", "p_s", (POSITIVE, 1e8), "model.md 5")
     return_pressure: float = quantity(0.5e6, "Pa", "p_0 behind the nozzles", (0.0, 1e8), "model.md 5")
@@ -308,6 +365,7 @@ class Valve:
             port_width=self.port_width,
             port_flow_coefficient=self.port_flow_coefficient,
             null_opening=self.null_opening,
+            land_overlap=self.land_overlap,
             spool_circumference=np.pi * spool_diameter,
             radial_clearance=self.radial_clearance + spool_diameter / 2.0 * growth,
             land_length=self.land_length,

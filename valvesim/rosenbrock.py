@@ -127,6 +127,7 @@ def integrate(
 
     clock: [time, next step, next output index]; all updated, so that a run can go on in slices.
     starts, rows: input pieces between breaks; knot_times (m,), knots (m, n_c): coefficients, straight in between.
+    atol (n,): absolute tolerance of each scaled state; infinite for one whose error does not matter.
     count: [accepted, rejected] steps, added to. A step never crosses a break or a pair of equal knot times.
     """
     n, n_c = y.shape[0], knots.shape[1]
@@ -213,7 +214,7 @@ def integrate(
                     error = 0.0
                     for i in range(n):
                         new[i] += K[STAGES - 1, i]
-                        size = atol + rtol * max(abs(y[i]), abs(new[i]))
+                        size = atol[i] + rtol * max(abs(y[i]), abs(new[i]))
                         share = abs(K[STAGES - 1, i]) / size
                         error = max(error, share) if np.isfinite(share) else 1e10
                 if error <= 1.0:

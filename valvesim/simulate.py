@@ -178,7 +178,7 @@ def _array_figures(scenario: Scenario) -> list[str]:
 def _prepare(scenario: Scenario) -> _Problem:
     scenario.warn_of_large_command()
     model, end = scenario.model, scenario.duration
-    path, c = _temperature_knots(scenario)
+    path, c = temperature_knots(scenario)
     flat = model.flat_coefficients(c, scenario.effects, path.parts)
     knots = np.stack(np.broadcast_arrays(*flat), axis=-1).astype(float)
     knots = np.array(np.broadcast_to(knots, (*knots.shape[:-2], len(path.times), knots.shape[-1])))
@@ -201,7 +201,7 @@ def _prepare(scenario: Scenario) -> _Problem:
     return _Problem(scenario, compiled, path, knots, starts, rows, times, initial)
 
 
-def _temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficients]:
+def temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficients]:
     """The temperature path on knots close enough that straight lines between them hold the coefficients."""
     thermal, valve = scenario.thermal, scenario.valve
     batch: Any = {name: np.asarray(getattr(valve, name))[:, None] for name in _array_figures(scenario)}
@@ -293,7 +293,7 @@ def _integrate(problem: _Problem, member: int, progress: Callable[[float], None]
         end = scenario.duration * k / slices if k < slices else scenario.duration
         status = compiled.run(
             y, clock, end, problem.starts, problem.rows, problem.path.times, problem.knots[member], problem.times, out,
-            rtol, 0.01 * rtol, MAX_STEPS, count,
+            rtol, np.full(len(y), 0.01 * rtol), MAX_STEPS, count,
         )  # fmt: skip
         if status:
             raise _failure(problem, member, status, y, float(clock[0]))
@@ -348,11 +348,11 @@ def _values(problem: _Problem, states: np.ndarray) -> dict[str, np.ndarray]:
     """All channels over time by name; signals from the same lines as the derivatives."""
     scenario, times, at = problem.scenario, problem.times, problem.path.times
     command, *pressures = (evaluate(each, times) for each in (scenario.command, *scenario.pressures()))
-    c = tuple(_between(times, at, problem.knots[0]))
+    c = tuple(between(times, at, problem.knots[0]))
     signals = scenario.model.signals(tuple(states.T), Inputs(command, np.zeros_like(times), *pressures), c)
     parts = np.column_stack([np.broadcast_to(getattr(problem.path.parts, name), at.shape) for name in PART_NAMES])
     voltage = [command] if isinstance(scenario.drive, VoltageDrive) else []
-    columns = (*voltage, *_between(times, at, parts), *pressures, *states.T, *signals)
+    columns = (*voltage, *between(times, at, parts), *pressures, *states.T, *signals)
     values = {
         channel.name: np.broadcast_to(column, times.shape)
         for channel, column in zip(output_channels(scenario), columns, strict=True)
@@ -364,7 +364,7 @@ def _values(problem: _Problem, states: np.ndarray) -> dict[str, np.ndarray]:
     return values
 
 
-def _between(times: np.ndarray, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def between(times: np.ndarray, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Straight lines between knots for columns (m, n_columns), as (n_columns, n_t); after a jump the later value."""
     if len(at) == 1:
         return np.repeat(columns.T, len(times), axis=1)

@@ -107,8 +107,10 @@ def parse_list(text: str, unit: str, where: str = "") -> np.ndarray:
 def quantity(
     default: Any, unit: str, doc: str, bounds: tuple[float, float], source: str, *, tolerance: float = 0.0
 ) -> Any:
-    """A dataclass field that declares a quantity once: default, unit, doc, bounds, source and relative tolerance.
+    """A dataclass field that declares a quantity once: default, unit, doc, bounds, source and tolerance.
 
+    `tolerance` is how far a unit in service may be from the default (unit-to-unit spread, or the doubt in an estimate):
+    relative to the default, or in `unit` where the default is 0. Zero: known, or not a matter of spread.
     A lower bound of 0 includes zero; use `POSITIVE` for strictly positive quantities.
     Loader, parameter table, documentation and fits all read this declaration.
     """
@@ -129,6 +131,14 @@ def range_text(field: dataclasses.Field) -> str:
     low, high = field.metadata["bounds"]
     left = "(0" if low == POSITIVE else ("(-inf" if low == -np.inf else f"[{low:.6g}")
     return f"{left}, {'inf)' if high == np.inf else f'{high:.6g}]'}"
+
+
+def tolerance_text(field: dataclasses.Field) -> str:
+    """The tolerance of a declared quantity in words, such as `±2 %` or `±1e-06 m`; empty where there is none."""
+    tolerance = field.metadata["tolerance"]
+    if not tolerance:
+        return ""
+    return f"±{100 * tolerance:g} %" if field.default else f"±{tolerance:g} {symbol(field.metadata['unit'])}"
 
 
 def check_bounds(instance: Any) -> None:

@@ -1,0 +1,142 @@
+"""What the data say of a candidate, from products of whitened columns alone.
+
+Symbols
+    r residual, J answers to the base parameters (one prior standard deviation each), s answer to a candidate
+    t base parameters now, in prior standard deviations;  H = J'J + I
+    s~ = s off the space of J, softened by the prior:  s~'s~ = s's - s'J H^-1 J's,  s~'r~ = s'r - s'J H^-1 (J'r - t)
+    z = s~'r~/|s~| is standard normal where nothing is hidden;  z^2 is the fall of the deviance;  |s~| is d'
+
+A `Gram` keeps the products G = [r J S]'[r J S] of each segment of the data, so that ten minutes of ten channels weigh
+no more than a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+DRAWS = 20_000
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Products of columns over segments: `products` (segments, m, m), columns [r, J (p), S (q)], `prior_now` t (p,)."""
+
+    products: np.ndarray
+    prior_now: np.ndarray
+    names: tuple[str, ...]
+    segments: tuple[str, ...]
+    rows: tuple[int, ...]
+
+    @property
+    def parameters(self) -> int:
+        """Number p of base parameters."""
+        return len(self.prior_now)
+
+    @property
+    def total(self) -> np.ndarray:
+        """(m, m) over all segments."""
+        return self.products.sum(axis=0)
+
+    @property
+    def deviance(self) -> float:
+        """Whitened squares of the residual and of the prior."""
+        return float(self.total[0, 0] + self.prior_now @ self.prior_now)
+
+    def step(self) -> np.ndarray:
+        """The Gauss-Newton step (p,) of the base parameters, in prior standard deviations."""
+        G, p = self.total, self.parameters
+        return np.linalg.solve(_H(G, p), G[1 : 1 + p, 0] - self.prior_now)
+
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance (p, p) of the base parameters, in prior standard deviations."""
+        return np.linalg.inv(_H(self.total, self.parameters))
+
+
+def _H(G: np.ndarray, p: int) -> np.ndarray:
+    return G[1 : 1 + p, 1 : 1 + p] + np.eye(p)
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Candidates off the base parameters: `score` (q,) s~'r~, `overlap` (q, q) s~'s~; `deviance` after the base step."""
+
+    score: np.ndarray
+    overlap: np.ndarray
+    deviance: float
+
+    @property
+    def distance(self) -> np.ndarray:
+        """d' (q,) of each candidate at the amplitude of its column."""
+        return np.sqrt(np.maximum(np.diag(self.overlap), 0.0))
+
+    @property
+    def z(self) -> np.ndarray:
+        """Standard normal where nothing is hidden (q,); zero where the data do not see the candidate."""
+        d = self.distance
+        return np.divide(self.score, d, out=np.zeros_like(d), where=d > 1e-9)
+
+    def correlation(self) -> np.ndarray:
+        """Correlations (q, q) of what candidates show."""
+        d = np.where(self.distance > 1e-9, self.distance, 1.0)
+        C = self.overlap / np.outer(d, d)
+        np.fill_diagonal(C, 1.0)
+        return np.clip(C, -1.0, 1.0)
+
+    def without(self, taken: Sequence[int]) -> Projected:
+        """Candidates off those taken too, which are free."""
+        k = list(taken)
+        if not k:
+            return self
+        inverse = np.linalg.pinv(self.overlap[np.ix_(k, k)], rcond=1e-9, hermitian=True)
+        gain = self.overlap[:, k] @ inverse
+        fall = float(self.score[k] @ inverse @ self.score[k])
+        overlap = self.overlap - gain @ self.overlap[k]
+        small = np.diag(overlap) < 1e-6 * np.diag(self.overlap)
+        overlap[small], overlap[:, small] = 0.0, 0.0
+        return Projected(self.score - gain @ self.score[k], overlap, self.deviance - fall)
+
+
+def project(gram: Gram, first: int, last: int) -> Projected:
+    """Columns first..last (counted after r and J) off the base parameters."""
+    G, p = gram.total, gram.parameters
+    J, s = slice(1, 1 + p), slice(1 + p + first, 1 + p + last)
+    gradient = G[J, 0] - gram.prior_now
+    solved = np.linalg.solve(_H(G, p), np.column_stack([G[J, s], gradient]))
+    score = G[s, 0] - G[s, J] @ solved[:, -1]
+    overlap = G[s, s] - G[s, J] @ solved[:, :-1]
+    size = np.diag(G[s, s])
+    blind = np.diag(overlap) < 1e-9 * size + 1e-12
+    overlap = (overlap + overlap.T) / 2.0
+    overlap[blind], overlap[:, blind], score = 0.0, 0.0, np.where(blind, 0.0, score)
+    return Projected(score, overlap, gram.deviance - float(gradient @ solved[:, -1]))
+
+
+def alarm_level(projected: Projected, one_sided: np.ndarray, probability: float, seed: int) -> float:
+    """The z that the best of all candidates passes with that probability where nothing is hidden, by drawing."""
+    seen = projected.distance > 1e-9
+    if not seen.any():
+        return np.inf
+    values, vectors = np.linalg.eigh(projected.correlation()[np.ix_(seen, seen)])
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    keep = values > 1e-6 * values[-1]
+    z = np.random.default_rng(seed).standard_normal((DRAWS, int(keep.sum()))) @ root[:, keep].T
+    top = np.max(np.where(one_sided[seen], z, np.abs(z)), axis=1)
+    return float(np.quantile(top, 1.0 - probability))
+
+
+def block_statistic(projected: Projected, members: Sequence[int]) -> tuple[float, int]:
+    """(chi-square, degrees of freedom) of several columns at once, those that the data see."""
+    k = list(members)
+    size = projected.distance[k]
+    seen = [i for i, d in zip(k, size, strict=True) if d > 1e-6 * max(float(size.max()), 1e-300)]
+    if not seen:
+        return 0.0, 0
+    d = projected.distance[seen]
+    C = projected.overlap[np.ix_(seen, seen)] / np.outer(d, d)
+    values, vectors = np.linalg.eigh(C)
+    keep = values > 1e-4
+    along = vectors[:, keep].T @ (projected.score[seen] / d)
+    return float(np.sum(along**2 / values[keep])), int(keep.sum())

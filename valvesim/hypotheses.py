@@ -1,0 +1,396 @@
+"""What may be wrong: the candidates, the base parameters with their tolerances, and what each shows in each record.
+
+A candidate is a catalogue effect (on either side, on each sensor, with its shape parameters at a few values), a user's
+effect, or a nominal parameter beyond its tolerance. The base parameters are all quantities of the valve that have a
+tolerance, as normal about their nominal value with the tolerance at two standard deviations, and each sensor's small
+offset and gain error. They are refitted silently; what they can explain is no evidence for anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .catalogue import CATALOGUE
+from .channels import STATE_CHANNELS
+from .effects import ActiveEffect, Effect
+from .errors import InputError
+from .evidence import Gram
+from .noise import Noise
+from .model import Model
+from .parameters import Coefficients, Valve
+from .prediction import Bench, Course, Variant
+from .sensitivity import Linearised, linearise, relax
+from .session import Session
+from .units import quantities
+
+SENSOR_BIAS, SENSOR_GAIN = 2e-3, 4e-3  # tolerances that every sensor has: shares of its channel's span, and of gain
+LARGEST = 1.5e8  # bytes of forcings that are solved for at once
+SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
+SHAPES: dict[str, dict[str, tuple[float, ...]]] = {  # shape parameters at which an effect is looked for
+    "fixed_orifice_clogging": {"side": (1.0, 2.0)},
+    "nozzle_erosion": {"side": (1.0, 2.0)},
+    "eddy_current_lag": {"time_constant": (5e-4, 2e-3, 2e-2)},
+    "magnetic_hysteresis": {"turning_current": (1e-3, 4e-3)},
+}
+WHOLE = ("side",)  # shape parameters that are not fitted
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """A quantity that is uncertain within a tolerance: of the valve, or the offset or gain of a sensor."""
+
+    name: str
+    unit: str
+    nominal: float
+    deviation: float
+    bounds: tuple[float, float]
+    sensor: Effect | None = None
+
+
+@dataclass(frozen=True)
+class Base:
+    """The model of session.toml with its base parameters; a point is given in prior standard deviations (p,)."""
+
+    variant: Variant
+    parameters: tuple[BaseParameter, ...]
+
+    def at(self, point: np.ndarray) -> Variant:
+        """The variant at a point, held within the bounds of each quantity."""
+        figures, sensors = {}, []
+        for parameter, where in zip(self.parameters, point, strict=True):
+            value = float(np.clip(parameter.nominal + where * parameter.deviation, *parameter.bounds))
+            if parameter.sensor is None:
+                figures[parameter.name] = value
+            elif where != 0.0:
+                sensors.append(parameter.sensor(**{parameter.sensor.amplitude.name: value}))
+        return Variant(replace(self.variant.valve, **figures), (*self.variant.effects, *sensors))
+
+
+def base_of(session: Session) -> Base:
+    """The base of a session: quantities of its valve with a tolerance, and the sensors' small errors."""
+    parameters = []
+    for name, declared in quantities(Valve).items():
+        nominal, tolerance = float(getattr(session.valve, name)), float(declared.metadata["tolerance"])
+        width = session.tolerances.get(name, tolerance * abs(nominal) if declared.default != 0.0 else tolerance)
+        if width > 0.0:
+            low, high = declared.metadata["bounds"]
+            parameters.append(BaseParameter(name, declared.metadata["unit"], nominal, width / 2.0, (low, high)))
+    for channel in measured(session):
+        span = _span(session, channel)
+        for name, tolerance in (("sensor_bias", SENSOR_BIAS * span), ("sensor_gain", SENSOR_GAIN)):
+            effect = CATALOGUE[name].on(channel)
+            amplitude = effect.amplitude
+            parameters.append(
+                BaseParameter(f"{name}@{channel}", amplitude.unit, 0.0, tolerance / 2.0, amplitude.bounds, effect)
+            )
+    return Base(Variant(session.valve, session.effects), tuple(parameters))
+
+
+def measured(session: Session) -> tuple[str, ...]:
+    """The output channels of the session, in order of appearance."""
+    return tuple(dict.fromkeys(name for record in session.records for name in record.outputs))
+
+
+def _span(session: Session, channel: str) -> float:
+    values = [record.values[channel] for record in session.records if channel in record.outputs]
+    return float(max(np.ptp(v) for v in values))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One thing that may be wrong. `fixed` are the shape parameters at which it is looked for."""
+
+    name: str
+    effect: Effect | None = None
+    fixed: tuple[tuple[str, float], ...] = ()
+    parameter: BaseParameter | None = None
+
+    @property
+    def key(self) -> str:
+        """A text that no other candidate has."""
+        at = f"@{self.effect.channel}" if self.effect is not None and self.effect.channel else ""
+        return self.name + at + "".join(f"[{name}={value:g}]" for name, value in self.fixed)
+
+    @property
+    def family(self) -> str:
+        """The key without what is fitted anyway: candidates of one family are one answer."""
+        at = f"@{self.effect.channel}" if self.effect is not None and self.effect.channel else ""
+        return self.name + at + "".join(f"[{name}={value:g}]" for name, value in self.fixed if name in WHOLE)
+
+    @property
+    def one_sided(self) -> bool:
+        """True where only amplitudes above neutral make sense."""
+        if self.effect is None:
+            return False
+        return self.effect.amplitude.bounds[0] >= (self.effect.amplitude.neutral or 0.0)
+
+    @property
+    def unit(self) -> str:
+        """Of the amplitude."""
+        return self.effect.amplitude.unit if self.effect is not None else self._parameter.unit
+
+    @property
+    def typical(self) -> float:
+        """An amplitude that makes sense, above neutral (SI): where the search starts, and the width of its prior."""
+        if self.effect is None:
+            return 4.0 * self._parameter.deviation
+        amplitude = self.effect.amplitude
+        return abs(float(amplitude.typical) - float(amplitude.neutral or 0.0))  # type: ignore[arg-type]
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Of the excess over neutral."""
+        if self.effect is None:
+            p = self._parameter
+            return p.bounds[0] - p.nominal, p.bounds[1] - p.nominal
+        neutral = self.effect.amplitude.neutral or 0.0
+        return self.effect.amplitude.bounds[0] - neutral, self.effect.amplitude.bounds[1] - neutral
+
+    @property
+    def _parameter(self) -> BaseParameter:
+        if self.parameter is None:
+            raise InputError(f"candidate {self.name} is neither an effect nor a parameter")
+        return self.parameter
+
+    def location(self) -> str:
+        """The balance or sensor where it acts."""
+        if self.effect is None:
+            return "valve parameter"
+        return f"sensor of {self.effect.channel}" if self.effect.channel else self.effect.location
+
+    def active(self, excess: float, **shapes: float) -> ActiveEffect:
+        """The effect at an amplitude of neutral + excess. For a parameter there is none (InputError)."""
+        if self.effect is None:
+            raise InputError(f"candidate {self.name} is a parameter, not an effect")
+        amplitude = self.effect.amplitude
+        numbers = {**dict(self.fixed), **shapes, amplitude.name: (amplitude.neutral or 0.0) + excess}
+        bounds = {p.name: p.bounds for p in self.effect.parameters}
+        return self.effect(**{name: float(np.clip(value, *bounds[name])) for name, value in numbers.items()})
+
+    def add_to(self, variant: Variant, excess: float, **shapes: float) -> Variant:
+        """The variant with this candidate at an excess over neutral, within its bounds."""
+        if self.effect is not None:
+            return variant.with_effect(self.active(excess, **shapes))
+        p = self._parameter
+        value = float(np.clip(getattr(variant.valve, p.name) + excess, *p.bounds))
+        return replace(variant, valve=replace(variant.valve, **{p.name: value}))
+
+    def shapes(self) -> tuple[Any, ...]:
+        """The shape parameters that can be fitted."""
+        if self.effect is None:
+            return ()
+        return tuple(p for p in self.effect.parameters if p.neutral is None and p.name not in WHOLE)
+
+
+def candidates_of(session: Session, base: Base) -> tuple[Candidate, ...]:
+    """Everything that is looked for in a session."""
+    known = {active.effect.name for active in session.effects}
+    found = []
+    for effect in (*CATALOGUE.values(), *session.user_effects):
+        if effect.reading is not None:
+            found += [Candidate(effect.name, effect.on(channel)) for channel in measured(session)]
+            continue
+        if effect.name in known:
+            continue
+        shapes = SHAPES.get(effect.name, {})
+        combinations: list[tuple[tuple[str, float], ...]] = [()]
+        for name, values in shapes.items():
+            combinations = [(*one, (name, value)) for one in combinations for value in values]
+        found += [Candidate(effect.name, effect, fixed) for fixed in combinations]
+    found += [Candidate(f"parameter:{p.name}", parameter=p) for p in base.parameters if p.sensor is None]
+    return tuple(found)
+
+
+# ---------------------------------------------------------------- what each shows
+
+
+@dataclass(frozen=True)
+class View:
+    """A record seen from one variant: what its sensors read, and the linear equations about its course.
+
+    `model` has the effects of the variant alone, in the order of the course's; `rates` and `signals` are its own.
+    """
+
+    bench: Bench
+    variant: Variant
+    course: Course
+    linear: Linearised
+    model: Model
+    at_valve: dict[str, np.ndarray]
+    readings: dict[str, np.ndarray]
+    rates: tuple
+    signals: Any
+
+    def residual(self) -> dict[str, np.ndarray]:
+        """Measured minus predicted, (n_samples,) by channel."""
+        return {name: self.bench.record.values[name] - read for name, read in self.readings.items()}
+
+    def by_run(self, variant: Variant) -> dict[str, np.ndarray]:
+        """What a variant reads more than this view's does, (n_samples,) by channel, by running it."""
+        read = self.bench.readings(self.bench.run(variant), variant)
+        return {name: read[name] - own for name, own in self.readings.items()}
+
+    def by_answer(self, variants: Sequence[Variant]) -> dict[str, np.ndarray]:
+        """The same for several variants by the linear equations, (n_samples, k): to first order in what they change.
+
+        A variant has this view's effects, then at most one more.
+        """
+        samples = len(self.bench.record.time)
+        out = {name: np.empty((samples, len(variants))) for name in self.readings}
+        chunk = max(int(LARGEST / self.linear.A[:, 0].nbytes), 1)
+        for start in range(0, len(variants), chunk):
+            changes = [self._forcing(variant) for variant in variants[start : start + chunk]]
+            direct = {
+                name: np.column_stack([part[name] for _, part in changes]) for name in changes[0][1]
+            }  # fmt: skip
+            moved = self.by_forcing(np.stack([g for g, _ in changes], axis=2), direct)
+            for name, columns in moved.items():
+                out[name][:, start : start + chunk] = columns
+        return out
+
+    def by_forcing(self, forcing: np.ndarray, direct: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The readings' answer (n_samples, k) to forcings (n, s, k) of the scaled rates and to direct parts (n, k)."""
+        answers = self.linear.respond(forcing)
+        out = {}
+        for name, own in self.at_valve.items():
+            moved = self.linear.channel(name, answers, direct.get(name, 0.0))
+            filtered = self.bench.lags.get(name, 0.0) > 0.0 or any(a.effect.channel == name for a in self.variant.effects)
+            if not filtered:
+                out[name] = moved[:: self.bench.refinement]
+                continue
+            columns = [
+                self.bench.sensed({name: own + moved[:, k]}, self.course, self.variant)[name] - self.readings[name]
+                for k in range(moved.shape[1])
+            ]
+            out[name] = np.column_stack(columns)
+        return out
+
+    def _forcing(self, variant: Variant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """(scaled rates (n, s), direct parts by signal) that a variant adds along this course."""
+        n, inputs = len(self.bench.times), tuple(self.bench.inputs.T)
+        own = {effect.name for effect in self.model.effects}
+        more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
+        model = Model(self.model.drive, (*self.model.effects, *(a.effect for a in more)))
+        along = self.bench.coefficients_along(variant, model)
+        states = [self.course.states[:, k] for k in self.linear.active]
+        for active in more:
+            states += self._remembered(active, tuple(states), along)
+        rates, signals = model.evaluate(tuple(states), inputs, along)
+        g = np.stack([np.broadcast_to(new - old, (n,)) for new, old in zip(rates, self.rates, strict=False)], axis=1)
+        direct = {
+            name: np.broadcast_to(getattr(signals, name) - getattr(self.signals, name), (n,))
+            for name in self.at_valve
+            if hasattr(signals, name)
+        }
+        return g / self.linear.scale, direct
+
+    def _remembered(self, active: ActiveEffect, states: tuple, along: tuple) -> list[np.ndarray]:
+        """The memories (n,) of an effect along the course: each linear in itself, so exact for a course that rests.
+
+        z' = a - b z with a and b of the course alone; both follow from the rates at z = 0 and z = 1.
+        """
+        count = len(active.effect.memory)
+        if not count:
+            return []
+        first = slice(0, len(STATE_CHANNELS) + len(self.model.drive.memory))
+
+        def middle(values: np.ndarray, rest: float | None = None) -> np.ndarray:
+            """The value at rest, then those in the middle of the steps."""
+            return np.concatenate([[values[0] if rest is None else rest], (values[1:] + values[:-1]) / 2.0])
+
+        mid = tuple(middle(x) for x in states[first])
+        inputs = tuple(middle(u, 0.0 if k == 1 else None) for k, u in enumerate(self.bench.inputs.T))
+        c = tuple(middle(v) if len(v) > 1 else v for v in along[: len(Coefficients._fields)])
+        model = Model(self.model.drive, (active.effect,))
+        flat = (*c, *active.numbers)
+        at_0, at_1 = (model.rhs((*mid, *(np.full(len(mid[0]), z),) * count), inputs, flat)[-count:] for z in (0.0, 1.0))
+        h = float(self.bench.times[1] - self.bench.times[0])
+        memories = []
+        for zero, one in zip(at_0, at_1, strict=True):
+            a, b = np.broadcast_to(zero, mid[0].shape), np.broadcast_to(zero - one, mid[0].shape)
+            memories.append(relax(a, b, h))
+        return memories
+
+
+def view(bench: Bench, variant: Variant) -> View:
+    """A record seen from a variant."""
+    course = bench.run(variant)
+    at_valve = bench.outputs(course)
+    off = bench.switched_off(course.model, variant.effects)
+    linear = linearise(bench, course, off)
+    active = {a.effect.name for a in variant.effects}
+    model = Model(course.model.drive, tuple(e for e in course.model.effects if e.name in active))
+    along = bench.coefficients_along(variant, model)
+    rates, signals = model.evaluate(tuple(course.states[:, linear.active].T), tuple(bench.inputs.T), along)
+    readings = bench.sensed(at_valve, course, variant)
+    return View(bench, variant, course, linear, model, at_valve, readings, rates, signals)
+
+
+def neighbours(base: Base, variant: Variant) -> list[Variant]:
+    """The variant with each base parameter of the valve one prior standard deviation further."""
+    valve = variant.valve
+    return [
+        replace(variant, valve=replace(valve, **{p.name: getattr(valve, p.name) + p.deviation}))
+        for p in base.parameters
+        if p.sensor is None
+    ]
+
+
+def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -> dict[str, np.ndarray]:
+    """Answers (n_samples, p) to one prior standard deviation of each base parameter, see `neighbours`."""
+    moved = seen.by_answer(neighbouring)
+    out = {}
+    for name, read in seen.readings.items():
+        at, columns = iter(moved[name].T), []
+        for p in base.parameters:
+            if p.sensor is None:
+                columns.append(next(at))
+            elif p.sensor.channel != name:
+                columns.append(np.zeros_like(read))
+            else:
+                columns.append(np.full_like(read, p.deviation) if p.sensor.name == "sensor_bias" else read * p.deviation)
+        out[name] = np.column_stack(columns)
+    return out
+
+
+def candidate_columns(seen: View, candidates: Sequence[Candidate], changed: Sequence[Variant]) -> dict[str, np.ndarray]:
+    """Answers (n_samples, q) to each candidate, whose variant at its size is `changed`."""
+    out = {name: np.zeros((len(seen.bench.record.time), len(candidates))) for name in seen.readings}
+    quick = []
+    for k, (candidate, variant) in enumerate(zip(candidates, changed, strict=True)):
+        effect = candidate.effect
+        if effect is None or effect.reading is None:
+            quick.append(k)
+        elif effect.channel in out:
+            name = effect.channel
+            out[name][:, k] = seen.bench.sensed({name: seen.at_valve[name]}, seen.course, variant)[name] - seen.readings[name]
+    moved = seen.by_answer([changed[k] for k in quick])
+    for name in out:
+        out[name][:, quick] = moved[name]
+    return out
+
+
+def gram_of(
+    seen: Sequence[View], columns: Sequence[Sequence[dict[str, np.ndarray]]], noise: dict[tuple[str, float], Noise],
+    prior_now: np.ndarray, names: Sequence[str],
+) -> Gram:  # fmt: skip
+    """The Gram of all views: `columns[k]` are the blocks of columns of view k, beside its residual."""
+    products, segments, rows = [], [], []
+    for one, blocks in zip(seen, columns, strict=True):
+        record = one.bench.record
+        residual = one.residual()
+        parts: list[list[np.ndarray]] = [[] for _ in range(SEGMENTS)]
+        for name in residual:
+            matrix = np.column_stack([residual[name], *(block[name] for block in blocks)])
+            white = noise[name, record.rate].whiten(matrix, record.usable[name])
+            for part, piece in zip(parts, np.array_split(white, SEGMENTS), strict=True):
+                part.append(piece)
+        for k, part in enumerate(parts):
+            products.append(sum(piece.T @ piece for piece in part))
+            segments.append(f"{record.name}, part {k + 1}")
+            rows.append(sum(map(len, part)))
+    return Gram(np.array(products), np.asarray(prior_now, dtype=float), tuple(names), tuple(segments), tuple(rows))

@@ -1,0 +1,240 @@
+"""What a valve is predicted to do in a measured record: many variants of one valve under the same inputs.
+
+Everything that variants share (inputs, breaks, times) is prepared once a record; a variant then costs one integration.
+Effects with a balance run in one compiled model that holds them all (`Bench.universe`), each at its neutral value
+unless the variant says otherwise, so that no combination of effects is ever compiled for itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .catalogue import CATALOGUE
+from .channels import STATE_CHANNELS, Inputs
+from .commands import evaluate, merge
+from .compiled import CompiledModel, compile_model
+from .effects import ActiveEffect, Effect, Reading
+from .errors import SolveError
+from .model import Model
+from .parameters import Coefficients, PartTemperatures, Valve
+from .scenario import Scenario
+from .session import Record, Session, record_scenario
+from .simulate import between, temperature_knots
+from .static import solve_rest
+from .thermal import TemperaturePath
+
+FINEST = 5e-4  # s: a course is kept at this spacing or finer where the record is fast enough to need it
+SLOW = 5e-3  # s: a record sampled more slowly than this is quasi-static between its samples, and kept as it is
+TOLERANCE = 3e-4  # errs by 1e-6 of the span: the samples of the inputs keep the steps short
+MAX_STEPS = 50_000_000
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A valve with its active effects: one hypothesis about what was measured."""
+
+    valve: Valve
+    effects: tuple[ActiveEffect, ...] = ()
+
+    def with_effect(self, active: ActiveEffect) -> Variant:
+        """The same valve with one effect more."""
+        return replace(self, effects=(*self.effects, active))
+
+
+@dataclass(frozen=True)
+class Course:
+    """A variant's run on the grid of its bench: states (n, n_x), coefficients (n, n_c) flat, of `model`, in SI."""
+
+    model: Model
+    states: np.ndarray
+    coefficients: np.ndarray
+    parts: PartTemperatures
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One record, prepared: `times` (n,) is the grid, every `refinement`-th of its points a sample of the record."""
+
+    record: Record
+    scenario: Scenario
+    universe: tuple[Effect, ...]
+    lags: dict[str, float]
+    ranges: dict[str, tuple[float, float]]
+    path: TemperaturePath
+    times: np.ndarray
+    refinement: int
+    starts: np.ndarray
+    rows: np.ndarray
+    inputs: np.ndarray  # (n, inputs): command, its rate, pressures
+
+    def model(self, effects: Sequence[ActiveEffect]) -> Model:
+        """Nominal equations where no effect has a balance, else those with the universe, or with just these effects."""
+        own = tuple(active.effect for active in effects if active.effect.balance is not None)
+        if not own:
+            return Model(self.scenario.drive)
+        names = {effect.name for effect in self.universe}
+        return Model(self.scenario.drive, self.universe if all(e.name in names for e in own) else own)
+
+    def run(self, variant: Variant) -> Course:
+        """The course of a variant from rest. Raises InputError for impossible dimensions, SolveError where it fails."""
+        path, flat, model = self._coefficients(variant)
+        compiled = compile_model(model)
+        states = _integrate(self, compiled, path, flat, self.switched_off(model, variant.effects))
+        along = between(self.times, path.times, flat).T
+        temperatures = {name: between(self.times, path.times, _column(value, path))[0] for name, value in _parts(path)}
+        return Course(model, states, along, PartTemperatures(**temperatures))
+
+    def _coefficients(self, variant: Variant, model: Model | None = None) -> tuple[TemperaturePath, np.ndarray, Model]:
+        """Temperature path, flat coefficients (m, n_c) at its knots, and the model that they are for."""
+        path = self.path
+        if any(active.effect.temperatures is not None for active in variant.effects):
+            path, _ = temperature_knots(replace(self.scenario, effects=variant.effects))
+        c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
+        model = self.model(variant.effects) if model is None else model
+        flat = model.flat_coefficients(c, _padded(model, variant.effects), path.parts)
+        knots = np.stack(np.broadcast_arrays(*flat), axis=-1).astype(float)
+        return path, np.array(np.broadcast_to(knots, (len(path.times), knots.shape[-1]))), model
+
+    def coefficients_along(self, variant: Variant, model: Model) -> tuple:
+        """Flat coefficients of a model for a variant on the grid, (n,) or (1,) each."""
+        path, flat, _ = self._coefficients(variant, model)
+        return tuple(flat.T) if len(path.times) == 1 else tuple(between(self.times, path.times, flat))
+
+    def switched_off(self, model: Model, active: Sequence[ActiveEffect]) -> np.ndarray:
+        """True for each state of the model that is the memory of an effect which is not active."""
+        given = {a.effect.name for a in active}
+        off = [False] * (len(STATE_CHANNELS) + len(model.drive.memory))
+        return np.array([*off, *(e.name not in given for e in model.effects for _ in e.memory)])
+
+    def readings(self, course: Course, variant: Variant) -> dict[str, np.ndarray]:
+        """What the record's sensors would have read, (n_samples,) by channel, before noise and resolution."""
+        return self.sensed(self.outputs(course), course, variant)
+
+    def outputs(self, course: Course) -> dict[str, np.ndarray]:
+        """The record's output channels on the grid, (n,) each, as they are at the valve."""
+        names = self.record.outputs
+        values = {
+            channel.name: course.states[:, k]
+            for k, channel in enumerate(course.model.state_channels)
+            if channel.name in names
+        }
+        if "body_temperature" in names:
+            values["body_temperature"] = course.parts.body
+        if set(names) - set(values):
+            signals = course.model.signals(
+                tuple(course.states.T), Inputs(*self.inputs.T), tuple(course.coefficients.T)
+            )  # fmt: skip
+            for name in names:
+                if name not in values:
+                    values[name] = np.broadcast_to(getattr(signals, name), self.times.shape)
+        return values
+
+    def sensed(self, values: dict[str, np.ndarray], course: Course, variant: Variant) -> dict[str, np.ndarray]:
+        """Channels on the grid as their sensors give them, at the record's samples."""
+        lag = CATALOGUE["sensor_lag"]
+        read = {}
+        for name, column in values.items():
+            acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
+            if self.lags.get(name, 0.0) > 0.0:
+                acting.append(lag.on(name)(time_constant=self.lags[name]))
+            for active in acting:
+                seen = Reading(self.times, column, course.parts.oil)
+                column = active.effect.reading(seen, active.values)  # type: ignore[misc]
+            read[name] = column[:: self.refinement]
+        return read
+
+
+def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Bench:
+    """A record ready to be predicted with any variant whose effects with a balance are among `universe`."""
+    scenario = record_scenario(session, record, tolerance=TOLERANCE)
+    step = 1.0 / record.rate
+    refinement = int(np.ceil(step / FINEST - 1e-6)) if step <= SLOW else 1
+    count = (len(record.time) - 1) * refinement + 1
+    times = np.linspace(0.0, float(record.time[-1]), count)
+    commands = (scenario.command, *scenario.pressures())
+    starts, intervals = merge(commands, scenario.duration)
+    values = [evaluate(command, times) for command in commands]
+    inputs = np.column_stack([values[0], np.gradient(values[0], times), *values[1:]])
+    sensors = session.sensors
+    return Bench(
+        record=record,
+        scenario=scenario,
+        universe=tuple(effect for effect in universe if effect.balance is not None),
+        lags={name: sensors[name].lag for name in record.outputs if name in sensors},
+        ranges={name: sensors[name].range for name in record.outputs if name in sensors},
+        path=temperature_knots(scenario)[0],
+        times=times,
+        refinement=refinement,
+        starts=starts,
+        rows=intervals.rows,
+        inputs=inputs,
+    )
+
+
+def neutral(effect: Effect) -> ActiveEffect:
+    """The effect switched off."""
+    return effect(**{effect.amplitude.name: effect.amplitude.neutral})  # type: ignore[dict-item]
+
+
+def _padded(model: Model, active: Sequence[ActiveEffect]) -> list[ActiveEffect]:
+    """The active effects, with those of the model that are not among them switched off, in the model's order."""
+    given = {a.effect.name: a for a in active if a.effect.balance is not None}
+    in_model = [given.get(effect.name) or neutral(effect) for effect in model.effects]
+    return [*in_model, *(a for a in active if a.effect.balance is None)]
+
+
+def _parts(path: TemperaturePath) -> list[tuple[str, np.ndarray]]:
+    return [(name, getattr(path.parts, name)) for name in path.parts.__dataclass_fields__]
+
+
+def _column(value: np.ndarray, path: TemperaturePath) -> np.ndarray:
+    return np.broadcast_to(np.asarray(value, dtype=float), path.times.shape)[:, None]
+
+
+def _integrate(
+    bench: Bench, compiled: CompiledModel, path: TemperaturePath, flat: np.ndarray, off: np.ndarray
+) -> np.ndarray:
+    """States (n, n_x) in SI on the bench's grid."""
+    y = _rest(bench, compiled, flat[0], off)
+    out = np.empty((len(bench.times), len(y)))
+    clock, count = np.array([0.0, 1e-5, 0.0]), np.zeros(2, dtype=np.int64)
+    atol = np.where(off, np.inf, 1e-2 * TOLERANCE)
+    end = float(bench.times[-1])
+    status = compiled.run(
+        y, clock, end, bench.starts, bench.rows, path.times, flat, bench.times, out, TOLERANCE, atol, MAX_STEPS, count
+    )
+    if status or not np.isfinite(out[-1]).all():
+        raise SolveError(
+            f"record {bench.record.name}: the simulation failed at t = {clock[0]:.6g} s; is the valve of session.toml "
+            "the one that was measured?"
+        )
+    return out * compiled.scale
+
+
+def _rest(bench: Bench, compiled: CompiledModel, flat: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """The scaled state at rest under the first inputs: the static solution, then Newton on the model itself."""
+    c = Coefficients(*flat[: len(Coefficients._fields)])
+    first = bench.inputs[0].copy()
+    first[1] = 0.0
+    memory = compiled.model.drive.rest(first[0], c)
+    rest = solve_rest(c, memory[0] if memory else first[0], 0.0, *first[2:])
+    y = np.zeros(len(compiled.scale))
+    y[:6] = [float(v) for v in (rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2,
+                                rest.spool_position, 0.0)]  # fmt: skip
+    y[6 : 6 + len(memory)] = memory
+    y /= compiled.scale
+    if not any(e.balance for e in compiled.model.effects):
+        return y
+    f, J = np.empty(len(y)), np.empty((len(y), len(y)))
+    for _ in range(20):
+        compiled.derivative(y, first, flat, f)
+        compiled.jacobian(y, first, flat, J)
+        f[off], J[off], J[:, off] = 0.0, 0.0, 0.0
+        step = np.linalg.lstsq(J, -f, rcond=1e-13)[0]
+        y += step
+        if np.max(np.abs(step)) < 1e-12:
+            break
+    return y

@@ -1,0 +1,153 @@
+"""How small changes of a valve show in its sensors: the linear equations along a course, solved for many at once.
+
+A change of a parameter, an effect or an unknown term is a forcing: what it adds to the rates along the course, and to
+what the sensors read directly. The valve answers linearly with its Jacobian along the course. So one run of the valve
+gives the answer to some hundred changes, each exact as its size goes to zero.
+
+Symbols
+    x scaled states, A(t) Jacobian, g(t) forcing, h step:  d' = A d + g
+    d_k+1 = E d_k + h [(phi1 - phi2) g_k + phi2 g_k+1],  E = exp(hA), phi1 = (E - I)/hA, phi2 = (phi1 - I)/hA
+    (exact for A constant and g straight over a step, however stiff)
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .channels import Inputs
+from .compiled import compile_model
+from .prediction import Bench, Course
+
+
+def propagators(A, h, E, early, late):
+    """Fill E, early and late (n-1, s, s) of the steps between the matrices A (n, s, s); compiled as it stands."""
+    n, s = A.shape[0], A.shape[1]
+    eye = np.eye(s)
+    for k in range(n - 1):
+        M = 0.5 * h * (A[k] + A[k + 1])
+        norm = 0.0
+        for i in range(s):
+            row = 0.0
+            for j in range(s):
+                row += abs(M[i, j])
+            norm = max(norm, row)
+        halvings = 0
+        while norm > 0.5:
+            norm *= 0.5
+            halvings += 1
+        S = M * 0.5**halvings
+        S2 = S @ S
+        even = eye + S2 * 0.1
+        odd = S @ (eye * 0.5 + S2 * (1.0 / 120.0))
+        P = np.ascontiguousarray(np.linalg.solve(even - odd, even + odd))  # Pade (3, 3)
+        for _ in range(halvings):
+            P = P @ P
+        phi1 = np.linalg.solve(M, P - eye)
+        phi2 = np.linalg.solve(M, phi1 - eye)
+        E[k] = P
+        early[k] = h * (phi1 - phi2)
+        late[k] = h * phi2
+
+
+def march(E, early, late, g, d):
+    """Fill d (n, s, k) from forcings g (n, s, k), starting at rest: d_0 = -A^-1 g_0 is given in d[0]."""
+    for k in range(E.shape[0]):
+        d[k + 1] = E[k] @ d[k] + early[k] @ g[k] + late[k] @ g[k + 1]
+
+
+def follow(a, decay, share, z):
+    """Fill z (n,): z_k+1 = decay_k z_k + share_k a_k."""
+    for k in range(a.shape[0]):
+        z[k + 1] = decay[k] * z[k] + share[k] * a[k]
+
+
+def relax(a: np.ndarray, b: np.ndarray, step: float) -> np.ndarray:
+    """z (n,) of z' = a - b z: a and b (n,) at rest, then constant over each of n - 1 steps; starts at rest."""
+    z = np.empty(len(a))
+    z[0] = a[0] / b[0] if b[0] * step > 1e-12 else 0.0
+    a, b = np.array(a[1:]), np.array(b[1:])
+    decay = np.exp(-b * step)
+    share = np.where(np.abs(b * step) > 1e-9, -np.expm1(-b * step) / np.where(b == 0.0, 1.0, b), step)
+    _machine()[2](a, decay, share, z)
+    return z
+
+
+@functools.cache
+def _machine() -> tuple[Any, Any, Any]:
+    from numba import njit
+
+    options = {"cache": True, "nogil": True, "error_model": "numpy"}
+    return njit(**options)(propagators), njit(**options)(march), njit(**options)(follow)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The equations linear along a course: `respond` solves them, `outputs` (n, channels, s) are the sensors' slopes."""
+
+    bench: Bench
+    course: Course
+    active: np.ndarray  # indices of the states that take part
+    scale: np.ndarray
+    A: np.ndarray
+    E: np.ndarray
+    early: np.ndarray
+    late: np.ndarray
+    slopes: dict[str, np.ndarray]  # channel -> (n, s), d(channel)/d(scaled state)
+
+    def respond(self, forcing: np.ndarray) -> np.ndarray:
+        """Answers (n, s, k) of the scaled states to forcings (n, s, k) of the scaled rates, at rest with the first."""
+        g = np.ascontiguousarray(forcing)
+        d = np.empty_like(g)
+        d[0] = -np.linalg.solve(self.A[0], g[0])
+        _machine()[1](self.E, self.early, self.late, g, d)
+        return d
+
+    def channel(self, name: str, answers: np.ndarray, direct: np.ndarray | float = 0.0) -> np.ndarray:
+        """Answers (n, k) of a channel at the valve: through the states, and what reads on it directly."""
+        return np.einsum("ns,nsk->nk", self.slopes[name], answers) + direct
+
+
+def linearise(bench: Bench, course: Course, switched_off: np.ndarray) -> Linearised:
+    """The equations along a course; states that are `switched_off` (memories of absent effects) take no part."""
+    compiled = compile_model(course.model)
+    scale = compiled.scale
+    n, s = course.states.shape
+    A = np.empty((n, s, s))
+    compiled.jacobians(
+        np.ascontiguousarray(course.states / scale), bench.inputs, np.ascontiguousarray(course.coefficients), A
+    )
+    active = np.flatnonzero(~switched_off)
+    A = np.ascontiguousarray(A[:, active][:, :, active])
+    h = float(bench.times[1] - bench.times[0])
+    E, early, late = (np.empty((n - 1, len(active), len(active))) for _ in range(3))
+    _machine()[0](A, h, E, early, late)
+    return Linearised(
+        bench, course, active, scale[active], A, E, early, late, _slopes(bench, course, active, scale)
+    )  # fmt: skip
+
+
+def _slopes(bench: Bench, course: Course, active: np.ndarray, scale: np.ndarray) -> dict[str, np.ndarray]:
+    """d(channel)/d(scaled state), (n, s): exact for states, differences for signals."""
+    n, names = len(bench.times), bench.record.outputs
+    slopes = {name: np.zeros((n, len(active))) for name in names}
+    own = [channel.name for channel in course.model.state_channels]
+    for name in names:
+        if name in own:
+            at = own.index(name)
+            if at in active:
+                slopes[name][:, np.flatnonzero(active == at)[0]] = scale[at]
+    signals = [name for name in names if name not in own and name != "body_temperature"]
+    if signals:
+        u, c = Inputs(*bench.inputs.T), tuple(course.coefficients.T)
+        for k, at in enumerate(active):
+            step = 1e-4 * scale[at]
+            moved = [list(course.states.T) for _ in range(2)]
+            moved[0][at], moved[1][at] = moved[0][at] + step, moved[1][at] - step
+            high, low = (course.model.signals(tuple(x), u, c) for x in moved)
+            for name in signals:
+                slopes[name][:, k] = (getattr(high, name) - getattr(low, name)) / (2 * step) * scale[at]
+    return slopes
