@@ -10,11 +10,13 @@ import pytest
 import valvesim
 
 PACKAGE = Path(valvesim.__file__).parent
-PICTURES = ("report", "report_response", "report_bench", "report_paper", "report_datasheet")
+PICTURES = ("report", "report_response", "report_bench", "report_paper", "report_datasheet", "report_diagnosis")
 ORDER = (
     "errors", "units", "figures", "channels", "laws", "fluid", "parameters", "flow_laws", "effects", "catalogue",
     "model", "static", "reproduce", "files", "commands", "thermal", "rosenbrock", "compiled", "scenario", "simulate",
-    "drift", "response", "bench", "linear", "datasheet", "session", "prediction", "sensitivity", *PICTURES, "cli",
+    "drift", "response", "bench", "linear", "datasheet", "session", "prediction", "sensitivity", "noise",
+    "evidence", "hypotheses", "study", "terms", "scene", "diagnosis",
+    "answer", *PICTURES, "cli",
 )  # fmt: skip
 HEAVY = {"matplotlib", "control", "xarray", "casadi", "pint", "numba", "netCDF4"}
 

@@ -413,6 +413,10 @@ def test_repeats_that_are_none_are_refused(session, other, message):
 def test_repeats_may_differ_by_noise_and_in_their_resting_inputs(session):
     noisy = columns(5, **{CURRENT: 5.0 * WAVE + 0.05 * columns(6)[SPOOL], "oil_temperature [degC]": 31.0 + 0.0 * TIME})
     assert len(session(listed("a", "b", repeats="r"), a=columns(), b=noisy).records) == 2
+    still, almost = (
+        columns(**{CURRENT: offset + 0.0 * TIME, "load_pressure [bar]": 50.0 * WAVE}) for offset in (0.0, 2e-4)
+    )
+    assert len(session(listed("a", "b", repeats="r"), a=still, b=almost).records) == 2
 
 
 @pytest.mark.parametrize("still", [0.0 * TIME + 1.0, 0.04 * np.random.default_rng(0).normal(size=200)])
@@ -490,7 +494,7 @@ RANGE = "[sensors.spool_position]\nresolution = '10 um'\nrange = ['-0.15 mm', '0
 
 
 def test_samples_at_the_ends_of_the_range_are_not_usable(session):
-    loaded = session(RANGE, a=columns(**{SPOOL: np.maximum(0.2 * WAVE, -0.145)}))
+    loaded = session(RANGE, a=columns(**{SPOOL: np.where(0.2 * WAVE > -0.145, 0.2 * WAVE, -0.146 - 1e-5 * TIME)}))
     usable = loaded.records[0].usable["spool_position"]
     assert np.array_equal(usable, 0.2 * WAVE > -0.145)
     share = 1.0 - np.mean(usable)
@@ -526,6 +530,7 @@ def lagged(command, lag=5e-3):
 
 
 STEP, RAMP = np.where(TIME < 0.05, 0.0, 5.0), 5.0 * (1.0 - np.abs(TIME / 0.1 - 1.0))
+SLOW = 5.0 * np.sin(2 * np.pi * 5.0 * TIME)
 
 
 def with_friction(command, band):
@@ -544,6 +549,7 @@ def with_friction(command, band):
         (RAMP, with_friction(RAMP, 0.5) * 0.04),  # stays where the command turns
         (5.0 * WAVE, np.round(0.2 * WAVE, 2)),  # a coarse sensor at the crest of a sine
         (5.0 * WAVE, 0.2 * WAVE),  # no noise at all
+        (SLOW, 0.04 * np.minimum(SLOW, 4.85)),  # too little is cut off to tell
     ],
 )
 def test_rest_friction_and_a_coarse_sensor_are_no_flat_top(session, command, spool):
@@ -567,6 +573,18 @@ def test_the_resolution_is_found_in_the_data(session):
     assert "spool_position: readings sit on a grid of 0.004 mm, taken as the resolution" in loaded.notes
     stated = session("[sensors.spool_position]\nresolution = '3 um'", a=columns(**{SPOOL: spool}))
     assert stated.sensors["spool_position"].resolution == pytest.approx(3e-6)
+
+
+def test_the_grid_of_a_converter_is_found_through_the_rounding_of_the_file(session):
+    spool = np.round(np.round(columns()[SPOOL] / 0.0123456) * 0.0123456, 4)
+    assert session("", a=columns(**{SPOOL: spool})).sensors["spool_position"].resolution == pytest.approx(
+        0.0123456e-3, rel=1e-3
+    )
+
+
+def test_levels_at_odd_distances_are_no_grid(session):
+    spool = np.array([0.0, 0.05, 0.12, 0.165, 0.3])[np.arange(200) % 5]
+    assert session("", a=columns(**{SPOOL: spool})).sensors["spool_position"].resolution == 0.0
 
 
 @pytest.mark.parametrize("digits", [7, 12])
@@ -684,6 +702,13 @@ def test_a_ramp_of_oil_temperature_becomes_few_points(session, noise):
     assert isinstance(command, Table) and len(command.times) < 20
     truth = 20.0 + 10.0 * np.clip(time - 1.0, 0.0, 3.0)
     assert np.max(np.abs(evaluate(command, time) - truth)) < 0.15 + noise
+
+
+def test_a_curved_oil_temperature_is_followed(session):
+    oil = 30.0 + 5.0 * np.sin(2 * np.pi * 5.0 * TIME)
+    loaded = session("", a=columns(**{"oil_temperature [degC]": oil}))
+    command = record_scenario(loaded, loaded.records[0]).oil_temperature
+    assert np.max(np.abs(evaluate(command, TIME) - oil)) < 0.2
 
 
 def test_a_record_can_be_made_by_hand():

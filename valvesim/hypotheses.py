@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 
 from .catalogue import CATALOGUE
-from .channels import STATE_CHANNELS
+from .channels import STATE_CHANNELS, State
 from .effects import ActiveEffect, Effect
 from .errors import InputError
-from .evidence import Gram
-from .noise import Noise
 from .model import Model
 from .parameters import Coefficients, Valve
 from .prediction import Bench, Course, Variant
@@ -29,7 +27,6 @@ from .units import quantities
 
 SENSOR_BIAS, SENSOR_GAIN = 2e-3, 4e-3  # tolerances that every sensor has: shares of its channel's span, and of gain
 LARGEST = 1.5e8  # bytes of forcings that are solved for at once
-SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
 SHAPES: dict[str, dict[str, tuple[float, ...]]] = {  # shape parameters at which an effect is looked for
     "fixed_orifice_clogging": {"side": (1.0, 2.0)},
     "nozzle_erosion": {"side": (1.0, 2.0)},
@@ -243,7 +240,7 @@ class View:
         out = {name: np.empty((samples, len(variants))) for name in self.readings}
         chunk = max(int(LARGEST / self.linear.A[:, 0].nbytes), 1)
         for start in range(0, len(variants), chunk):
-            changes = [self._forcing(variant) for variant in variants[start : start + chunk]]
+            changes = [self.forcing(variant) for variant in variants[start : start + chunk]]
             direct = {
                 name: np.column_stack([part[name] for _, part in changes]) for name in changes[0][1]
             }  # fmt: skip
@@ -269,7 +266,13 @@ class View:
             out[name] = np.column_stack(columns)
         return out
 
-    def _forcing(self, variant: Variant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def argument(self, variable: Any, states: tuple) -> np.ndarray:
+        """A variable of a term (n,) along the course."""
+        memory = self.model.drive.memory
+        current = states[len(STATE_CHANNELS)] if memory else self.bench.inputs[:, 0]
+        return np.asarray(variable.of(State(*states[: len(STATE_CHANNELS)]), current))
+
+    def forcing(self, variant: Variant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """(scaled rates (n, s), direct parts by signal) that a variant adds along this course."""
         n, inputs = len(self.bench.times), tuple(self.bench.inputs.T)
         own = {effect.name for effect in self.model.effects}
@@ -372,25 +375,3 @@ def candidate_columns(seen: View, candidates: Sequence[Candidate], changed: Sequ
     for name in out:
         out[name][:, quick] = moved[name]
     return out
-
-
-def gram_of(
-    seen: Sequence[View], columns: Sequence[Sequence[dict[str, np.ndarray]]], noise: dict[tuple[str, float], Noise],
-    prior_now: np.ndarray, names: Sequence[str],
-) -> Gram:  # fmt: skip
-    """The Gram of all views: `columns[k]` are the blocks of columns of view k, beside its residual."""
-    products, segments, rows = [], [], []
-    for one, blocks in zip(seen, columns, strict=True):
-        record = one.bench.record
-        residual = one.residual()
-        parts: list[list[np.ndarray]] = [[] for _ in range(SEGMENTS)]
-        for name in residual:
-            matrix = np.column_stack([residual[name], *(block[name] for block in blocks)])
-            white = noise[name, record.rate].whiten(matrix, record.usable[name])
-            for part, piece in zip(parts, np.array_split(white, SEGMENTS), strict=True):
-                part.append(piece)
-        for k, part in enumerate(parts):
-            products.append(sum(piece.T @ piece for piece in part))
-            segments.append(f"{record.name}, part {k + 1}")
-            rows.append(sum(map(len, part)))
-    return Gram(np.array(products), np.asarray(prior_now, dtype=float), tuple(names), tuple(segments), tuple(rows))

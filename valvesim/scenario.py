@@ -233,7 +233,7 @@ def _line_of(text: str, message: str) -> int | None:
     """The line of the TOML text that a message speaks of by its dotted key, where there is one."""
     section, found, best, message = "", None, 0, _dotted(message)
     for number, line in enumerate(text.splitlines(), start=1):
-        if header := re.match(r"\s*\[([^\]]+)\]", line):
+        if header := re.match(r"\s*\[+([^\]]+)\]", line):
             section = header[1].strip()
             keys = [section]
         elif match := re.match(r"\s*([\w.-]+)\s*=", line):

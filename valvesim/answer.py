@@ -1,0 +1,200 @@
+"""The answer of a diagnosis: verdict, causes, candidates, estimates, gain, limits and next test, as data and as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .files import write_atomically
+
+NO_DISCREPANCY, CAUSE, AMBIGUOUS, UNKNOWN = "no_discrepancy", "cause", "ambiguous", "unknown"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A figure with its 95 % interval, in `unit` (SI)."""
+
+    name: str
+    cause: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    doc: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateAnswer:
+    """One member of the answer set: the cause or the causes together, and how probable it is among all."""
+
+    names: tuple[str, ...]
+    label: str
+    location: str
+    probability: float
+    deviance_fall: float
+    estimates: tuple[Estimate, ...] = ()
+    same_as: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gain:
+    """What the extension gains on one locked record: root mean square errors in units of the noise, over all channels.
+
+    `change` is after minus before of the mean square, with its 95 % interval; `claimed` where that excludes zero and the
+    gain is worth having.
+    """
+
+    record: str
+    before: float
+    after: float
+    floor: float
+    change: float
+    low: float
+    high: float
+    claimed: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectionLimit:
+    """The smallest amplitude of an effect that this session would have shown, nine times in ten; None: it is blind."""
+
+    name: str
+    label: str
+    parameter: str
+    amplitude: float | None
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextTest:
+    """The cheapest further test that tells candidates apart, and how surely (power at 1 % error)."""
+
+    description: str
+    settings: dict[str, str]
+    duration: float
+    separates: tuple[str, str]
+    distance: float
+    power: float
+    alternatives: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shift:
+    """A base parameter as refitted: nominal, refitted value, and its shift as a share of its tolerance."""
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    share_of_tolerance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseFound:
+    """The noise of a channel: standard deviation in `unit`, order of its colour, where it was found."""
+
+    channel: str
+    rate: float
+    deviation: float
+    unit: str
+    order: int
+    verified: bool
+    source: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """How strongly one candidate shows in what the base model leaves (standard normal where nothing is hidden)."""
+
+    label: str
+    z: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """A recovered term: what is added at `port` as a function of `variable`, (k,) each, with its standard deviation."""
+
+    port: str
+    port_unit: str
+    variable: str
+    variable_unit: str
+    memory: str
+    at: tuple[float, ...]
+    value: tuple[float, ...]
+    deviation: tuple[float, ...]
+    formula: str
+    formula_error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """A record for the pictures: measured, base and extended readings of one channel, (n,) each, in SI."""
+
+    record: str
+    channel: str
+    unit: str
+    role: str
+    time: np.ndarray
+    measured: np.ndarray
+    base: np.ndarray
+    extended: np.ndarray
+    noise: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """What the measured data show of the model's errors. `summary` says it in words."""
+
+    title: str
+    verdict: str
+    causes: tuple[str, ...]
+    summary: str
+    location: str
+    candidates: tuple[CandidateAnswer, ...]
+    parameters: tuple[Estimate, ...]
+    gain: tuple[Gain, ...]
+    gain_claimed: bool
+    detection_limits: tuple[DetectionLimit, ...]
+    next_test: NextTest | None
+    term: Term | None
+    shifts: tuple[Shift, ...]
+    noise: tuple[NoiseFound, ...]
+    scores: tuple[Score, ...]
+    alarm_level: float
+    errors: dict[str, dict[str, float]]  # record -> channel -> root mean square error of the base in noise deviations
+    notes: tuple[str, ...]
+    traces: tuple[Trace, ...]
+    extended_scenario: str  # the text of a scenario file
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the traces, ready for JSON."""
+        table = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "traces"}
+        table["extended_scenario"] = "extended.toml"
+        return _plain(table)
+
+    def to_json(self, path: str | Path) -> Path:
+        """Write `diagnosis.json`."""
+        text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8") and None)
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses, tuples and numbers of numpy as JSON knows them; what is not finite becomes null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, (tuple, list, np.ndarray)):
+        return [_plain(each) for each in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value

@@ -1,0 +1,542 @@
+"""Given measured data: what the simulation gets wrong, its cause, the extended model and the gain on locked records.
+
+The order of work: fit the base model with its parameters inside their tolerances; test every candidate and every free
+term against what is left; refit the few that could explain it, alone and in pairs; look again at what those leave.
+A cause is named only where nothing else explains the data nearly as well and nothing is left over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from .answer import (
+    AMBIGUOUS,
+    CAUSE,
+    NO_DISCREPANCY,
+    UNKNOWN,
+    CandidateAnswer,
+    DetectionLimit,
+    Diagnosis,
+    Estimate,
+    Gain,
+    NextTest,
+    NoiseFound,
+    Score,
+    Shift,
+    Term,
+    Trace,
+)
+from .channels import SIGNAL_CHANNELS, STATE_CHANNELS
+from .errors import InputError, SolveError
+from .hypotheses import Candidate
+from .prediction import Variant, prepare
+from .scene import Scene, look, own_step
+from .session import Record, Session, load_session
+from .study import BaseFit, Extra, Fit, Study, each, evaluate, fit_base, prepare_study, refit, residual_of
+
+ALARM = 0.01  # probability of an alarm where nothing is hidden, of candidates and of free terms each
+SINGLES, PAIRS = 6, 5  # how many are refitted
+PAIR_PRICE = 16.0  # fall of the deviance that a second effect must bring to be looked at
+ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
+ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
+LEFT_SHARE = 0.03  # of what the best explains may stay behind as a free term, for the same reason
+PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
+UNKNOWN_PRICE = 6.0  # the same for a cause that nobody has listed
+HOPELESS = 0.35  # share of the signal that stays unexplained where the records are not of this valve
+STAGES = ("reading", "fitting the nominal model", "looking for causes", "refitting", "checking", "measuring the gain")
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A hypothesis fitted: `evidence` is its deviance with the price of its freedom."""
+
+    fit: Fit
+    evidence: float
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        return tuple(extra.candidate for extra in self.fit.extras)
+
+    @property
+    def label(self) -> str:
+        """The candidates' families."""
+        return " + ".join(c.family for c in self.candidates) or "nominal"
+
+
+def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], None] | None = None) -> Diagnosis:
+    """Diagnose a session, or the folder of one. `progress(stage, share)` is told what is being done.
+
+    The same session and seed give the same answer. Raises InputError for a session that cannot be used and SolveError
+    where the nominal valve cannot be simulated under the session's inputs.
+    """
+    tell = progress or (lambda stage, share: None)
+    tell(STAGES[0], 0.0)
+    session = session if isinstance(session, Session) else load_session(session)
+    study = prepare_study(session)
+    tell(STAGES[1], 0.05)
+    base = fit_base(study, lambda share: tell(STAGES[1], 0.05 + 0.25 * share))
+    tell(STAGES[2], 0.3)
+    scene = look(base, base.fit)
+    alarm, level = _alarm(scene)
+    found: list[Explained] = []
+    final, quiet = scene, True
+    if alarm:
+        tell(STAGES[3], 0.4)
+        found = _explain(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share))
+        if found:
+            tell(STAGES[4], 0.75)
+            final = look(base, found[0].fit)
+            found, final = _with_more(base, scene, final, found)
+            quiet = _quiet(base, final)
+    tell(STAGES[5], 0.9)
+    return _answer(base, scene, final, found, alarm, quiet, level)
+
+
+# ---------------------------------------------------------------- alarm
+
+
+def _alarm(scene: Scene) -> tuple[bool, float]:
+    """Whether anything shows, and the level that the candidates' z had to pass."""
+    level = scene.level(ALARM)
+    return bool(scene.z().max(initial=0.0) > level or _worst_family(scene) < ALARM), level
+
+
+def _worst_family(scene: Scene) -> float:
+    """The probability that the most telling free term is chance, for as many as were tried."""
+    from scipy.stats import chi2
+
+    tests = [(value, freedom) for value, freedom in scene.family_tests() if freedom]
+    if not tests:
+        return 1.0
+    least = min(float(chi2.sf(value, freedom)) for value, freedom in tests)
+    return float(-np.expm1(len(tests) * np.log1p(-min(least, 1.0 - 1e-12))))
+
+
+# ---------------------------------------------------------------- explaining
+
+
+def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], None]) -> list[Explained]:
+    """Hypotheses of one and of two candidates, refitted, best evidence first."""
+    starts = _starts(scene, level)
+    found = []
+    for k, start in enumerate(starts):
+        tell(k / len(starts))
+        fit = refit(base, start)
+        if np.isfinite(fit.deviance):
+            found.append(Explained(fit, _evidence(fit)))
+    found = _settled(found)
+    return sorted(found, key=lambda one: one.evidence)
+
+
+def _settled(found: Sequence[Explained]) -> list[Explained]:
+    """One of each family, without pairs that hold an effect which has come to nothing."""
+    best: dict[str, Explained] = {}
+    for one in found:
+        if len(one.fit.extras) > 1 and any(abs(e.excess) < 0.02 * e.candidate.typical for e in one.fit.extras):
+            continue
+        if one.label not in best or one.evidence < best[one.label].evidence:
+            best[one.label] = one
+    return list(best.values())
+
+
+def _evidence(fit: Fit) -> float:
+    price = sum(
+        2.0 * np.log(10.0) + (PARAMETER_PRICE if e.candidate.effect is None else 0.0)
+        + (e.excess / (5.0 * e.candidate.typical)) ** 2
+        for e in fit.extras
+    )  # fmt: skip
+    return float(fit.deviance + fit.occam + price)
+
+
+def _starts(scene: Scene, level: float) -> list[tuple[Extra, ...]]:
+    """Where to start refits: the best single candidates, and the best pairs where two explain much more than one."""
+    z, projected = scene.z(), scene.projected
+    q = len(scene.candidates)
+    fall = z**2
+    order = [int(k) for k in np.argsort(-fall, kind="stable") if fall[k] > 0.0]
+    if not order:
+        return []
+    worth = fall[order[0]] - (12.0 + 0.35 * fall[order[0]])
+    singles: list[int] = []
+    seen: set[str] = set()
+    for k in order:
+        family = scene.candidates[k].family
+        if fall[k] >= min(worth, 0.95 * fall[order[0]]) and family not in seen:
+            seen.add(family)
+            singles.append(k)
+    starts = [(_extra(scene, k, projected.score[k] / projected.overlap[k, k]),) for k in singles[:SINGLES]]
+    pairs = []
+    visible = [k for k in range(q) if scene.visible()[k]]
+    for i, j in combinations(visible, 2):
+        if scene.candidates[i].name == scene.candidates[j].name and scene.candidates[i].effect is not None and (
+            not scene.candidates[i].effect.channel  # type: ignore[union-attr]
+            or scene.candidates[i].effect.channel == scene.candidates[j].effect.channel  # type: ignore[union-attr]
+        ):
+            continue
+        O = projected.overlap[np.ix_([i, j], [i, j])]
+        if abs(O[0, 1]) > 0.97 * np.sqrt(O[0, 0] * O[1, 1]):
+            continue
+        a = np.linalg.solve(O, projected.score[[i, j]])
+        if any(scene.candidates[k].one_sided and v < 0.0 for k, v in zip((i, j), a, strict=True)):
+            continue
+        pairs.append((float(a @ projected.score[[i, j]]), i, j, a))
+    pairs.sort(key=lambda pair: (-pair[0], pair[1], pair[2]))
+    used: set[str] = set()
+    for value, i, j, a in pairs:
+        if value < fall[order[0]] + max(PAIR_PRICE, 0.05 * fall[order[0]]) or len(used) >= PAIRS:
+            break
+        label = " + ".join(sorted((scene.candidates[i].family, scene.candidates[j].family)))
+        if label not in used:
+            used.add(label)
+            starts.append(tuple(_extra(scene, k, v) for k, v in zip((i, j), a, strict=True)))
+    return starts
+
+
+def _extra(scene: Scene, k: int, amount: float) -> Extra:
+    """A candidate at an amount of its column, inside its limits, with its shapes where they were looked for."""
+    candidate = scene.candidates[k]
+    low, high = candidate.limits
+    fixed = dict(candidate.fixed)
+    shapes = tuple((p.name, fixed.get(p.name, p.default)) for p in candidate.shapes())
+    return Extra(candidate, float(np.clip(amount * scene.sizes[k], 0.9 * low, 0.9 * high)), shapes)
+
+
+def _with_more(
+    base: BaseFit, scene: Scene, final: Scene, found: list[Explained]
+) -> tuple[list[Explained], Scene]:
+    """The found with a further effect each time one shows in what the best leaves: up to three in all."""
+    while len(final.fit.extras) < 3:
+        z, level = final.z(), final.level(ALARM)
+        best = found[0]
+        gained = base.fit.deviance - best.fit.deviance
+        if z.max(initial=0.0) ** 2 < max(level**2, LEFT_SHARE * gained):
+            break
+        more = []
+        for k in [int(k) for k in np.argsort(-z, kind="stable")[:4] if z[k] > 0.8 * z.max()]:
+            p = final.projected
+            start = (*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k]))
+            fit = refit(base, start, best.fit.point)
+            if np.isfinite(fit.deviance):
+                more.append(Explained(fit, _evidence(fit)))
+        more = _settled(more)
+        merged = sorted(_settled([*found, *more]), key=lambda one: one.evidence)
+        if not more or merged[0] is best or merged[0].evidence > best.evidence - 6.0:
+            break
+        found = merged
+        final = look(base, found[0].fit)
+    return found, final
+
+
+def _quiet(base: BaseFit, final: Scene) -> bool:
+    """Whether the best hypothesis leaves nothing that a free term, or an amplitude that wanders, would explain."""
+    from scipy.stats import chi2
+
+    gained = max(base.fit.deviance - final.fit.deviance, 0.0)
+    allowance = LEFT_SHARE * gained
+    tests = [(value - allowance, freedom) for value, freedom in final.family_tests() if freedom]
+    least = min((float(chi2.sf(max(value, 0.0), freedom)) for value, freedom in tests), default=1.0)
+    families_quiet = least * max(len(tests), 1) > ALARM
+    wander, freedom = final.constancy()
+    constant = freedom == 0 or float(chi2.sf(max(wander - allowance, 0.0), freedom)) > 1e-3
+    return families_quiet and constant
+
+
+# ---------------------------------------------------------------- the answer
+
+
+def _answer(
+    base: BaseFit, scene: Scene, final: Scene, found: list[Explained], alarm: bool, quiet: bool, level: float
+) -> Diagnosis:
+    study, session = base.study, base.study.session
+    best = found[0] if found else None
+    chosen = best.fit if best is not None else base.fit
+    answers, in_set = _answer_set(base, final, found, quiet)
+    verdict = _verdict(base, alarm, quiet, found, in_set)
+    term: Term | None = None
+    notes = list(session.notes)
+    if any(not noise.verified for noise in study.noise.values()):
+        notes.append("noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it")
+    if _hopeless(base, chosen):
+        verdict, in_set = UNKNOWN, []
+        notes.insert(0, "the base model cannot come near these records: are they of this valve, with these units and signs?")
+    named = best if verdict in (CAUSE, AMBIGUOUS) else None
+    extended = chosen if verdict in (CAUSE, AMBIGUOUS) else base.fit
+    causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
+    estimates = _estimates(base, final) if named is not None else ()
+    gain, claimed, traces = _gain(base, extended)
+    return Diagnosis(
+        title=session.title,
+        verdict=verdict,
+        causes=causes,
+        summary=_summary(verdict, in_set, estimates, notes),
+        location=_location(verdict, in_set),
+        candidates=tuple(answers),
+        parameters=estimates,
+        gain=gain,
+        gain_claimed=claimed,
+        detection_limits=_limits(scene, level),
+        next_test=_next(base, in_set) if verdict == AMBIGUOUS else None,
+        term=term,
+        shifts=_shifts(study, extended.point),
+        noise=tuple(
+            NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=UNITS[channel], order=len(n.lags),
+                       verified=n.verified, source=n.source)
+            for (channel, rate), n in study.noise.items()
+        ),
+        scores=_scores(scene),
+        alarm_level=level,
+        errors=_errors(base),
+        notes=tuple(notes),
+        traces=traces,
+        extended_scenario=scenario_text(session, extended.variant(study.base)),
+    )  # fmt: skip
+
+
+UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *SIGNAL_CHANNELS)}
+
+
+def _answer_set(
+    base: BaseFit, final: Scene, found: Sequence[Explained], quiet: bool
+) -> tuple[list[CandidateAnswer], list[Explained]]:
+    """All hypotheses with their probabilities, and those that explain the data nearly as well as the best does."""
+    if not found:
+        return [], []
+    gained = max(base.fit.deviance - found[0].fit.deviance, 0.0)
+    width = max(ANSWER_RATIO, ANSWER_SHARE * gained)
+    in_set = [one for one in found if one.evidence - found[0].evidence < width]
+    unknown = found[0].evidence + UNKNOWN_PRICE + 0.25 * gained if quiet else found[0].evidence - 2.0 * width
+    heat = width / ANSWER_RATIO  # no model is the plant: evidence counts by so much less
+    values = np.array([*(one.evidence for one in found), unknown])
+    weights = np.exp(-0.5 * (values - values.min()) / heat)
+    weights /= weights.sum()
+    answers = [
+        CandidateAnswer(
+            names=tuple(c.name for c in one.candidates),
+            label=one.label,
+            location=" and ".join(dict.fromkeys(c.location() for c in one.candidates)),
+            probability=float(weight),
+            deviance_fall=float(base.fit.deviance - one.fit.deviance),
+        )
+        for one, weight in zip(found, weights[:-1], strict=True)
+    ]
+    nothing = CandidateAnswer(names=("unknown",), label="none of the known causes", location="", deviance_fall=0.0,
+                              probability=float(weights[-1]))  # fmt: skip
+    ranked = sorted([*answers, nothing], key=lambda a: -a.probability)
+    return [a for a in ranked if a.probability > 1e-3], in_set
+
+
+def _verdict(base: BaseFit, alarm: bool, quiet: bool, found: Sequence[Explained], in_set: Sequence[Explained]) -> str:
+    if not alarm:
+        return NO_DISCREPANCY
+    if not found or not quiet:
+        return UNKNOWN
+    return CAUSE if len(in_set) == 1 else AMBIGUOUS
+
+
+def _hopeless(base: BaseFit, fit: Fit) -> bool:
+    """True where most of the signal stays unexplained in most channels: these records are not of this valve."""
+    shares = []
+    for bench, read in zip(base.study.benches, fit.readings, strict=True):
+        for name, column in read.items():
+            measured = bench.record.values[name]
+            noise = base.study.noise[name, bench.record.rate].deviation
+            signal = float(np.std(measured))
+            if signal > 5.0 * noise:
+                shares.append(float(np.sqrt(np.mean((measured - column) ** 2))) / signal)
+    return bool(shares) and float(np.median(shares)) > HOPELESS
+
+
+def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
+    """Amplitudes and shapes of the fit's extras with 95 % intervals, from the curvature at the fit."""
+    fit, gram = final.fit, final.gram
+    p, total = gram.parameters, gram.total
+    own = [1 + p + k for k in final.own]
+    at = [*range(1, 1 + p), *own]
+    H = total[np.ix_(at, at)].copy()
+    kinds = [(extra, shape) for extra in fit.extras for shape in ("", *(name for name, _ in extra.shapes))]
+    for k, (_, shape) in enumerate(kinds):
+        H[p + k, p + k] += np.log(1.1) ** 2 if shape else 0.0
+    H[np.arange(p), np.arange(p)] += 1.0
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    C = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    names = [parameter.name for parameter in base.study.base.parameters]
+    found = []
+    for k, (extra, shape) in enumerate(kinds):
+        candidate = extra.candidate
+        if candidate.effect is None:
+            j = names.index(candidate.name.removeprefix("parameter:"))
+            parameter = base.study.base.parameters[j]
+            combine = np.zeros(len(at))
+            combine[j], combine[p + k] = parameter.deviation, own_step(extra)
+            value = parameter.nominal + fit.point[j] * parameter.deviation + extra.excess
+            deviation = float(np.sqrt(combine @ C @ combine))
+            low, high = value - 1.96 * deviation, value + 1.96 * deviation
+            found.append(Estimate(name=parameter.name, cause=candidate.name, value=value, low=low, high=high, unit=parameter.unit))
+            continue
+        effect = candidate.effect
+        if shape:
+            declared = next(q for q in effect.parameters if q.name == shape)
+            value = dict(extra.shapes)[shape]
+            spread = float(np.log(1.1) * np.sqrt(C[p + k, p + k]))
+            low, high = value * np.exp(-1.96 * spread), value * np.exp(1.96 * spread)
+        else:
+            declared = effect.amplitude
+            value = (declared.neutral or 0.0) + extra.excess
+            spread = float(abs(own_step(extra)) * np.sqrt(C[p + k, p + k]))
+            low, high = value - 1.96 * spread, value + 1.96 * spread
+        low, high = max(low, declared.bounds[0]), min(high, declared.bounds[1])
+        found.append(
+            Estimate(name=declared.name, cause=candidate.family, value=float(value), low=float(low), high=float(high),
+                     unit=declared.unit, doc=declared.doc)
+        )  # fmt: skip
+        if not shape:
+            found += [
+                Estimate(name=name, cause=candidate.family, value=v, low=v, high=v, unit="1", doc="as found")
+                for name, v in candidate.fixed
+                if name not in dict(extra.shapes)
+            ]
+    return tuple(found)
+
+
+def _summary(verdict: str, in_set: Sequence[Explained], estimates: Sequence[Estimate], notes: Sequence[str]) -> str:
+    if verdict == NO_DISCREPANCY:
+        return "No discrepancy: the model explains the records within their noise and its own tolerances."
+    if verdict == CAUSE:
+        return "The cause is " + " with ".join(c.family for c in in_set[0].candidates) + "."
+    if verdict == AMBIGUOUS:
+        return "Something is wrong, and these cannot be told apart: " + "; ".join(one.label for one in in_set) + "."
+    if notes and notes[0].startswith("the base model cannot"):
+        return "Nothing is named: " + notes[0] + "."
+    return "Something is wrong that none of the known causes explains."
+
+
+def _location(verdict: str, in_set: Sequence[Explained]) -> str:
+    if verdict not in (CAUSE, AMBIGUOUS):
+        return ""
+    return " or ".join(dict.fromkeys(c.location() for one in in_set for c in one.candidates))
+
+
+def _limits(scene: Scene, level: float) -> tuple[DetectionLimit, ...]:
+    """For each candidate, the amplitude that would pass the alarm nine times in ten."""
+    best: dict[str, DetectionLimit] = {}
+    distance = scene.projected.distance
+    visible = scene.visible()
+    for k, candidate in enumerate(scene.candidates):
+        name = candidate.effect.amplitude.name if candidate.effect is not None else candidate.name.partition(":")[2]
+        amplitude = None
+        if visible[k]:
+            amplitude = float((level + 1.2816) / distance[k] * abs(scene.sizes[k]))
+        one = DetectionLimit(name=candidate.name, label=candidate.family, parameter=name, amplitude=amplitude, unit=candidate.unit)
+        old = best.get(candidate.family)
+        if old is None or old.amplitude is None or (amplitude is not None and amplitude < old.amplitude):
+            best[candidate.family] = one
+    return tuple(best.values())
+
+
+def _shifts(study: Study, point: np.ndarray) -> tuple[Shift, ...]:
+    shifts = [
+        Shift(name=p.name, unit=p.unit, nominal=p.nominal, value=float(p.nominal + t * p.deviation), share_of_tolerance=float(t / 2.0))
+        for p, t in zip(study.base.parameters, point, strict=True)
+    ]
+    return tuple(sorted(shifts, key=lambda s: -abs(s.share_of_tolerance)))
+
+
+def _scores(scene: Scene, most: int = 15) -> tuple[Score, ...]:
+    z = scene.z()
+    best: dict[str, float] = {}
+    for candidate, value in zip(scene.candidates, z, strict=True):
+        best[candidate.family] = max(best.get(candidate.family, 0.0), float(value))
+    ranked = sorted(best.items(), key=lambda pair: -pair[1])
+    return tuple(Score(label=label, z=value) for label, value in ranked[:most])
+
+
+def _errors(base: BaseFit) -> dict[str, dict[str, float]]:
+    table: dict[str, dict[str, float]] = {}
+    for bench, read in zip(base.study.benches, base.fit.readings, strict=True):
+        record = bench.record
+        table[record.name] = {}
+        for name in record.outputs:
+            left = (record.values[name] - read[name])[record.usable[name]]
+            deviation = base.study.noise[name, record.rate].deviation
+            table[record.name][name] = float(np.sqrt(np.mean(left**2)) / deviation)
+    return table
+
+
+# ---------------------------------------------------------------- gain
+
+
+def _gain(base: BaseFit, extended: Fit) -> tuple[tuple[Gain, ...], bool, tuple[Trace, ...]]:
+    """Errors of base and extended model on the locked records, opened here and once; and traces of all records."""
+    study, session = base.study, base.study.session
+    universe = study.benches[0].universe
+    variants = (base.fit.variant(study.base), extended.variant(study.base))
+    gains, traces, pooled = [], [], []
+    for bench, *reads in zip(study.benches, base.fit.readings, extended.readings, strict=True):
+        traces += _traces(study, bench.record, reads)
+    for record in session.locked:
+        bench = prepare(session, record, universe)
+        reads = [bench.readings(bench.run(variant), variant) for variant in variants]
+        traces += _traces(study, record, reads)
+        white = []
+        for name in record.outputs:
+            key = _nearest_noise(study, name, record.rate)
+            if key is None:
+                continue
+            columns = np.column_stack([residual_of(record, read)[name][:, 0] for read in reads])
+            white.append(study.noise[key].whiten(columns, record.usable[name]))
+        if not white:
+            continue
+        squares = np.concatenate([w**2 for w in white])
+        change = squares[:, 1] - squares[:, 0]
+        pooled.append(change)
+        low, high = _block_interval(change, session.seed)
+        before, after = np.sqrt(squares.mean(axis=0))
+        gains.append(
+            Gain(record=record.name, before=float(before), after=float(after), floor=1.0, change=float(change.mean()),
+                 low=low, high=high, claimed=high < 0.0)
+        )  # fmt: skip
+    claimed = bool(pooled) and _block_interval(np.concatenate(pooled), session.seed)[1] < 0.0
+    return tuple(gains), claimed, tuple(traces)
+
+
+def _nearest_noise(study: Study, channel: str, rate: float) -> tuple[str, float] | None:
+    """The key of the noise of a channel at the nearest rate; None where training has not seen the channel."""
+    rates = [r for name, r in study.noise if name == channel]
+    return (channel, min(rates, key=lambda r: abs(np.log(r / rate)))) if rates else None
+
+
+def _block_interval(change: np.ndarray, seed: int, draws: int = 1000) -> tuple[float, float]:
+    """95 % interval of a mean by drawing blocks: neighbours are alike."""
+    size = max(int(np.sqrt(len(change))), 1)
+    count = max(len(change) // size, 1)
+    blocks = change[: count * size].reshape(count, size).mean(axis=1)
+    rng = np.random.default_rng(seed)
+    means = blocks[rng.integers(0, count, (draws, count))].mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _traces(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]) -> list[Trace]:
+    found = []
+    for name in record.outputs:
+        key = _nearest_noise(study, name, record.rate)
+        found.append(
+            Trace(record=record.name, channel=name, unit=UNITS[name], role=record.role, time=record.time,
+                  measured=record.values[name], base=reads[0][name], extended=reads[1][name],
+                  noise=study.noise[key].deviation if key is not None else 0.0)
+        )  # fmt: skip
+    return found
+
+
+def _next(base: BaseFit, in_set: Sequence[Explained]) -> NextTest | None:
+    return None
+
+
+def scenario_text(session: Session, variant: Variant) -> str:
+    """A scenario file of a variant under the session's first training record."""
+    return ""

@@ -1,0 +1,209 @@
+"""What a fit leaves, looked at from all sides at once: candidates, free terms at every port, each part of each record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .evidence import Gram, Projected, alarm_level, block_statistic, project
+from .hypotheses import Candidate, View, candidate_columns, neighbours, parameter_columns, view
+from .sensitivity import relax
+from .study import BaseFit, Extra, Fit, Study, each, gram_of
+from .terms import LAG, PATH, Family, families, hats, term_effect
+
+KNOTS = 6  # of each family's function while it is looked for
+REACH = 10.0  # a candidate must show at this multiple of its typical amplitude, or the session is blind to it
+SHAPE_STEP = 1.1
+DIRECT = ("load_flow", "internal_leakage")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A fit's residual against everything: `projected` candidates then families, off the base and the fit's extras.
+
+    `sizes` (q,) are the excesses at which the candidates' columns stand; `blocks` the columns of each family;
+    `own` the columns of the fit's extras: excess and shapes, freed.
+    """
+
+    study: Study
+    fit: Fit
+    views: tuple[View, ...]
+    gram: Gram
+    candidates: tuple[Candidate, ...]
+    sizes: np.ndarray
+    families: tuple[Family, ...]
+    blocks: tuple[tuple[int, ...], ...]
+    own: tuple[int, ...]
+    everything: Projected
+
+    @property
+    def projected(self) -> Projected:
+        """Candidates (first) and families, with the extras free."""
+        return self.everything.without(self.own)
+
+    def visible(self) -> np.ndarray:
+        """(q,) True for candidates that the session would show if they were there."""
+        reach = np.array([min(REACH * c.typical, max(map(abs, c.limits))) for c in self.candidates])
+        return self.projected.distance[: len(self.candidates)] * reach / self.sizes > 4.0
+
+    def z(self) -> np.ndarray:
+        """(q,) of the candidates: below zero, or of the wrong sign, means no evidence; zero where blind."""
+        q = len(self.candidates)
+        z = self.projected.z[:q]
+        one_sided = np.array([c.one_sided for c in self.candidates])
+        return np.where(self.visible(), np.where(one_sided, np.maximum(z, 0.0), np.abs(z)), 0.0)
+
+    def level(self, probability: float) -> float:
+        """The z that none of the candidates passes but with that probability, where nothing is hidden."""
+        q = np.flatnonzero(self.visible())
+        some = Projected(self.projected.score[q], self.projected.overlap[np.ix_(q, q)], 0.0)
+        one_sided = np.array([self.candidates[k].one_sided for k in q], dtype=bool)
+        return alarm_level(some, one_sided, probability, self.study.session.seed)
+
+    def family_tests(self) -> list[tuple[float, int]]:
+        """(chi-square, degrees of freedom) of each family."""
+        projected = self.projected
+        return [block_statistic(projected, block) for block in self.blocks]
+
+    def constancy(self) -> tuple[float, int]:
+        """(chi-square, degrees of freedom) of the first extra's amplitude being the same in every part of every record."""
+        if not self.own:
+            return 0.0, 0
+        G, k = self.gram, 1 + self.gram.parameters + self.own[0]
+        at = [0, *range(1, 1 + G.parameters), *(1 + G.parameters + j for j in self.own)]
+        m, total = len(G.segments), G.total
+        size = len(at)
+        big = np.zeros((size + m, size + m))
+        big[:size, :size] = total[np.ix_(at, at)]
+        for j in range(m):
+            big[:size, size + j] = big[size + j, :size] = G.products[j][at, k]
+            big[size + j, size + j] = G.products[j][k, k]
+        parts = Gram(big[None], G.prior_now, (), (), ())
+        own = len(self.own)
+        split = project(parts, 0, own + m).without(range(own))
+        return block_statistic(split, range(own, own + m))
+
+
+def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
+    """Look at what a fit leaves, from where it is."""
+    study = base.study
+    variant = fit.variant(study.base)
+    if fit is base.fit:
+        views = base.views
+    else:
+        views = tuple(each(lambda bench: view(bench, variant), study.benches))
+    taken = {extra.candidate.family for extra in fit.extras}
+    candidates = tuple(
+        c for c in study.candidates if c.family not in taken and not _acts_already(c, fit.extras)
+    )
+    beside = neighbours(study.base, variant)
+    sizes = np.array([_size(c) for c in candidates])
+    changed = [c.add_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
+    J = each(lambda seen: parameter_columns(seen, study.base, beside), views)
+    S = each(lambda seen: candidate_columns(seen, candidates, changed), views)
+    searched = families() if with_families else ()
+    T = each(lambda seen: family_columns(seen, views, searched), views)
+    steps = own_steps(fit)
+    moved = [other.variant(study.base) for _, other in steps]
+    own = each(lambda seen: candidate_columns(seen, [c for c, _ in steps], moved), views)
+    gram = gram_of(study, views, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point, ())
+    q, f = len(candidates), len(searched) * KNOTS
+    count = len(steps)
+    blocks = tuple(tuple(range(q + k * KNOTS, q + (k + 1) * KNOTS)) for k in range(len(searched)))
+    everything = project(gram, 0, q + f + count)
+    return Scene(
+        study, fit, views, gram, candidates, sizes, searched, blocks, tuple(range(q + f, q + f + count)), everything
+    )
+
+
+def _acts_already(candidate: Candidate, extras: Sequence[Extra]) -> bool:
+    """True for another shape or side of an effect that the fit has: its name may stand in a model only once."""
+    return candidate.effect is not None and any(
+        extra.candidate.effect is not None
+        and extra.candidate.effect.name == candidate.effect.name
+        and extra.candidate.effect.channel == candidate.effect.channel
+        for extra in extras
+    )
+
+
+def _size(candidate: Candidate) -> float:
+    """The excess at which a candidate is looked for: small, so that the answer is linear, and inside its limits."""
+    low, high = candidate.limits
+    size = 0.2 * candidate.typical
+    return size if size <= high else max(0.5 * low, -size)
+
+
+def own_steps(fit: Fit) -> list[tuple[Candidate, Fit]]:
+    """The fit with each of its extras moved a little: excess by a twentieth, then each shape by a tenth."""
+    steps = []
+    for k, extra in enumerate(fit.extras):
+        moved = [replace(extra, excess=extra.excess + own_step(extra))]
+        for j, (name, value) in enumerate(extra.shapes):
+            shapes = (*extra.shapes[:j], (name, value * SHAPE_STEP), *extra.shapes[j + 1 :])
+            moved.append(replace(extra, shapes=shapes))
+        steps += [(extra.candidate, replace(fit, extras=(*fit.extras[:k], m, *fit.extras[k + 1 :]))) for m in moved]
+    return steps
+
+
+def own_step(extra: Extra) -> float:
+    """The step of an excess: inwards, so that it stays inside its limits."""
+    return -0.05 * extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 0.01 * extra.candidate.typical
+
+
+def family_columns(seen: View, views: Sequence[View], searched: Sequence[Family]) -> dict[str, np.ndarray]:
+    """Answers (n_samples, families * KNOTS) to each hat of each family, knots over what all views visit."""
+    record = seen.bench.record
+    out = {name: np.zeros((len(record.time), len(searched) * KNOTS)) for name in record.outputs}
+    gains: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
+    for k, family in enumerate(searched):
+        port = family.port
+        if port.name in DIRECT and port.name not in record.outputs:
+            continue
+        if port.name not in gains:
+            unit = term_effect(port.name, "current", (0.0, 1.0), (1.0, 1.0), name="unit_term")
+            gains[port.name] = seen.forcing(seen.variant.with_effect(unit(share=1.0)))
+        g, direct = gains[port.name]
+        basis = family_basis(seen, family, span(views, family), KNOTS)
+        columns = slice(k * KNOTS, (k + 1) * KNOTS)
+        if port.name in DIRECT:
+            column = np.asarray(direct[port.name])[:, None] * basis
+            out[port.name][:, columns] = column[:: seen.bench.refinement]
+        else:
+            parts = {name: d[:, None] * basis for name, d in direct.items()}
+            for name, moved in seen.by_forcing(g[:, :, None] * basis[:, None, :], parts).items():
+                out[name][:, columns] = moved
+    return out
+
+
+def family_basis(seen: View, family: Family, over: tuple[float, float], count: int) -> np.ndarray:
+    """(n, count) hats of a family's variable along a view's course, times its direction where it has one."""
+    u = argument(seen, family)
+    basis = hats(u, np.linspace(*over, count))
+    if family.memory != PATH:
+        return basis
+    step = np.diff(u, prepend=u[0]) / family.width
+    z = np.zeros(len(u))
+    for k in range(1, len(u)):  # Dahl's memory of a path of straight steps
+        z[k] = np.sign(step[k]) + (z[k - 1] - np.sign(step[k])) * np.exp(-abs(step[k])) if step[k] else z[k - 1]
+    return basis * z[:, None]
+
+
+def argument(seen: View, family: Family) -> np.ndarray:
+    """A family's variable (n,) along a view's course, lagged where it is."""
+    states = [seen.course.states[:, k] for k in seen.linear.active]
+    u = seen.argument(family.variable, tuple(states))
+    if family.memory != LAG:
+        return u
+    b = np.full(len(u), 1.0 / family.time_constant)
+    middle = np.concatenate([u[:1], (u[1:] + u[:-1]) / 2.0])
+    return relax(middle / family.time_constant, b, float(seen.bench.times[1] - seen.bench.times[0]))
+
+
+def span(views: Sequence[View], family: Family) -> tuple[float, float]:
+    """The range of a family's variable that the records visit, but for its extreme hundredths."""
+    plain = replace(family, memory="none")
+    values = np.concatenate([argument(seen, plain) for seen in views])
+    low, high = np.quantile(values, [0.005, 0.995])
+    return (float(low), float(high)) if high > low else (float(low) - 1e-9, float(low) + 1e-9)

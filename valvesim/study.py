@@ -1,0 +1,407 @@
+"""The fits behind a diagnosis: the base model first, then the base with candidates, and what their residuals hold.
+
+Symbols
+    y readings, r whitened residual, J whitened answers to the base parameters, t their point in prior deviations
+    D = r'r + t't deviance;  H = J'J + I
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from .catalogue import CATALOGUE
+from .errors import InputError, SolveError
+from .evidence import Gram
+from .hypotheses import (
+    Base,
+    Candidate,
+    View,
+    base_of,
+    candidate_columns,
+    candidates_of,
+    neighbours,
+    parameter_columns,
+    view,
+)
+from .noise import Noise, fit_noise, rounding
+from .prediction import Bench, Variant, prepare
+from .session import Record, Session
+
+MOST_ROWS = 300_000  # whitened rows that are kept: of longer sessions every second, third ... one
+SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
+SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
+BASE_STEPS, STEPS = 6, 5
+
+
+@dataclass(frozen=True)
+class Study:
+    """A session with everything that its fits share."""
+
+    session: Session
+    base: Base
+    candidates: tuple[Candidate, ...]
+    benches: tuple[Bench, ...]
+    noise: dict[tuple[str, float], Noise] = field(default_factory=dict)
+
+    @property
+    def stride(self) -> int:
+        """Every how many of the whitened rows is kept: they are independent, so none is missed but for its weight."""
+        rows = sum(len(b.record.time) * len(b.record.outputs) for b in self.benches)
+        return int(np.ceil(rows / MOST_ROWS))
+
+    def whiten(self, bench: Bench, columns: dict[str, np.ndarray]) -> list[np.ndarray]:
+        """Whitened columns (n, k) of a record, channel by channel."""
+        record = bench.record
+        white = []
+        for name in record.outputs:
+            noise = self.noise[name, record.rate]
+            white.append(noise.whiten(columns[name], record.usable[name])[:: self.stride])
+        return white
+
+    def stack(self, columns: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
+        """Whitened columns of all training records, (rows, k)."""
+        return np.concatenate(
+            [one for bench, each in zip(self.benches, columns, strict=True) for one in self.whiten(bench, each)]
+        )
+
+
+def each(function: Callable, *over: Sequence) -> list:
+    """The function over sequences, on threads: the integration lets others work meanwhile."""
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, max(len(over[0]), 1))) as pool:
+        return list(pool.map(function, *over))
+
+
+def prepare_study(session: Session, more: Sequence = ()) -> Study:
+    """The study of a session, noise not yet known; `more` are effects that its fits may use beside the catalogue's."""
+    base = base_of(session)
+    universe = (*CATALOGUE.values(), *session.user_effects, *more)
+    benches = tuple(prepare(session, record, universe) for record in session.training)
+    return Study(session, base, candidates_of(session, base), benches)
+
+
+# ---------------------------------------------------------------- noise
+
+
+def residual_of(record: Record, readings: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Measured minus read, by channel, as columns (n, 1)."""
+    return {name: (record.values[name] - readings[name])[:, None] for name in record.outputs}
+
+
+def find_noise(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> dict[tuple[str, float], Noise]:
+    """The noise of each channel at each rate: from repeats where there are any, else from what the model leaves."""
+    session, found = study.session, {}
+    records = [bench.record for bench in study.benches]
+    keys = dict.fromkeys((name, record.rate) for record in records for name in record.outputs)
+    for name, rate in keys:
+        own = [
+            (record, record.values[name] - read[name])
+            for record, read in zip(records, readings, strict=True)
+            if name in record.outputs and record.rate == rate
+        ]
+        sensor = session.sensors.get(name)
+        resolution = sensor.resolution if sensor is not None else 0.0
+        stated = sensor.noise if sensor is not None else None
+        series = _differences(own)
+        verified = bool(series)
+        if not verified:
+            series = [left for record, left in own]
+        floor = max(resolution / np.sqrt(12.0), 1e-9 * _size(own, name), stated or 0.0 if not verified else 0.0)
+        noise = fit_noise(series, verified=verified, source="repeats" if verified else "residual", floor=floor)
+        if resolution > 2.0 * noise.deviation:  # too coarse to be dithered by the noise: rounding repeats itself
+            coarse = [
+                rounding(read[name], noise.deviation, resolution, session.seed)
+                for record, read in zip(records, readings, strict=True)
+                if name in record.outputs and record.rate == rate
+            ]
+            noise = fit_noise(coarse, verified=verified, source=noise.source + ", resolution", floor=floor)
+        found[name, rate] = noise
+    return found
+
+
+def _size(own: Sequence[tuple[Record, np.ndarray]], name: str) -> float:
+    return max(float(np.max(np.abs(record.values[name]))) for record, _ in own)
+
+
+def _differences(own: Sequence[tuple[Record, np.ndarray]]) -> list[np.ndarray]:
+    """Noise alone, from records that repeat each other: what the model gets wrong is the same in each."""
+    groups: dict[str, list[np.ndarray]] = {}
+    for record, left in own:
+        if record.repeats:
+            groups.setdefault(record.repeats, []).append(left)
+    series = []
+    for members in groups.values():
+        count = len(members)
+        if count < 2:
+            continue
+        length = min(map(len, members))
+        stack = np.array([m[:length] for m in members])
+        apart = (stack - stack.mean(axis=0)) * np.sqrt(count / (count - 1.0))
+        series += list(apart[:-1] if count == 2 else apart)
+    return series
+
+
+def first_noise(study: Study) -> dict[tuple[str, float], Noise]:
+    """White noise of the size of what a straight line through three samples leaves: to start the first fit with."""
+    found = {}
+    for bench in study.benches:
+        record = bench.record
+        for name in record.outputs:
+            bend = np.diff(record.values[name], 2)
+            size = float(np.sqrt(np.mean(bend**2) / 6.0))
+            sensor = study.session.sensors.get(name)
+            floor = max((sensor.resolution if sensor else 0.0) / np.sqrt(12.0), 2e-3 * float(np.ptp(record.values[name])))
+            found[name, record.rate] = Noise(max(size, floor, 1e-30), (), False, "first guess")
+    return found
+
+
+# ---------------------------------------------------------------- fits
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A candidate in a fit: its excess over neutral, and its shape parameters."""
+
+    candidate: Candidate
+    excess: float
+    shapes: tuple[tuple[str, float], ...] = ()
+
+    def add_to(self, variant: Variant) -> Variant:
+        return self.candidate.add_to(variant, self.excess, **dict(self.shapes))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A point of the base parameters with extras, its deviance and the readings that it predicts."""
+
+    point: np.ndarray
+    extras: tuple[Extra, ...]
+    deviance: float
+    readings: tuple[dict[str, np.ndarray], ...]
+    residual: np.ndarray
+    occam: float = 0.0
+
+    def variant(self, base: Base) -> Variant:
+        """The valve and effects of this fit."""
+        variant = base.at(self.point)
+        for extra in self.extras:
+            variant = extra.add_to(variant)
+        return variant
+
+
+def evaluate(study: Study, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit:
+    """The fit at a point, by running every training record. Raises SolveError, InputError where it cannot be run."""
+    variant = Fit(point, extras, 0.0, (), np.zeros(0)).variant(study.base)
+    readings = each(lambda bench: bench.readings(bench.run(variant), variant), study.benches)
+    residual = study.stack([residual_of(b.record, r) for b, r in zip(study.benches, readings, strict=True)])[:, 0]
+    shape_prior = sum(
+        (np.log(value / default) / SHAPE_DEVIATION) ** 2 for extra in extras for value, default in _against_default(extra)
+    )
+    deviance = float(residual @ residual + point @ point + shape_prior)
+    return Fit(point, extras, deviance, tuple(readings), residual)
+
+
+def _against_default(extra: Extra) -> list[tuple[float, float]]:
+    fixed = dict(extra.candidate.fixed)
+    defaults = {p.name: fixed.get(p.name, p.default) for p in extra.candidate.shapes()}
+    return [(value, defaults[name]) for name, value in extra.shapes]
+
+
+@dataclass(frozen=True)
+class BaseFit:
+    """The base model at its best, seen from there: `J` whitened answers to the base parameters (rows, p)."""
+
+    study: Study
+    fit: Fit
+    views: tuple[View, ...]
+    J: np.ndarray
+
+
+def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -> BaseFit:
+    """Fit the base parameters, and find the noise on the way. Raises SolveError where the valve cannot be run."""
+    study = replace(study, noise=first_noise(study))
+    point = np.zeros(len(study.base.parameters))
+    views, columns = _seen(study, point)
+    tell(0.4)
+    fit = evaluate(study, point, ())
+    study = replace(study, noise=find_noise(study, fit.readings) if _repeated(study) else study.noise)
+    J = study.stack(columns)
+    fit = _descend(study, evaluate(study, point, ()), J)
+    if not _repeated(study):  # the noise is what the best fit leaves: again with its colour
+        for _ in range(2):
+            study = replace(study, noise=find_noise(study, fit.readings))
+            J = study.stack(columns)
+            fit = _descend(study, evaluate(study, fit.point, ()), J)
+    tell(0.7)
+    views, columns = _seen(study, fit.point)
+    J = study.stack(columns)
+    again = _descend(study, fit, J, most=1)
+    return BaseFit(study, again, tuple(views), J)
+
+
+def _repeated(study: Study) -> bool:
+    labels = [bench.record.repeats for bench in study.benches if bench.record.repeats]
+    return len(labels) > len(set(labels))
+
+
+def _seen(study: Study, point: np.ndarray) -> tuple[list[View], list[dict[str, np.ndarray]]]:
+    variant = study.base.at(point)
+    views = each(lambda bench: view(bench, variant), study.benches)
+    beside = neighbours(study.base, variant)
+    return views, each(lambda seen: parameter_columns(seen, study.base, beside), views)
+
+
+def _descend(study: Study, fit: Fit, J: np.ndarray, most: int = BASE_STEPS) -> Fit:
+    """Gauss-Newton in the base parameters alone, with steps halved until the deviance falls."""
+    H = J.T @ J + np.eye(J.shape[1])
+    for _ in range(most):
+        step = np.linalg.solve(H, J.T @ fit.residual - fit.point)
+        promised = float(step @ H @ step)
+        if promised < 0.05:
+            break
+        better = _shorter(study, fit, lambda share, step=step: (fit.point + share * step, ()))  # noqa: B023
+        if better is None:
+            break
+        fit = better
+    return fit
+
+
+def _shorter(study: Study, fit: Fit, trial: Callable) -> Fit | None:
+    """The first of shorter and shorter steps whose deviance is lower; None where none is."""
+    for share in (1.0, 0.4, 0.1):
+        try:
+            new = evaluate(study, *trial(share))
+        except (SolveError, InputError):  # a figure that no valve can have: a shorter step
+            continue
+        if new.deviance < fit.deviance:
+            return new
+    return None
+
+
+def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None, steps: int = STEPS) -> Fit:
+    """The base with candidates, all fitted together, from `start`. Columns follow the amplitudes as they move."""
+    study, J = base.study, base.J
+    p = J.shape[1]
+    extras = tuple(start)
+    point = base.fit.point if point is None else point
+    fit = None
+    for shrink in (1.0, 0.3, 0.1):
+        try:
+            extras = tuple(replace(e, excess=e.excess * shrink) for e in start)
+            fit = evaluate(study, point, extras)
+            break
+        except (SolveError, InputError):
+            continue
+    if fit is None:
+        return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
+    occam = 0.0
+    for k in range(steps + 1):
+        names, S = _extra_columns(base, fit)
+        all_columns = np.column_stack([J, S])
+        H = all_columns.T @ all_columns
+        prior = np.array([1.0] * p + [0.0 if not shape else SHAPE_DEVIATION**-2 for _, shape in names])
+        gradient = all_columns.T @ fit.residual
+        gradient[:p] -= fit.point
+        for at, (extra, shape) in enumerate(names):
+            if shape:
+                value, default = next(v for v, n in zip(_against_default(extra), extra.shapes, strict=True) if n[0] == shape)
+                gradient[p + at] -= np.log(value / default) / SHAPE_DEVIATION**2
+        H[np.diag_indices_from(H)] += prior
+        occam = _occam(H, p, names)
+        if k == steps:
+            break
+        scale = np.sqrt(np.diag(H))
+        step = np.linalg.lstsq(H / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
+        if float(step @ gradient) < 0.05:
+            break
+        better = _shorter(
+            study, fit, lambda share, fit=fit, step=step: (fit.point + share * step[:p], _moved(fit, names, share * step[p:]))
+        )
+        if better is None:
+            break
+        fit = better
+    return replace(fit, occam=occam)
+
+
+def _occam(H: np.ndarray, p: int, names: Sequence[tuple[Extra, str]]) -> float:
+    """ln det of the extras' posterior precision in units of their priors, base parameters taken out: their Occam factor."""
+    if not names:
+        return 0.0
+    scale = np.array([3.0 * e.candidate.typical if not shape else SHAPE_DEVIATION for e, shape in names])
+    left = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
+    amplitude = np.array([1.0 if not shape else 0.0 for _, shape in names])
+    scaled = left * np.outer(scale, scale) + np.diag(amplitude)
+    sign, value = np.linalg.slogdet(scaled)
+    return float(value) if sign > 0 else 0.0
+
+
+def _moved(fit: Fit, names: Sequence[tuple[Extra, str]], step: np.ndarray) -> tuple[Extra, ...]:
+    """The extras after a step of amplitudes and of logarithms of shapes, held inside their limits."""
+    new = {id(extra): [extra.excess, dict(extra.shapes)] for extra in fit.extras}
+    for (extra, shape), by in zip(names, step, strict=True):
+        if shape:
+            bounds = next(p.bounds for p in extra.candidate.shapes() if p.name == shape)
+            value = new[id(extra)][1][shape] * np.exp(np.clip(by, -1.5, 1.5))
+            new[id(extra)][1][shape] = float(np.clip(value, *bounds))
+        else:
+            low, high = extra.candidate.limits
+            if extra.candidate.one_sided:  # never quite off: there a step would not see where to go
+                low = 1e-3 * extra.candidate.typical
+            new[id(extra)][0] = float(np.clip(extra.excess + by, low, high))
+    return tuple(replace(e, excess=new[id(e)][0], shapes=tuple(new[id(e)][1].items())) for e in fit.extras)
+
+
+def _extra_columns(base: BaseFit, fit: Fit) -> tuple[list[tuple[Extra, str]], np.ndarray]:
+    """Whitened answers to the excess of each extra and to the logarithm of each of its shapes, with what each is."""
+    study, views = base.study, base.views
+    origin = views[0].variant
+    names: list[tuple[Extra, str]] = []
+    candidates, changed, divide = [], [], []
+    for extra in fit.extras:
+        size = extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 1e-3 * extra.candidate.typical
+        names.append((extra, ""))
+        candidates.append(extra.candidate)
+        changed.append(extra.candidate.add_to(origin, size, **dict(extra.shapes)))
+        divide.append(size)
+        for shape, value in extra.shapes:
+            names.append((extra, shape))
+            candidates.append(extra.candidate)
+            moved = {**dict(extra.shapes), shape: value * 1.1}
+            changed.append(extra.candidate.add_to(origin, size, **moved))
+            divide.append(0.0)
+    columns = study.stack(each(lambda seen: candidate_columns(seen, candidates, changed), views))
+    out = np.empty_like(columns)
+    own = 0
+    for k, by in enumerate(divide):
+        if by != 0.0:
+            own = k
+            out[:, k] = columns[:, k] / by
+        else:
+            out[:, k] = (columns[:, k] - columns[:, own]) / np.log(1.1)
+    if len(fit.extras) == 1 and abs(fit.extras[0].excess) > 0.05 * fit.extras[0].candidate.typical:
+        # what the fit has really gained by its one effect, over what the linear equations say of the base
+        moved = base.fit.residual - base.J @ (fit.point - base.fit.point) - fit.residual
+        secant = moved / fit.extras[0].excess
+        if float(secant @ out[:, 0]) > 0.25 * float(out[:, 0] @ out[:, 0]):
+            out[:, 0] = secant
+    return names, out
+
+
+def gram_of(study: Study, views: Sequence[View], blocks: Sequence[Sequence[dict[str, np.ndarray]]], point: np.ndarray,
+            names: Sequence[str]) -> Gram:  # fmt: skip
+    """The Gram of all views, two segments a record: `blocks[k]` are the columns of view k, beside its residual."""
+    products, segments, rows = [], [], []
+    for seen, own in zip(views, blocks, strict=True):
+        record = seen.bench.record
+        residual = residual_of(record, seen.readings)
+        joined = {name: np.column_stack([residual[name], *(block[name] for block in own)]) for name in residual}
+        parts = [np.array_split(white, SEGMENTS) for white in study.whiten(seen.bench, joined)]
+        for k in range(SEGMENTS):
+            products.append(sum(part[k].T @ part[k] for part in parts))
+            segments.append(f"{record.name}, part {k + 1} of {SEGMENTS}")
+            rows.append(sum(len(part[k]) for part in parts))
+    return Gram(np.array(products), np.asarray(point, dtype=float), tuple(names), tuple(segments), tuple(rows))

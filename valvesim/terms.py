@@ -1,0 +1,169 @@
+"""Terms that no catalogue entry has: a free function of one variable at one port of the equations.
+
+A term is a function drawn by straight lines between knots. Its families (port, variable, memory) are searched in what
+a fitted model leaves; the best is then estimated inside the simulation, as an effect like any other.
+
+Symbols
+    u the variable, w(u) what is added at the port, hat_k(u) the basis: one at knot k, zero at its neighbours
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .channels import Channel, State
+from .effects import Effect, Parameter, Ports, Situation
+from .errors import unknown_name
+from .laws import dahl_rate
+
+
+@dataclass(frozen=True)
+class Port:
+    """A place where a term may act: its unit, and what a term w adds there."""
+
+    name: str
+    unit: str
+    doc: str
+
+    def ports(self, w: Any) -> Ports:
+        """What w adds."""
+        if self.name == "pilot_flow":
+            return Ports(chamber_flow_1=w, chamber_flow_2=-w)
+        return Ports(**{self.name: w})
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a term may be a function of."""
+
+    name: str
+    unit: str
+    scale: float
+
+    def of(self, state: State, current: Any) -> Any:
+        """Its value, in SI."""
+        if self.name == "load_differential_pressure":
+            return state.nozzle_pressure_1 - state.nozzle_pressure_2
+        return current if self.name == "current" else getattr(state, self.name)
+
+
+PORTS = {
+    port.name: port
+    for port in (
+        Port("armature_torque", "N*m", "armature torque balance"),
+        Port("pilot_flow", "m^3/s", "volume balances of the two chambers, into one and out of the other"),
+        Port("spool_force", "N", "spool force balance"),
+        Port("load_flow", "m^3/s", "load flow of the main stage"),
+        Port("internal_leakage", "m^3/s", "internal leakage"),
+    )
+}
+VARIABLES = {
+    variable.name: variable
+    for variable in (
+        Variable("current", "A", 1e-2),
+        Variable("armature_angle", "rad", 4e-4),
+        Variable("load_differential_pressure", "Pa", 1e6),
+        Variable("spool_position", "m", 4e-4),
+        Variable("spool_velocity", "m/s", 0.1),
+    )
+}
+NONE, LAG, PATH = "none", "lag", "path"  # what a term remembers: nothing, the variable of a while ago, its direction
+LAG_TIMES = (3e-3, 3e-2)  # s, at which lagged variables are looked for
+
+
+@dataclass(frozen=True)
+class Family:
+    """Where a term acts and what it is a function of. `time_constant` (s) of a lag; `width` of a path's memory."""
+
+    port: Port
+    variable: Variable
+    memory: str = NONE
+    time_constant: float = 0.0
+    width: float = 0.0
+
+    @property
+    def label(self) -> str:
+        """In words."""
+        what = self.variable.name.replace("_", " ")
+        if self.memory == LAG:
+            what += f" lagged by {self.time_constant * 1e3:g} ms"
+        if self.memory == PATH:
+            what = f"direction of {what}"
+        return f"{self.port.name.replace('_', ' ')} as a function of {what}"
+
+
+def families() -> tuple[Family, ...]:
+    """All that are looked for."""
+    found = []
+    for port in PORTS.values():
+        for variable in VARIABLES.values():
+            found.append(Family(port, variable))
+            if variable.name in ("current", "spool_position", "load_differential_pressure"):
+                found += [Family(port, variable, LAG, time) for time in LAG_TIMES]
+            if variable.name in ("spool_position", "armature_angle"):
+                found.append(Family(port, variable, PATH, width=0.1 * variable.scale))
+    return tuple(found)
+
+
+def hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """(n, k): each column one at its knot, zero at the others, straight between, constant beyond the ends."""
+    inside = np.clip(values, knots[0], knots[-1])
+    return np.column_stack([np.interp(inside, knots, unit) for unit in np.eye(len(knots))])
+
+
+def term_effect(
+    port: str, variable: str, knots: Sequence[float], values: Sequence[float], *, memory: str = NONE,
+    time_constant: float = 0.0, width: float = 0.0, name: str = "recovered_term",
+) -> Effect:  # fmt: skip
+    """An effect that adds w(variable) at a port, w given by `values` at `knots` (SI), straight in between.
+
+    `memory` is NONE, LAG (the variable through a first-order lag of `time_constant` s) or PATH (w times the direction of
+    the variable's path, which turns over `width`). Raises InputError for an unknown port or variable.
+    """
+    if port not in PORTS:
+        raise unknown_name("port", port, PORTS)
+    if variable not in VARIABLES:
+        raise unknown_name("variable", variable, VARIABLES)
+    place, argument = PORTS[port], VARIABLES[variable]
+    at = tuple(float(k) for k in knots)
+    largest = max(max(abs(float(v)) for v in values), 1e-30)
+
+    def parameter(k: int, value: float) -> Parameter:
+        return Parameter(
+            name=f"value_{k + 1}", unit=place.unit, doc=f"added at {variable} = {at[k]:.4g} {argument.unit}",
+            default=float(value), bounds=(-1e6 * largest, 1e6 * largest),
+        )  # fmt: skip
+
+    def balance(s: Situation, p: Any, state: tuple) -> tuple[Ports, tuple]:
+        u, rates = argument.of(s.state, s.coil_current), ()
+        direction: Any = 1.0
+        if memory == LAG:
+            (lagged,) = state
+            rates = ((u - lagged) / time_constant,)
+            u = lagged
+        if memory == PATH:
+            (direction,) = state
+            rate = s.state.spool_velocity if variable == "spool_position" else s.state.armature_rate
+            rates = (dahl_rate(rate, direction, width),)
+        w: Any = p.value_1
+        for k in range(len(at) - 1):  # each piece adds its rise
+            piece = np.minimum(np.maximum(u, at[k]), at[k + 1]) - at[k]
+            w = w + (getattr(p, f"value_{k + 2}") - getattr(p, f"value_{k + 1}")) / (at[k + 1] - at[k]) * piece
+        return place.ports(p.share * direction * w), rates
+
+    share = Parameter(name="share", unit="1", doc="of the term", default=0.0, bounds=(0.0, 10.0), neutral=0.0, typical=1.0)
+    states = {NONE: (), LAG: (Channel(f"{name}_lagged", argument.unit, f"{variable} lagged", argument.scale),),
+              PATH: (Channel(f"{name}_direction", "1", f"direction of {variable}", 1.0),)}  # fmt: skip
+    return Effect(
+        name=name,
+        doc=f"a term recovered from measurements: w({variable}), straight between {len(at)} knots",
+        location=place.doc,
+        signature="none of the known causes",
+        parameters=(share, *(parameter(k, v) for k, v in enumerate(values))),
+        memory=states[memory],
+        balance=balance,
+    )
