@@ -30,14 +30,17 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateAnswer:
-    """One member of the answer set: the cause or the causes together, and how probable it is among all."""
+    """A hypothesis that was fitted: the cause or the causes together, and how probable it is among all.
+
+    `in_set` tells whether it explains the data nearly as well as the best; `same_as` are other names of it.
+    """
 
     names: tuple[str, ...]
     label: str
     location: str
     probability: float
     deviance_fall: float
-    estimates: tuple[Estimate, ...] = ()
+    in_set: bool = True
     same_as: tuple[str, ...] = ()
 
 

@@ -326,10 +326,11 @@ def _coulomb(s: Situation, p, memory):
 
 
 def _stribeck(s: Situation, p, memory):
+    """The curve bounds the bristle, not the force: a force that fell at once with speed would drive the 8 kHz mode."""
     (z,) = memory
     v = s.state.spool_velocity
-    force = p.breakaway_force * (p.kinetic_share + (1.0 - p.kinetic_share) * np.exp(-((v / p.stribeck_velocity) ** 2)))
-    return Ports(spool_force=-force * z), (dahl_rate(v, z, p.presliding_distance),)
+    curve = p.kinetic_share + (1.0 - p.kinetic_share) * np.exp(-((v / p.stribeck_velocity) ** 2))
+    return Ports(spool_force=-p.breakaway_force * z), ((v - np.abs(v) * z / curve) / p.presliding_distance,)
 
 
 def _silting(s: Situation, p, memory):
@@ -371,12 +372,12 @@ SPOOL = (
     ),
     Effect(
         name="spool_stribeck_friction",
-        doc="dry friction that falls with speed: -F [k + (1-k) exp(-(v/v_s)^2)] z (Stribeck on Dahl)",
+        doc="dry friction that falls with speed: -F z with z' = (v - |v| z/g)/d, g = k + (1-k) exp(-(v/v_s)^2)",
         location=_FRICTION_PLACE,
         signature="stick and slip: steps at slow reversal, less loss when moving",
         parameters=(
             _amplitude("breakaway_force", "N", "force F at rest", (0.0, 100.0), 1.5),
-            _shape("kinetic_share", "1", "share k left at speed", 0.6, (0.0, 1.0)),
+            _shape("kinetic_share", "1", "share k left at speed", 0.6, (0.05, 1.0)),
             _shape("stribeck_velocity", "m/s", "v_s of the fall", 2e-3, (1e-5, 1.0)),
             _PRESLIDING,
         ),

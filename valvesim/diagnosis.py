@@ -40,8 +40,8 @@ from .session import Record, Session, load_session
 from .study import BaseFit, Extra, Fit, Study, each, evaluate, fit_base, prepare_study, refit, residual_of
 
 ALARM = 0.01  # probability of an alarm where nothing is hidden, of candidates and of free terms each
-SINGLES, PAIRS = 6, 5  # how many are refitted
-PAIR_PRICE = 16.0  # fall of the deviance that a second effect must bring to be looked at
+SINGLES, PAIRS = 5, 3  # how many are refitted
+PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
 LEFT_SHARE = 0.03  # of what the best explains may stay behind as a free term, for the same reason
@@ -51,7 +51,7 @@ HOPELESS = 0.35  # share of the signal that stays unexplained where the records 
 STAGES = ("reading", "fitting the nominal model", "looking for causes", "refitting", "checking", "measuring the gain")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Explained:
     """A hypothesis fitted: `evidence` is its deviance with the price of its freedom."""
 
@@ -161,12 +161,12 @@ def _starts(scene: Scene, level: float) -> list[tuple[Extra, ...]]:
     order = [int(k) for k in np.argsort(-fall, kind="stable") if fall[k] > 0.0]
     if not order:
         return []
-    worth = fall[order[0]] - (12.0 + 0.35 * fall[order[0]])
+    worth = fall[order[0]] - (10.0 + 0.2 * fall[order[0]])
     singles: list[int] = []
     seen: set[str] = set()
     for k in order:
         family = scene.candidates[k].family
-        if fall[k] >= min(worth, 0.95 * fall[order[0]]) and family not in seen:
+        if fall[k] >= worth and family not in seen:
             seen.add(family)
             singles.append(k)
     starts = [(_extra(scene, k, projected.score[k] / projected.overlap[k, k]),) for k in singles[:SINGLES]]
@@ -188,7 +188,7 @@ def _starts(scene: Scene, level: float) -> list[tuple[Extra, ...]]:
     pairs.sort(key=lambda pair: (-pair[0], pair[1], pair[2]))
     used: set[str] = set()
     for value, i, j, a in pairs:
-        if value < fall[order[0]] + max(PAIR_PRICE, 0.05 * fall[order[0]]) or len(used) >= PAIRS:
+        if value < fall[order[0]] + max(PAIR_PRICE, 0.1 * fall[order[0]]) or len(used) >= PAIRS:
             break
         label = " + ".join(sorted((scene.candidates[i].family, scene.candidates[j].family)))
         if label not in used:
@@ -217,7 +217,7 @@ def _with_more(
         if z.max(initial=0.0) ** 2 < max(level**2, LEFT_SHARE * gained):
             break
         more = []
-        for k in [int(k) for k in np.argsort(-z, kind="stable")[:4] if z[k] > 0.8 * z.max()]:
+        for k in [int(k) for k in np.argsort(-z, kind="stable")[:2] if z[k] > 0.9 * z.max()]:
             p = final.projected
             start = (*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k]))
             fit = refit(base, start, best.fit.point)
@@ -308,7 +308,7 @@ def _answer_set(
         return [], []
     gained = max(base.fit.deviance - found[0].fit.deviance, 0.0)
     width = max(ANSWER_RATIO, ANSWER_SHARE * gained)
-    in_set = [one for one in found if one.evidence - found[0].evidence < width]
+    in_set = [one for one in found if one.evidence - found[0].evidence < width]  # the best is one of them
     unknown = found[0].evidence + UNKNOWN_PRICE + 0.25 * gained if quiet else found[0].evidence - 2.0 * width
     heat = width / ANSWER_RATIO  # no model is the plant: evidence counts by so much less
     values = np.array([*(one.evidence for one in found), unknown])
@@ -321,11 +321,12 @@ def _answer_set(
             location=" and ".join(dict.fromkeys(c.location() for c in one.candidates)),
             probability=float(weight),
             deviance_fall=float(base.fit.deviance - one.fit.deviance),
+            in_set=one in in_set,
         )
         for one, weight in zip(found, weights[:-1], strict=True)
     ]
     nothing = CandidateAnswer(names=("unknown",), label="none of the known causes", location="", deviance_fall=0.0,
-                              probability=float(weights[-1]))  # fmt: skip
+                              probability=float(weights[-1]), in_set=not quiet)  # fmt: skip
     ranked = sorted([*answers, nothing], key=lambda a: -a.probability)
     return [a for a in ranked if a.probability > 1e-3], in_set
 

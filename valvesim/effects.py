@@ -8,6 +8,7 @@ their bounds, and the neutral value at which it vanishes. A user's effect is an 
 
 from __future__ import annotations
 
+import functools
 from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -83,6 +84,11 @@ class Parameter:
     typical: float | None = None
 
 
+@functools.cache
+def _record(names: tuple[str, ...]) -> Any:
+    return namedtuple("Values", names)  # type: ignore[misc]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Effect:
     """An effect: where it acts, its parameters, and the figures at which it vanishes.
@@ -138,7 +144,7 @@ class Effect:
 
     def values(self, numbers) -> Any:
         """The parameters by name from a sequence in their order."""
-        return namedtuple("Values", [p.name for p in self.parameters])(*numbers)  # type: ignore[misc]
+        return _record(tuple(p.name for p in self.parameters))(*numbers)
 
     def __call__(self, **numbers: float) -> ActiveEffect:
         """The effect at given parameters (SI): `effect("spool_coulomb_friction")(friction_force=2.0)`.

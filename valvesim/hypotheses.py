@@ -9,7 +9,7 @@ offset and gain error. They are refitted silently; what they can explain is no e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,9 @@ from .sensitivity import Linearised, linearise, relax
 from .session import Session
 from .units import quantities
 
-SENSOR_BIAS, SENSOR_GAIN = 2e-3, 4e-3  # tolerances that every sensor has: shares of its channel's span, and of gain
+SENSOR_BIAS, SENSOR_GAIN = 2e-3, 4e-3  # tolerances that every sensor has: shares of its channel's span, and of gain,
+SENSOR_DELAY = 1e-4  # and s of its electronics and the logger's clock
+FAST = ("armature_inertia", "chamber_volume", "spool_mass")  # these act within a step of the grid: they are run
 LARGEST = 1.5e8  # bytes of forcings that are solved for at once
 SHAPES: dict[str, dict[str, tuple[float, ...]]] = {  # shape parameters at which an effect is looked for
     "fixed_orifice_clogging": {"side": (1.0, 2.0)},
@@ -78,13 +80,27 @@ def base_of(session: Session) -> Base:
             parameters.append(BaseParameter(name, declared.metadata["unit"], nominal, width / 2.0, (low, high)))
     for channel in measured(session):
         span = _span(session, channel)
-        for name, tolerance in (("sensor_bias", SENSOR_BIAS * span), ("sensor_gain", SENSOR_GAIN)):
-            effect = CATALOGUE[name].on(channel)
+        for name, tolerance in (
+            ("sensor_bias", SENSOR_BIAS * span), ("sensor_gain", SENSOR_GAIN), ("sensor_delay", SENSOR_DELAY)
+        ):  # fmt: skip
+            effect = _either_way(CATALOGUE[name].on(channel))
             amplitude = effect.amplitude
             parameters.append(
                 BaseParameter(f"{name}@{channel}", amplitude.unit, 0.0, tolerance / 2.0, amplitude.bounds, effect)
             )
     return Base(Variant(session.valve, session.effects), tuple(parameters))
+
+
+class SmallError(Effect):
+    """A sensor's error within its tolerance: a base parameter, not a fault."""
+
+
+def _either_way(effect: Effect) -> Effect:
+    """The effect with an amplitude that may go below neutral as far as above: a clock may also be early."""
+    amplitude = effect.amplitude
+    wide = replace(amplitude, bounds=(-amplitude.bounds[1], amplitude.bounds[1]))
+    parameters = tuple(wide if p is amplitude else p for p in effect.parameters)
+    return SmallError(**{**{f.name: getattr(effect, f.name) for f in fields(effect)}, "parameters": parameters})
 
 
 def measured(session: Session) -> tuple[str, ...]:
@@ -255,16 +271,21 @@ class View:
         out = {}
         for name, own in self.at_valve.items():
             moved = self.linear.channel(name, answers, direct.get(name, 0.0))
-            filtered = self.bench.lags.get(name, 0.0) > 0.0 or any(a.effect.channel == name for a in self.variant.effects)
-            if not filtered:
+            if self.bench.lags.get(name, 0.0) <= 0.0 and not self._altered(name):
                 out[name] = moved[:: self.bench.refinement]
                 continue
-            columns = [
-                self.bench.sensed({name: own + moved[:, k]}, self.course, self.variant)[name] - self.readings[name]
-                for k in range(moved.shape[1])
-            ]
-            out[name] = np.column_stack(columns)
+            faults = tuple(a for a in self.variant.effects if not isinstance(a.effect, SmallError))
+            variant = replace(self.variant, effects=faults)
+            base = self.bench.sensed({name: own}, self.course, variant)[name]
+            out[name] = self.bench.sensed({name: own[:, None] + moved}, self.course, variant)[name] - base[:, None]
         return out
+
+    def _altered(self, channel: str) -> bool:
+        """Whether a sensor fault changes answers of a channel; its small errors within tolerance do not matter."""
+        return any(
+            a.effect.channel == channel and not isinstance(a.effect, SmallError)
+            for a in self.variant.effects
+        )
 
     def argument(self, variable: Any, states: tuple) -> np.ndarray:
         """A variable of a term (n,) along the course."""
@@ -324,10 +345,10 @@ def view(bench: Bench, variant: Variant) -> View:
     course = bench.run(variant)
     at_valve = bench.outputs(course)
     off = bench.switched_off(course.model, variant.effects)
-    linear = linearise(bench, course, off)
     active = {a.effect.name for a in variant.effects}
     model = Model(course.model.drive, tuple(e for e in course.model.effects if e.name in active))
     along = bench.coefficients_along(variant, model)
+    linear = linearise(bench, course, off, model, along)
     rates, signals = model.evaluate(tuple(course.states[:, linear.active].T), tuple(bench.inputs.T), along)
     readings = bench.sensed(at_valve, course, variant)
     return View(bench, variant, course, linear, model, at_valve, readings, rates, signals)
@@ -345,17 +366,22 @@ def neighbours(base: Base, variant: Variant) -> list[Variant]:
 
 def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -> dict[str, np.ndarray]:
     """Answers (n_samples, p) to one prior standard deviation of each base parameter, see `neighbours`."""
-    moved = seen.by_answer(neighbouring)
+    plant = [p for p in base.parameters if p.sensor is None]
+    slow = [k for k, p in enumerate(plant) if p.name not in FAST]
+    moved = seen.by_answer([neighbouring[k] for k in slow])
+    run = {p.name: seen.by_run(variant) for p, variant in zip(plant, neighbouring, strict=True) if p.name in FAST}
     out = {}
     for name, read in seen.readings.items():
-        at, columns = iter(moved[name].T), []
+        answered = dict(zip((plant[k].name for k in slow), moved[name].T, strict=True))
+        columns = []
         for p in base.parameters:
             if p.sensor is None:
-                columns.append(next(at))
+                columns.append(run[p.name][name] if p.name in run else answered[p.name])
             elif p.sensor.channel != name:
                 columns.append(np.zeros_like(read))
             else:
-                columns.append(np.full_like(read, p.deviation) if p.sensor.name == "sensor_bias" else read * p.deviation)
+                changed = seen.variant.with_effect(p.sensor(**{p.sensor.amplitude.name: p.deviation}))
+                columns.append(seen.bench.sensed({name: seen.at_valve[name]}, seen.course, changed)[name] - read)
         out[name] = np.column_stack(columns)
     return out
 

@@ -89,10 +89,16 @@ def lagged(times, values, time_constant):
     """A first-order lag of values (n,) at times (n,), from rest: exact for straight lines between them.
 
     Times ascend; a pair of equal times is a jump. `time_constant` (s) is one number; zero gives the values themselves.
+    At even times the values may be columns (n, k) too.
     """
     if time_constant == 0.0:
         return values
-    step, change = np.diff(times) / time_constant, np.diff(values)
+    step, change = np.diff(times) / time_constant, np.diff(values, axis=0)
+    if len(step) > 1 and np.ptp(step) < 1e-9 * step[0]:
+        from scipy.signal import lfilter
+
+        left, ramp = np.exp(-step[0]), -np.expm1(-step[0]) / step[0]
+        return values + np.concatenate([0.0 * values[:1], lfilter([-ramp], [1.0, -left], change, axis=0)])
     left = np.exp(-step)
     ramp = np.divide(-np.expm1(-step), step, out=np.ones_like(step), where=step > 0.0)
     # the distance d of the lag from its input: d' = -d/tau - u'

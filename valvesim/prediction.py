@@ -30,6 +30,8 @@ FINEST = 5e-4  # s: a course is kept at this spacing or finer where the record i
 SLOW = 5e-3  # s: a record sampled more slowly than this is quasi-static between its samples, and kept as it is
 TOLERANCE = 3e-4  # errs by 1e-6 of the span: the samples of the inputs keep the steps short
 MAX_STEPS = 50_000_000
+UPSAMPLED = 4  # a grid for sensors that remember, as a multiple of the bench's
+STATIC = ("sensor_bias", "sensor_gain", "sensor_temperature_drift")  # these do not remember
 
 
 @dataclass(frozen=True)
@@ -133,18 +135,31 @@ class Bench:
         return values
 
     def sensed(self, values: dict[str, np.ndarray], course: Course, variant: Variant) -> dict[str, np.ndarray]:
-        """Channels on the grid as their sensors give them, at the record's samples."""
-        lag = CATALOGUE["sensor_lag"]
+        """Channels on the grid, (n,) or columns (n, k), as their sensors give them at the record's samples."""
         read = {}
         for name, column in values.items():
             acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
             if self.lags.get(name, 0.0) > 0.0:
-                acting.append(lag.on(name)(time_constant=self.lags[name]))
+                acting.append(CATALOGUE["sensor_lag"].on(name)(time_constant=self.lags[name]))
+            finer = UPSAMPLED if any(a.effect.name not in STATIC for a in acting) else 1
+            times, oil = self.times, course.parts.oil
+            if finer > 1:  # a fast lag must not take the samples for the corners of straight lines
+                from scipy.interpolate import CubicSpline
+
+                times = np.linspace(0.0, self.times[-1], (len(self.times) - 1) * finer + 1)
+                column, oil = CubicSpline(self.times, column)(times), np.interp(times, self.times, oil)
             for active in acting:
-                seen = Reading(self.times, column, course.parts.oil)
-                column = active.effect.reading(seen, active.values)  # type: ignore[misc]
-            read[name] = column[:: self.refinement]
+                column = _read(active, times, column, oil)
+            read[name] = column[:: self.refinement * finer]
         return read
+
+
+def _read(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.ndarray) -> np.ndarray:
+    reading = active.effect.reading
+    assert reading is not None  # noqa: S101 - the caller has chosen effects with one
+    if columns.ndim == 1 or active.effect.name == "sensor_lag":
+        return reading(Reading(times, columns, oil), active.values)
+    return np.column_stack([reading(Reading(times, column, oil), active.values) for column in columns.T])
 
 
 def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Bench:
@@ -233,6 +248,8 @@ def _rest(bench: Bench, compiled: CompiledModel, flat: np.ndarray, off: np.ndarr
         compiled.derivative(y, first, flat, f)
         compiled.jacobian(y, first, flat, J)
         f[off], J[off], J[:, off] = 0.0, 0.0, 0.0
+        if not np.isfinite(J).all() or not np.isfinite(f).all():
+            raise SolveError(f"record {bench.record.name}: the valve finds no rest under the first inputs")
         step = np.linalg.lstsq(J, -f, rcond=1e-13)[0]
         y += step
         if np.max(np.abs(step)) < 1e-12:

@@ -8,7 +8,7 @@ import io
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from textwrap import fill, shorten
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ from .answer import (
     CAUSE,
     NO_DISCREPANCY,
     UNKNOWN,
-    CandidateAnswer,
     DetectionLimit,
     Diagnosis,
     Estimate,
@@ -31,16 +30,20 @@ from .answer import (
 from .errors import unknown_name
 from .files import check_folder, write_atomically
 from .report import COLOURS, MOST_POINTS, STYLE, Figure, _thin, matplotlib
+from .terms import LAG, NONE, PATH
 from .units import DISPLAY, symbol
 
 MEASURED, BASE, EXTENDED = "0.35", COLOURS[1], COLOURS[0]
-VERDICTS = {  # words and colour of the banner
-    NO_DISCREPANCY: ("No discrepancy found", COLOURS[2]),
-    CAUSE: ("Cause found", COLOURS[1]),
-    AMBIGUOUS: ("Several causes possible", COLOURS[3]),
-    UNKNOWN: ("Unknown mechanism", COLOURS[4]),
+VERDICTS = {  # words, edge and ground of the banner
+    NO_DISCREPANCY: ("No discrepancy found", COLOURS[2], "#e3f2e9"),
+    CAUSE: ("Cause found", COLOURS[1], "#fbe6e8"),
+    AMBIGUOUS: ("Several causes possible", COLOURS[3], "#fcf0dd"),
+    UNKNOWN: ("Unknown mechanism", COLOURS[4], "#eee6f2"),
 }
-MOST_RECORDS, MOST_TRACES, MOST_SCORES, MOST_SHIFTS = 24, 3, 12, 8  # that are shown, the largest first
+DPI = 140  # of the pictures: sharp on paper too
+MEMORIES = {NONE: "none", LAG: "follows with a lag", PATH: "turns with the direction, as hysteresis does"}
+MOST_RECORDS, MOST_TRACES, MOST_SCORES, MOST_SHIFTS, MOST_CANDIDATES = 24, 3, 12, 8, 8  # that are shown, largest first
+UNDETERMINED = "not determined"
 NAME = 44  # signs of a name that a picture has room for
 _SHARE_WORDS = ("share", "loss", "error", "fraction", "gain")  # of names whose plain number reads better in %
 _UNITS = {**DISPLAY, "m/K": ("µm/K", 1e6), "Pa/(m^3/s)": ("bar/(L/min)", 1e-5 / 6e4)}
@@ -70,7 +73,7 @@ def draw(diagnosis: Diagnosis) -> dict[str, bytes]:
     }  # fmt: skip
     pictures = {}
     for name, function in draws.items():
-        with matplotlib.rc_context({**STYLE, "figure.dpi": 140}):  # sharp on paper too
+        with matplotlib.rc_context({**STYLE, "figure.dpi": DPI}):
             figure = function(diagnosis)
             if figure is not None:
                 pictures[name] = _png(figure)
@@ -105,6 +108,8 @@ def _unit_of(unit: str, size: float, name: str = "") -> tuple[str, float]:
 
 def _number(value: float, step: float) -> str:
     """A number to two digits of `step`, which is what it is known to; to four digits where that is not known."""
+    if value == 0.0:
+        return "0"
     size = max(abs(value), abs(step))
     if not (np.isfinite(step) and step > 0.0) or not 1e-4 <= size < 1e6:
         return f"{value:.4g}"
@@ -123,35 +128,46 @@ def _range(low: float, high: float, step: float, unit: str) -> str:
     if np.isfinite(low) or np.isfinite(high):
         side, bound = ("above", low) if np.isfinite(low) else ("below", high)
         return f"{side} {_with_unit(_number(bound, step), unit)}"
-    return "not determined"
+    return UNDETERMINED
 
 
 def estimate_words(estimate: Estimate) -> tuple[str, str]:
-    """(value, 95 % interval) with units as people read them; what is not finite is not determined."""
+    """(value, 95 % interval) with units as people read them; what is not finite is not determined.
+
+    A figure whose interval has no width was not fitted but held.
+    """
     unit, factor = _unit_of(estimate.unit, estimate.value, estimate.name)
     value, low, high = (figure * factor for figure in (estimate.value, estimate.low, estimate.high))
     step = (high - low) / 2.0
-    text = _with_unit(_number(value, step), unit) if np.isfinite(value) else "not determined"
-    return text, _range(low, high, step, unit)
+    text = _with_unit(_number(value, step), unit) if np.isfinite(value) else UNDETERMINED
+    return text, "held fixed" if step == 0.0 else _range(low, high, step, unit)
 
 
 def spoken(name: str) -> str:
     """A name as a person says it: `sensor_bias@load_flow` is 'sensor bias, load flow'."""
-    for sign, word in (("@", ", "), ("[", ", "), ("]", ""), ("=", " "), (":", " "), ("_", " ")):
+    words = (("@", ", "), ("[", ", "), ("]", ""), ("=", " "), (":", " "), ("_", " "), (" + ", " with "))
+    for sign, word in words:
         name = name.replace(sign, word)
     return name
 
 
-def _label(diagnosis: Diagnosis, name: str) -> str:
-    """The label of the candidate of that name alone, else the name spoken."""
-    return next((c.label for c in diagnosis.candidates if c.names == (name,)), spoken(name))
+def _short(name: str) -> str:
+    """A name on one line, cut where a picture has no more room for it."""
+    name = " ".join(name.split())
+    return name if len(name) <= NAME else f"{name[: NAME - 1]}…"
+
+
+def _answer_labels(diagnosis: Diagnosis) -> set[str]:
+    """Labels of the causes that the answer names, alone or together."""
+    named = diagnosis.verdict in (CAUSE, AMBIGUOUS)
+    return {label for c in diagnosis.candidates if named and c.in_set for label in (c.label, *c.label.split(" + "))}
 
 
 def _percent(share: float) -> str:
     """A probability or a share; never rounded to certainty."""
     percent = 100.0 * share
     if not np.isfinite(percent):
-        return "not determined"
+        return UNDETERMINED
     if 99.5 <= percent < 100.0 or 0.0 < percent < 0.5:
         return "over 99 %" if percent > 50.0 else "under 1 %"
     return f"{percent:.0f} %"
@@ -197,20 +213,21 @@ def draw_errors(diagnosis: Diagnosis) -> Figure | None:
     figure = Figure(figsize=(min(3.8 + 1.1 * len(channels), 12.0), 1.5 + 0.34 * len(records)), layout="constrained")
     axis = figure.subplots()
     scale = matplotlib.colors.LogNorm(1.0, max(10.0, float(np.nanmax(grid))))
-    colours = matplotlib.colors.LinearSegmentedColormap.from_list("e", ("#ffffff", "#f6d5c9", BASE, "#6d1a2a"), bad="0.92")
+    shades = ("#ffffff", "#f6d5c9", BASE, "#6d1a2a")
+    colours = matplotlib.colors.LinearSegmentedColormap.from_list("errors", shades, bad="0.92")
     image = axis.imshow(np.maximum(grid, 1.0), norm=scale, cmap=colours, aspect="auto")
     for (i, k), value in np.ndenumerate(grid):
         known = bool(np.isfinite(value))
         colour = "w" if known and scale(max(value, 1.0)) > 0.6 else "0.15"
         axis.text(k, i, _deviations(value) if known else "–", ha="center", va="center", color=colour)
-    axis.set_xticks(range(len(channels)), [fill(spoken(channel), 12) for channel in channels])
-    axis.set_yticks(range(len(records)), [shorten(record, NAME, placeholder=" …") for record in records])
+    axis.set_xticks(range(len(channels)), [fill(_short(spoken(channel)), 12) for channel in channels])
+    axis.set_yticks(range(len(records)), [_short(record) for record in records])
     axis.set_xticks(np.arange(1, len(channels)) - 0.5, minor=True)
     axis.set_yticks(np.arange(1, len(records)) - 0.5, minor=True)
     axis.grid(False)
-    axis.grid(True, which="minor", color="w", alpha=1.0, lw=1.5)
+    axis.grid(True, which="minor", color="0.75", alpha=1.0, lw=0.8)
     axis.tick_params(which="both", length=0)
-    axis.spines[:].set_visible(False)
+    axis.spines[:].set(visible=True, color="0.75")
     left_out = f" ({len(records)} worst of {len(rows)} records)" if len(records) < len(rows) else ""
     axis.set_title(f"error of the base model in noise deviations{left_out}", loc="left")
     bar = figure.colorbar(image, ax=axis, label="1: noise alone", pad=0.02)
@@ -229,10 +246,9 @@ def worst_traces(traces: Iterable[Trace]) -> list[Trace]:
         return float(np.sqrt(np.mean(left**2)) / trace.noise) if left.size and trace.noise > 0.0 else 0.0
 
     ranked = sorted((trace for trace in traces if len(trace.time) > 1), key=wrong, reverse=True)
-    first = {trace.channel: trace for trace in reversed(ranked)}.values()
-    chosen = [trace for trace in ranked if any(trace is one for one in first)]
-    others = [trace for trace in ranked if not any(trace is one for one in first)]
-    return sorted((chosen + others)[:MOST_TRACES], key=wrong, reverse=True)
+    again = [trace.channel in {one.channel for one in ranked[:k]} for k, trace in enumerate(ranked)]
+    chosen = sorted(range(len(ranked)), key=again.__getitem__)[:MOST_TRACES]
+    return [ranked[k] for k in sorted(chosen)]
 
 
 def draw_traces(diagnosis: Diagnosis) -> Figure | None:
@@ -247,23 +263,24 @@ def draw_traces(diagnosis: Diagnosis) -> Figure | None:
         unit, factor = _unit_of(trace.unit, float(np.max(np.abs(trace.measured))))
         extended = len(trace.extended) == len(trace.time) and not np.array_equal(trace.extended, trace.base)
         part = _stretch(trace)
-        lines["measured"] = top.plot(trace.time[part], factor * trace.measured[part], color=MEASURED, lw=2.6, alpha=0.6)[0]
+        t, measured = trace.time[part], factor * trace.measured[part]
+        lines["measured"] = top.plot(t, measured, color=MEASURED, lw=2.6, alpha=0.6)[0]
         for label, values, colour, style in (
             ("base model", trace.base, BASE, "--"), ("extended model", trace.extended, EXTENDED, "-"),
         )[: 2 if extended else 1]:  # fmt: skip
-            lines[label] = top.plot(trace.time[part], factor * values[part], style, color=colour, lw=1.3)[0]
+            lines[label] = top.plot(t, factor * values[part], style, color=colour, lw=1.3)[0]
             below.plot(*_thin(trace.time, factor * (trace.measured - values)), color=colour, lw=0.9)
         if trace.noise > 0.0:
             band = 2.0 * factor * trace.noise
-            lines["±2 noise deviations"] = below.axhspan(-band, band, color="0.55", alpha=0.35, lw=0, zorder=3)
+            lines["±2 noise deviations"] = below.axhspan(-band, band, color="0.85", lw=0, zorder=0)
+            for edge in (-band, band):  # seen through the lines too
+                below.axhline(edge, color="0.1", lw=0.7, ls=":", zorder=3)
         if part != slice(0, len(trace.time)):
-            lines["stretch shown above"] = below.axvspan(
-                trace.time[part][0], trace.time[part][-1], color=COLOURS[3], alpha=0.18, lw=0
-            )  # fmt: skip
+            lines["stretch shown above"] = below.axvspan(t[0], t[-1], color=COLOURS[3], alpha=0.18, lw=0)
         locked = ", locked away" if trace.role == "test" else ""
-        top.set_title(f"{shorten(trace.record, NAME, placeholder=' …')}{locked}", loc="left")
-        top.set_ylabel(f"{spoken(trace.channel)} [{unit or '-'}]")
-        below.set_ylabel(f"measured less model [{unit or '-'}]")
+        top.set_title(f"{_short(trace.record)}{locked}", loc="left")
+        top.set_ylabel(f"{_short(spoken(trace.channel))} [{unit or '-'}]")
+        below.set_ylabel(f"residual [{unit or '-'}]")
         for axis in (top, below):
             axis.set_xlabel("time [s]")
             axis.margins(x=0.01)
@@ -286,54 +303,74 @@ def draw_scores(diagnosis: Diagnosis) -> Figure | None:
     scores = sorted((s for s in diagnosis.scores if np.isfinite(s.z)), key=lambda s: -abs(s.z))[:MOST_SCORES]
     if not scores:
         return None
-    answer = {candidate.label for candidate in diagnosis.candidates}
+    answer = _answer_labels(diagnosis)
     figure = Figure(figsize=(8.5, 1.3 + 0.3 * len(scores)), layout="constrained")
     axis = figure.subplots()
     sizes, places = [abs(s.z) for s in scores], range(len(scores))
     bars = axis.barh(places, sizes, color=[EXTENDED if s.label in answer else "0.75" for s in scores], height=0.68)
-    axis.bar_label(bars, [f"{s.z:.1f}" for s in scores], padding=4, fontsize=8)
-    axis.set_yticks(places, [shorten(s.label, NAME, placeholder=" …") for s in scores])
+    plate = {"facecolor": "w", "edgecolor": "none", "pad": 1.0}  # so that the level does not cross a number
+    axis.bar_label(bars, [f"{s.z:.1f}" for s in scores], padding=5, fontsize=8, bbox=plate)
+    axis.set_yticks(places, [_short(spoken(s.label)) for s in scores])
     axis.invert_yaxis()
     axis.grid(False, axis="y")
+    axis.set_axisbelow(True)
     axis.tick_params(axis="y", length=0)
     level = diagnosis.alarm_level if np.isfinite(diagnosis.alarm_level) else 0.0
     axis.set_xlim(0.0, 1.12 * max(*sizes, level, 1.0))
     if level > 0.0:
         axis.axvline(level, color=BASE, ls="--", label=f"alarm level {level:.2f}")
-        axis.legend(loc="lower right", frameon=True, framealpha=0.9, edgecolor="none")
+        figure.legend(loc="outside upper right")
     axis.set_xlabel("|z|, strength against noise [-]")
-    axis.set_title("strength of each candidate (in blue: in the answer)" if answer else "strength of each candidate", loc="left")
+    blue = " (in blue: in the answer)" if answer & {s.label for s in scores} else ""
+    axis.set_title(f"strength of each candidate{blue}", loc="left")
     return figure
 
 
 def draw_gain(diagnosis: Diagnosis) -> Figure | None:
-    """Error before and after on each locked record, with the interval of the change, beside the noise floor."""
+    """Error before and after on each locked record beside the noise floor, and its change with the interval."""
     gains = [g for g in diagnosis.gain if np.isfinite((g.before, g.after, g.floor)).all()]
-    if not gains:
+    if not gains or not _extended_differs(diagnosis):
         return None
-    figure = Figure(figsize=(8.5, 1.7 + 0.42 * len(gains)), layout="constrained")
-    axis = figure.subplots()
+    figure = Figure(figsize=(9.5, 1.8 + 0.42 * len(gains)), layout="constrained")
+    errors, changes = figure.subplots(1, 2, sharey=True, gridspec_kw={"width_ratios": [1.5, 1.0]})
     for k, g in enumerate(gains):
-        first = k == 0
-        axis.plot([g.before, g.after], [k, k], color="0.8", lw=3, zorder=1)
-        axis.plot([g.floor] * 2, [k - 0.32, k + 0.32], color="0.25", lw=2, label="noise floor" if first else None)
-        axis.plot(g.before, k, "s", color=BASE, ms=7, label="base model" if first else None)
-        if np.isfinite(g.low) and np.isfinite(g.high):
-            ends = np.sqrt(np.maximum(g.before**2 + np.array([g.low, g.high]), 0.0))
-            text = "95 % interval of the change" if first else None
-            axis.plot(ends, [k, k], "|-", color=EXTENDED, lw=1.6, ms=9, label=text)
         face = EXTENDED if g.claimed else "w"
-        axis.plot(g.after, k, "o", color=EXTENDED, mfc=face, ms=7, label="extended model" if first else None, zorder=4)
-    names = [shorten(g.record, NAME, placeholder=" …") + ("" if g.claimed else "\n(not claimed)") for g in gains]
-    axis.set_yticks(range(len(gains)), names)
-    axis.set_ylim(len(gains) - 0.4, -0.6)
-    axis.grid(False, axis="y")
-    axis.tick_params(axis="y", length=0)
-    axis.set_xlim(left=0.0)
-    axis.set_xlabel("error on the locked record [noise deviations]")
-    axis.set_title("before and after, on records that the search never saw", loc="left")
-    figure.legend(loc="outside lower center", ncols=4)
+        errors.plot([g.before, g.after], [k, k], color="0.8", lw=3, zorder=1)
+        errors.plot([g.floor] * 2, [k - 0.3, k + 0.3], color="0.25", lw=2, label="noise floor")
+        errors.plot(g.before, k, "s", color=BASE, ms=7, label="base model")
+        errors.plot(g.after, k, "o", color=EXTENDED, mfc=face, ms=7, label="extended model")
+        change, low, high = _relative(g)
+        changes.plot([low, high], [k, k], "|-", color=EXTENDED, lw=1.6, ms=9, label="95 % interval")
+        changes.plot(change, k, "o", color=EXTENDED, mfc=face, ms=7)
+    names = [_short(g.record) + ("" if g.claimed else "\n(not claimed)") for g in gains]
+    errors.set_yticks(range(len(gains)), names)
+    errors.set_ylim(len(gains) - 0.4, -0.6)
+    errors.set_xlim(left=0.0)
+    errors.set_xlabel("error [noise deviations]")
+    errors.set_title("error on the locked records", loc="left")
+    changes.axvline(0.0, color="0.25", lw=1.0)
+    changes.set_xlabel("change of the mean square [%]")
+    changes.set_title("change; left of zero is better", loc="left")
+    for axis in (errors, changes):
+        axis.grid(False, axis="y")
+        axis.tick_params(axis="y", length=0)
+    shown: dict[str, Any] = {}
+    for axis in (errors, changes):
+        for line, text in zip(*axis.get_legend_handles_labels(), strict=True):
+            shown.setdefault(text, line)
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=4)
     return figure
+
+
+def _extended_differs(diagnosis: Diagnosis) -> bool:
+    """Whether any locked record saw a model that is not the base itself."""
+    return any(gain.change != 0.0 for gain in diagnosis.gain)
+
+
+def _relative(gain: Gain) -> tuple[float, float, float]:
+    """(change, low, high) in % of the mean square before; NaN where there was none."""
+    share = 100.0 / gain.before**2 if gain.before > 0.0 else np.nan
+    return gain.change * share, gain.low * share, gain.high * share
 
 
 def draw_term(diagnosis: Diagnosis) -> Figure | None:
@@ -348,14 +385,13 @@ def draw_term(diagnosis: Diagnosis) -> Figure | None:
     figure = Figure(figsize=(8.5, 4.4), layout="constrained")
     axis = figure.subplots()
     axis.axhline(0.0, color="0.6", lw=0.8)
-    axis.fill_between(
-        at, value - 2.0 * deviation, value + 2.0 * deviation, color=EXTENDED, alpha=0.2, lw=0, label="±2 standard deviations"
-    )  # fmt: skip
+    low, high = value - 2.0 * deviation, value + 2.0 * deviation
+    axis.fill_between(at, low, high, color=EXTENDED, alpha=0.2, lw=0, label="±2 standard deviations")
     axis.plot(at, value, "o-" if len(at) <= 40 else "-", ms=3, color=EXTENDED, lw=1.6, label="recovered term")
-    axis.set_xlabel(f"{spoken(term.variable)} [{x_unit or '-'}]")
-    axis.set_ylabel(f"added to {spoken(term.port)} [{y_unit or '-'}]")
+    axis.set_xlabel(f"{_short(spoken(term.variable))} [{x_unit or '-'}]")
+    axis.set_ylabel(f"added to {_short(spoken(term.port))} [{y_unit or '-'}]")
     axis.legend(loc="best")
-    axis.set_title(fill(f"formula: {term.formula}", 100) if term.formula else "recovered term", loc="left")
+    axis.set_title(fill(f"formula, in SI units: {term.formula}", 100) if term.formula else "recovered term", loc="left")
     return figure
 
 
@@ -421,7 +457,8 @@ def _picture(pictures: dict[str, bytes], name: str, caption: str) -> _Markup:
     if name not in pictures:
         return _Markup()
     data = base64.b64encode(pictures[name]).decode("ascii")
-    image = _Markup(f'<img alt="{html.escape(caption)}" src="data:image/png;base64,{data}">')
+    width = round(int.from_bytes(pictures[name][16:20], "big") * 96 / DPI)  # so that all have letters of one size
+    image = _Markup(f'<img alt="{html.escape(caption)}" style="width:{width}px" src="data:image/png;base64,{data}">')
     return _tag("figure", image, _tag("figcaption", caption))
 
 
@@ -430,14 +467,14 @@ _CSS = """
 body{font:15px/1.5 system-ui,-apple-system,"Segoe UI",sans-serif;max-width:1050px;margin:1.5em auto;padding:0 1em;
 color:#222;background:#fff}
 h1{font-size:1.5em;margin:0 0 .6em}h2{font-size:1.15em;margin:2em 0 .5em;border-bottom:1px solid #ccd3dc}
-.banner{border-left:.6em solid var(--colour);background:#f6f7f9;
-background:color-mix(in srgb,var(--colour) 14%,#fff);padding:.8em 1.2em;border-radius:.3em}
-.banner strong{display:block;font-size:1.35em}.banner p{margin:.2em 0 0;font-size:1.1em}
+.banner{border-left:.6em solid;padding:.8em 1.2em;border-radius:.3em}
+.banner>*{color:#222}.banner strong{display:block;font-size:1.35em}.banner p{margin:.2em 0 0;font-size:1.1em}
 .facts{display:flex;flex-wrap:wrap;gap:.8em 2.4em;margin:1em 0}.facts dt,.words dt{font-weight:600}
 .facts dt{font-size:.85em;color:#555}.facts dd{margin:0;max-width:30em}
 .wide{overflow-x:auto}table{border-collapse:collapse;margin:.6em 0;font-size:14px}
 td,th{padding:.25em .9em .25em 0;border-bottom:1px solid #e2e6eb;text-align:left;vertical-align:top}
-th{border-bottom:2px solid #ccd3dc}.number{text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums}
+th{border-bottom:2px solid #ccd3dc}.number{text-align:right;font-variant-numeric:tabular-nums}
+td.number{white-space:nowrap}
 .bar{display:inline-block;min-width:8em;padding:0 .5em;
 background:linear-gradient(90deg,#bcd3ee var(--share),#eef2f6 var(--share))}
 figure{margin:1em 0}img{max-width:100%;height:auto;display:block}figcaption,.words{font-size:.88em;color:#444}
@@ -451,20 +488,22 @@ pre{background:#f6f7f9;padding:.8em;white-space:pre-wrap;overflow-wrap:anywhere}
 
 def _page(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> str:
     """The whole page as HTML5."""
+    causes = (_causes(diagnosis), _answer_set(diagnosis))
     shown = (
-        _banner(diagnosis), _facts(diagnosis), _causes(diagnosis), _answer_set(diagnosis), _next_test(diagnosis),
-        _gain(diagnosis, pictures), _term(diagnosis, pictures),
+        _banner(diagnosis), _facts(diagnosis), *(causes if diagnosis.causes else reversed(causes)),
+        _next_test(diagnosis), _gain(diagnosis, pictures), _term(diagnosis, pictures),
         _section(
-            "What the simulation gets wrong",
+            "Simulation beside records" if diagnosis.verdict == NO_DISCREPANCY else "What the simulation gets wrong",
             _picture(pictures, "errors", "Error of the base model, fitted to these records, in noise deviations (root "
                      "mean square): 1 is noise alone; grey is not measured."),
-            _picture(pictures, "traces", "The readings that the base model gets most wrong, and below them what the "
-                     "models leave."),
+            _picture(pictures, "traces", "The readings that the base model gets most wrong; below them the residual, "
+                     "measured less model."),
         ),
         _section(
             "How strongly each candidate shows",
-            _picture(pictures, "scores", "What passes the dashed level is no accident: where nothing is hidden, the "
-                     "strongest of all candidates hardly ever reaches it."),
+            _picture(pictures, "scores", "What passes the alarm level is no accident: where nothing is hidden, the "
+                     "strongest of all candidates hardly ever reaches it." if np.isfinite(diagnosis.alarm_level)
+                     else "These records show none of the candidates well enough to set an alarm level."),
         ),
         _shifts(diagnosis.shifts), _noise(diagnosis.noise), _limits(diagnosis.detection_limits),
         _section("Notes", _list(diagnosis.notes)), _extended(diagnosis), _words(diagnosis),
@@ -478,24 +517,26 @@ def _page(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> str:
 
 
 def _banner(diagnosis: Diagnosis) -> _Markup:
-    words, colour = VERDICTS[diagnosis.verdict]
+    words, edge, ground = VERDICTS[diagnosis.verdict]
     if diagnosis.verdict == CAUSE and len(diagnosis.causes) > 1:
         words = "Causes found"
-    return _tag("div", _tag("strong", words), _text(diagnosis.summary), class_="banner", style=f"--colour:{colour}")
+    style = f"border-color:{edge};background:{ground}"
+    return _tag("div", _tag("strong", words), _text(diagnosis.summary), class_="banner", style=style)
 
 
 def _facts(diagnosis: Diagnosis) -> _Markup:
     """What a reader in a hurry wants to know besides."""
-    first = diagnosis.candidates[:1] if diagnosis.verdict == CAUSE else ()
-    better = sum(gain.claimed for gain in diagnosis.gain)
-    claimed = f"better on {better} of {len(diagnosis.gain)} locked records" if diagnosis.gain_claimed else "none claimed"
-    unverified = [found for found in diagnosis.noise if not found.verified]
-    noise = "measured from repeats" if not unverified else f"unverified for {len(unverified)} of {len(diagnosis.noise)} channels"
+    first = [c for c in diagnosis.candidates if c.in_set and c.names != (UNKNOWN,)][:1]
+    better, locked = sum(gain.claimed for gain in diagnosis.gain), len(diagnosis.gain)
+    claimed = f"better on {better} of {locked} locked records" if diagnosis.gain_claimed else "none claimed"
+    channels = {found.channel for found in diagnosis.noise}
+    unverified = {found.channel for found in diagnosis.noise if not found.verified}
+    noise = f"unverified for {len(unverified)} of {len(channels)} channels" if unverified else "known from repeats"
     return _pairs(
         (
             ("Where", diagnosis.location),
-            ("Probability", _percent(first[0].probability) if first else ""),
-            ("Gain", claimed if diagnosis.gain or diagnosis.extended_scenario else ""),
+            ("Probability", _percent(first[0].probability) if first and diagnosis.verdict == CAUSE else ""),
+            ("Gain", claimed if diagnosis.verdict != NO_DISCREPANCY else ""),
             ("Noise", noise if diagnosis.noise else ""),
         ),
         "facts",
@@ -504,74 +545,79 @@ def _facts(diagnosis: Diagnosis) -> _Markup:
 
 def _causes(diagnosis: Diagnosis) -> _Markup:
     """The causes, each with its figures; a cause without any is named all the same."""
-    rows = [
-        (_label(diagnosis, e.cause), spoken(e.name), *estimate_words(e), e.doc) for e in diagnosis.parameters
-    ]  # fmt: skip
-    silent = [c for c in diagnosis.causes if c not in {e.cause for e in diagnosis.parameters}]
-    rows += [(_label(diagnosis, cause), "", "", "", "") for cause in silent]
-    heading = "Causes" if len(diagnosis.causes) > 1 else "Cause"
+    rows, above = [], ""
+    for e in diagnosis.parameters:
+        rows.append((spoken(e.cause) if e.cause != above else "", spoken(e.name), *estimate_words(e), e.doc))
+        above = e.cause
+    told = [e.cause for e in diagnosis.parameters]  # these name the sensor or side too: sensor_bias@load_flow
+    silent = [cause for cause in diagnosis.causes if not any(one.startswith(cause) for one in told)]
+    rows += [(spoken(cause), "", "", "", "") for cause in silent]
     headings = ("cause", "figure", "estimate", "95 % interval", "meaning")
-    names = _text(f"In the catalogue: {', '.join(diagnosis.causes)}.") if diagnosis.causes else _Markup()
-    return _section(heading if diagnosis.causes else "Figures", _table(headings, rows, (2, 3)), names)
+    names = _text(f"By name in diagnosis.json: {', '.join(diagnosis.causes)}." if diagnosis.causes else "")
+    heading = "Causes" if len(diagnosis.causes) > 1 else "Cause" if diagnosis.causes else "If it is the likeliest"
+    return _section(heading, _table(headings, rows, (2, 3)), names)
 
 
 def _answer_set(diagnosis: Diagnosis) -> _Markup:
-    """The candidates with their probabilities, where there is more than one answer."""
-    candidates = diagnosis.candidates
-    if len(candidates) < 2 and diagnosis.verdict != AMBIGUOUS:
+    """The candidates with their probabilities, where more than one was weighed."""
+    candidates, ambiguous = diagnosis.candidates, diagnosis.verdict == AMBIGUOUS
+    if len(candidates) < 2 and not ambiguous and not any(c.same_as for c in candidates):
         return _Markup()
+    ranked = sorted(candidates, key=lambda c: not c.in_set)  # the likeliest first, within each
     rows = [
         (
-            c.label, _bar(c.probability, _percent(c.probability)), c.location, _figures(c),
-            f"{c.deviance_fall:.1f}" if np.isfinite(c.deviance_fall) else "",
-            ", ".join(_label(diagnosis, name) for name in c.same_as),
+            spoken(c.label), _bar(c.probability, _percent(c.probability)), "possible" if c.in_set else "less likely",
+            c.location,
+            _number(c.deviance_fall, max(1.0, 0.01 * c.deviance_fall)) if np.isfinite(c.deviance_fall) else "",
+            ", ".join(map(spoken, c.same_as)),
         )
-        for c in candidates
+        for c in ranked[:MOST_CANDIDATES]
     ]  # fmt: skip
-    headings = ("candidate", "probability", "where", "figures (95 % interval)", "fall of deviance", "shows the same")
-    told = "The data cannot tell these apart." if diagnosis.verdict == AMBIGUOUS else "What was weighed against each other."
-    return _section("Possible causes", _text(told), _table(headings, rows, (4,)))
-
-
-def _figures(candidate: CandidateAnswer) -> str:
-    return "; ".join("{}: {} ({})".format(spoken(e.name), *estimate_words(e)) for e in candidate.estimates)
+    headings = ("candidate", "probability", "answer", "where", "fall of deviance", "shows the same as")
+    told = "The data cannot tell the possible ones apart." if ambiguous else ""
+    heading = "Possible causes" if ambiguous else "What was weighed"
+    return _section(heading, _text(told), _table(headings, rows, (4,)))
 
 
 def _next_test(diagnosis: Diagnosis) -> _Markup:
     test = diagnosis.next_test
     if test is None:
         return _Markup()
-    first, second = (_label(diagnosis, name) for name in test.separates)
+    first, second = map(spoken, test.separates)
     settings = [(spoken(name), text) for name, text in test.settings.items()]
     duration = f"takes {test.duration:g} s and " if np.isfinite(test.duration) else ""
-    power = (
-        f"It {duration}would tell {first} from {second} with a probability of {_percent(test.power)} "
-        f"(at 1 % error; distance {test.distance:.1f} noise deviations)."
-    )
+    distance = f"; distance {test.distance:.1f} noise deviations" if np.isfinite(test.distance) else ""
+    power = f"It {duration}would tell {first} from {second}"
+    if np.isfinite(test.power):
+        power += f" with a probability of {_percent(test.power)} (at 1 % error{distance})"
     others = _text("Instead of it: " + "; ".join(test.alternatives) + ".") if test.alternatives else _Markup()
     return _section("Next test", _tag("p", _tag("strong", test.description)), _table(("setting", "value"), settings),
-                    _text(power), others)  # fmt: skip
+                    _text(f"{power}."), others)  # fmt: skip
 
 
 def _gain(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> _Markup:
     """Before, after and noise floor on the locked records, or why no gain is claimed."""
+    if diagnosis.verdict == NO_DISCREPANCY:
+        return _Markup()
+    heading = "Gain of the extended model"
     if not diagnosis.gain:
-        missing = "No gain is claimed: no record was locked away on which the extended model could be tried."
-        return _section("Gain of the extended model", _text(missing if diagnosis.extended_scenario else ""))
+        return _section(heading, _text("No gain is claimed: there is no locked record to try the extended model on."))
+    if not _extended_differs(diagnosis):
+        return _section(heading, _text("No gain is claimed: nothing was found to extend the model with."))
     told = (
-        "Held against records that the search never saw, opened once. Errors are in noise deviations, over all channels."
+        "On records that the search never saw, opened once. Errors are in noise deviations, over all channels."
         if diagnosis.gain_claimed
         else "No gain is claimed over all locked records; the last column says what each of them shows."
     )
     rows = []
     for g in diagnosis.gain:
-        step = (g.high - g.low) / 2.0
-        change = _number(g.change, step) if np.isfinite(g.change) else "not determined"
-        figures = [_deviations(v) if np.isfinite(v) else "not determined" for v in (g.before, g.after, g.floor)]
-        rows.append((g.record, *figures, f"{change} ({_range(g.low, g.high, step, '')})", gain_words(g)))
-    headings = ("locked record", "before", "after", "noise floor", "change of mean square (95 % interval)", "so")
+        change, low, high = _relative(g)
+        figures = [_number(v, 0.1) if np.isfinite(v) else UNDETERMINED for v in (g.before, g.after, g.floor)]
+        moved = f"{change:+.0f} % ({_range(low, high, 10.0, '%')})" if np.isfinite(change) else UNDETERMINED
+        rows.append((g.record, *figures, moved, gain_words(g)))
+    headings = ("record", "before", "after", "noise floor", "change of mean square (95 % interval)", "so")
     caption = "Error on the locked records before and after; a hollow mark is not claimed."
-    return _section("Gain of the extended model", _text(told), _table(headings, rows, (1, 2, 3, 4)),
+    return _section(heading, _text(told), _table(headings, rows, (1, 2, 3, 4)),
                     _picture(pictures, "gain", caption))  # fmt: skip
 
 
@@ -584,46 +630,50 @@ def _term(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> _Markup:
     if term.at:
         low, high = min(term.at) * x_factor, max(term.at) * x_factor
         visited = _range(low, high, (high - low) / 10.0, x_unit)
-    error = f" (off the recovered term by {_percent(term.formula_error)})" if np.isfinite(term.formula_error) else ""
+    off = _percent(term.formula_error) if term.formula and np.isfinite(term.formula_error) else ""
     facts = (
         ("Added to", _with_unit(spoken(term.port), f"[{y_unit}]" if y_unit else "")),
         ("As a function of", spoken(term.variable)),
         ("Visited", visited),
-        ("Memory", term.memory),
-        ("Formula, in SI units", f"{term.formula}{error}" if term.formula else "none holds up; the curve stands for itself"),
+        ("Memory", MEMORIES.get(term.memory, term.memory)),
+        ("Formula, in SI units", term.formula or "none holds up; the curve stands for itself"),
+        ("Formula off by", off),
     )
-    caption = "The missing term, recovered from the records, over the range that they visited. It is not known beyond it."
+    caption = "The missing term as recovered from the records; it is not known beyond the range that they visited."
     return _section("The missing term", _pairs(facts, "facts"), _picture(pictures, "term", caption))
 
 
 def _shifts(shifts: Sequence[Shift]) -> _Markup:
     """The base parameters that moved most, as share of their tolerance."""
-    moved = sorted((s for s in shifts if np.isfinite(s.share_of_tolerance)), key=lambda s: -abs(s.share_of_tolerance))
+    known = [s for s in shifts if np.isfinite((s.share_of_tolerance, s.nominal, s.value)).all()]
+    moved = sorted(known, key=lambda s: -abs(s.share_of_tolerance))
     rows = []
     for s in moved[:MOST_SHIFTS]:
         unit, factor = _unit_of(s.unit, max(abs(s.nominal), abs(s.value)), s.name)
         step = abs(s.value - s.nominal) * factor
         nominal, value = (_with_unit(_number(v * factor, step), unit) for v in (s.nominal, s.value))
-        rows.append((spoken(s.name), nominal, value, _bar(abs(s.share_of_tolerance), f"{100 * s.share_of_tolerance:+.0f} %")))
-    left = len(moved) - len(rows)
-    others = f" The other {left} moved less." if left > 0 else ""
-    told = f"Parameters of the base model, refitted to the records within their tolerances.{others}" if rows else ""
+        share = _bar(abs(s.share_of_tolerance), f"{100.0 * s.share_of_tolerance:+.0f} %")
+        rows.append((spoken(s.name), nominal, value, share))
+    left, beyond = len(moved) - len(rows), [spoken(s.name) for s in moved if abs(s.share_of_tolerance) > 1.0]
+    told = "Parameters of the base model as refitted to the records, the largest shifts first."
+    told += f" The other {left} moved less." if left > 0 else ""
+    told += f" Beyond the tolerance: {'; '.join(beyond)}." if beyond else ""
     headings = ("parameter", "nominal", "refitted", "share of its tolerance")
-    return _section("Refitted silently", _text(told), _table(headings, rows, (1, 2)))
+    return _section("Refitted silently", _text(told if rows else ""), _table(headings, rows, (1, 2)))
 
 
 def _noise(noise: Sequence[NoiseFound]) -> _Markup:
     rows = []
     for n in noise:
         unit, factor = _unit_of(n.unit, n.deviation)
-        size = _with_unit(f"{n.deviation * factor:.3g}", unit) if np.isfinite(n.deviation) else "not determined"
+        size = _with_unit(f"{n.deviation * factor:.3g}", unit) if np.isfinite(n.deviation) else UNDETERMINED
         source = n.source.replace("residual", "what the model leaves")
         rows.append(
             (spoken(n.channel), f"{n.rate:.5g} Hz", size, f"coloured, order {n.order}" if n.order else "white",
              source if n.verified else f"{source} (unverified)")
         )  # fmt: skip
-    unverified = any(not n.verified for n in noise)
-    told = "Unverified noise may hide errors of the model: only repeats of a test tell them apart." if unverified else ""
+    doubt = "Unverified noise may hide errors of the model: only repeats of a test tell them apart."
+    told = doubt if any(not n.verified for n in noise) else ""
     headings = ("channel", "rate", "standard deviation", "kind", "found in")
     return _section("Noise", _table(headings, rows, (1, 2)), _text(told))
 
@@ -633,11 +683,11 @@ def _limits(limits: Sequence[DetectionLimit]) -> _Markup:
     seen, blind = [], []
     for limit in limits:
         if limit.amplitude is None or not np.isfinite(limit.amplitude):
-            blind.append(limit.label)
+            blind.append(spoken(limit.label))
             continue
         unit, factor = _unit_of(limit.unit, limit.amplitude, limit.parameter)
-        seen.append((limit.label, spoken(limit.parameter), _with_unit(f"{limit.amplitude * factor:.3g}", unit)))
-    told = "The smallest amplitude of each effect that these records would have shown, nine times in ten." if seen else ""
+        seen.append((spoken(limit.label), spoken(limit.parameter), _with_unit(f"{limit.amplitude * factor:.3g}", unit)))
+    told = "The smallest amplitude that these records would have shown, nine times in ten." if seen else ""
     blindness = _text(f"Blind to: {'; '.join(blind)}.") if blind else _Markup()
     headings = ("effect", "figure", "smallest amplitude")
     return _section("What this session would have shown", _text(told), _table(headings, seen, (2,)), blindness)
@@ -646,13 +696,14 @@ def _limits(limits: Sequence[DetectionLimit]) -> _Markup:
 def _extended(diagnosis: Diagnosis) -> _Markup:
     if not diagnosis.extended_scenario:
         return _Markup()
-    summary = _tag("summary", "The scenario ", _tag("code", "extended.toml"), ", which runs with the extended model")
-    return _section("The extended model", _tag("details", summary, _tag("pre", diagnosis.extended_scenario)))
+    model = "refitted model" if diagnosis.verdict == NO_DISCREPANCY else "extended model"
+    summary = _tag("summary", "The scenario ", _tag("code", "extended.toml"), f", which runs the {model}")
+    return _section(f"The {model}", _tag("details", summary, _tag("pre", diagnosis.extended_scenario)))
 
 
 def _words(diagnosis: Diagnosis) -> _Markup:
     """A footnote on the words that this page uses."""
-    several = len(diagnosis.candidates) > 1 or diagnosis.verdict == AMBIGUOUS
+    several = len(diagnosis.candidates) > 1
     return _section(
         "Words",
         _pairs(
@@ -662,12 +713,13 @@ def _words(diagnosis: Diagnosis) -> _Markup:
                 ("z", "how many standard deviations a candidate's pattern stands out of what the base model leaves, "
                  "after its parameters have taken what they can; between -2 and 2 most of the time where nothing is "
                  "hidden." if diagnosis.scores else ""),
-                ("Deviance", "sum of squared errors in noise deviations, with the squared shifts of the parameters. A "
-                 "fall by 6 is odds of about 20 to 1." if several else ""),
+                ("Deviance", "sum of squared errors in noise deviations, with the squared shifts of the parameters: "
+                 "the more it falls, the more a candidate explains. No model is the valve itself, so probabilities are "
+                 "more cautious than the deviance alone." if several else ""),
                 ("Probability", "among the candidates on this page, given these records; causes that nobody thought of "
-                 "are not in it." if diagnosis.candidates and diagnosis.verdict != UNKNOWN else ""),
+                 "are in it only as 'none of the known'." if diagnosis.candidates else ""),
                 ("95 % interval", "holds the true figure in 95 of 100 such sessions."
-                 if diagnosis.parameters or diagnosis.gain or any(c.estimates for c in diagnosis.candidates) else ""),
+                 if diagnosis.parameters or diagnosis.gain else ""),
                 ("Locked record", "put aside before the search and opened once, after it." if diagnosis.gain else ""),
                 ("Distance", "how far apart the two candidates' readings would lie, over all samples of the test, in "
                  "noise deviations." if diagnosis.next_test else ""),

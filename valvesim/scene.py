@@ -19,7 +19,7 @@ SHAPE_STEP = 1.1
 DIRECT = ("load_flow", "internal_leakage")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A fit's residual against everything: `projected` candidates then families, off the base and the fit's extras.
 
@@ -104,7 +104,8 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     J = each(lambda seen: parameter_columns(seen, study.base, beside), views)
     S = each(lambda seen: candidate_columns(seen, candidates, changed), views)
     searched = families() if with_families else ()
-    T = each(lambda seen: family_columns(seen, views, searched), views)
+    spans = _spans(views, searched)
+    T = each(lambda seen: family_columns(seen, searched, spans), views)
     steps = own_steps(fit)
     moved = [other.variant(study.base) for _, other in steps]
     own = each(lambda seen: candidate_columns(seen, [c for c, _ in steps], moved), views)
@@ -152,28 +153,26 @@ def own_step(extra: Extra) -> float:
     return -0.05 * extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 0.01 * extra.candidate.typical
 
 
-def family_columns(seen: View, views: Sequence[View], searched: Sequence[Family]) -> dict[str, np.ndarray]:
-    """Answers (n_samples, families * KNOTS) to each hat of each family, knots over what all views visit."""
+def family_columns(
+    seen: View, searched: Sequence[Family], spans: Sequence[tuple[float, float]]
+) -> dict[str, np.ndarray]:
+    """Answers (n_samples, families * KNOTS) to each hat of each family, whose knots go over its span."""
     record = seen.bench.record
     out = {name: np.zeros((len(record.time), len(searched) * KNOTS)) for name in record.outputs}
-    gains: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
-    for k, family in enumerate(searched):
-        port = family.port
+    for port in {family.port.name: family.port for family in searched}.values():
         if port.name in DIRECT and port.name not in record.outputs:
             continue
-        if port.name not in gains:
-            unit = term_effect(port.name, "current", (0.0, 1.0), (1.0, 1.0), name="unit_term")
-            gains[port.name] = seen.forcing(seen.variant.with_effect(unit(share=1.0)))
-        g, direct = gains[port.name]
-        basis = family_basis(seen, family, span(views, family), KNOTS)
-        columns = slice(k * KNOTS, (k + 1) * KNOTS)
+        own = [k for k, family in enumerate(searched) if family.port == port]
+        unit = term_effect(port.name, "current", (0.0, 1.0), (1.0, 1.0), name="unit_term")
+        g, direct = seen.forcing(seen.variant.with_effect(unit(share=1.0)))
+        basis = np.column_stack([family_basis(seen, searched[k], spans[k], KNOTS) for k in own])
+        columns = [k * KNOTS + j for k in own for j in range(KNOTS)]
         if port.name in DIRECT:
-            column = np.asarray(direct[port.name])[:, None] * basis
-            out[port.name][:, columns] = column[:: seen.bench.refinement]
-        else:
-            parts = {name: d[:, None] * basis for name, d in direct.items()}
-            for name, moved in seen.by_forcing(g[:, :, None] * basis[:, None, :], parts).items():
-                out[name][:, columns] = moved
+            out[port.name][:, columns] = (np.asarray(direct[port.name])[:, None] * basis)[:: seen.bench.refinement]
+            continue
+        parts = {name: d[:, None] * basis for name, d in direct.items()}
+        for name, moved in seen.by_forcing(g[:, :, None] * basis[:, None, :], parts).items():
+            out[name][:, columns] = moved
     return out
 
 
@@ -183,10 +182,8 @@ def family_basis(seen: View, family: Family, over: tuple[float, float], count: i
     basis = hats(u, np.linspace(*over, count))
     if family.memory != PATH:
         return basis
-    step = np.diff(u, prepend=u[0]) / family.width
-    z = np.zeros(len(u))
-    for k in range(1, len(u)):  # Dahl's memory of a path of straight steps
-        z[k] = np.sign(step[k]) + (z[k - 1] - np.sign(step[k])) * np.exp(-abs(step[k])) if step[k] else z[k - 1]
+    step = np.diff(u, prepend=u[0]) / family.width  # Dahl's memory of a path of straight steps
+    z = relax(np.sign(step) * np.abs(step), np.abs(step), 1.0)
     return basis * z[:, None]
 
 
@@ -201,9 +198,13 @@ def argument(seen: View, family: Family) -> np.ndarray:
     return relax(middle / family.time_constant, b, float(seen.bench.times[1] - seen.bench.times[0]))
 
 
-def span(views: Sequence[View], family: Family) -> tuple[float, float]:
-    """The range of a family's variable that the records visit, but for its extreme hundredths."""
-    plain = replace(family, memory="none")
-    values = np.concatenate([argument(seen, plain) for seen in views])
-    low, high = np.quantile(values, [0.005, 0.995])
-    return (float(low), float(high)) if high > low else (float(low) - 1e-9, float(low) + 1e-9)
+def _spans(views: Sequence[View], searched: Sequence[Family]) -> list[tuple[float, float]]:
+    """The range of each family's variable that the records visit, but for its extreme hundredths."""
+    found: dict[str, tuple[float, float]] = {}
+    for family in searched:
+        name = family.variable.name
+        if name not in found:
+            values = np.concatenate([argument(seen, Family(family.port, family.variable)) for seen in views])
+            low, high = (float(v) for v in np.quantile(values, [0.005, 0.995]))
+            found[name] = (low, high) if high > low else (low - 1e-9, low + 1e-9)
+    return [found[family.variable.name] for family in searched]

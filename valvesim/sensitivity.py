@@ -20,6 +20,7 @@ import numpy as np
 
 from .channels import Inputs
 from .compiled import compile_model
+from .model import Model
 from .prediction import Bench, Course
 
 
@@ -111,8 +112,11 @@ class Linearised:
         return np.einsum("ns,nsk->nk", self.slopes[name], answers) + direct
 
 
-def linearise(bench: Bench, course: Course, switched_off: np.ndarray) -> Linearised:
-    """The equations along a course; states that are `switched_off` (memories of absent effects) take no part."""
+def linearise(bench: Bench, course: Course, switched_off: np.ndarray, model: Model, along: tuple) -> Linearised:
+    """The equations along a course; states that are `switched_off` (memories of absent effects) take no part.
+
+    `model` has the states that do take part, and `along` its flat coefficients on the grid.
+    """
     compiled = compile_model(course.model)
     scale = compiled.scale
     n, s = course.states.shape
@@ -125,12 +129,13 @@ def linearise(bench: Bench, course: Course, switched_off: np.ndarray) -> Lineari
     h = float(bench.times[1] - bench.times[0])
     E, early, late = (np.empty((n - 1, len(active), len(active))) for _ in range(3))
     _machine()[0](A, h, E, early, late)
-    return Linearised(
-        bench, course, active, scale[active], A, E, early, late, _slopes(bench, course, active, scale)
-    )  # fmt: skip
+    slopes = _slopes(bench, course, active, scale, model, along)
+    return Linearised(bench, course, active, scale[active], A, E, early, late, slopes)
 
 
-def _slopes(bench: Bench, course: Course, active: np.ndarray, scale: np.ndarray) -> dict[str, np.ndarray]:
+def _slopes(
+    bench: Bench, course: Course, active: np.ndarray, scale: np.ndarray, model: Model, along: tuple
+) -> dict[str, np.ndarray]:
     """d(channel)/d(scaled state), (n, s): exact for states, differences for signals."""
     n, names = len(bench.times), bench.record.outputs
     slopes = {name: np.zeros((n, len(active))) for name in names}
@@ -142,12 +147,12 @@ def _slopes(bench: Bench, course: Course, active: np.ndarray, scale: np.ndarray)
                 slopes[name][:, np.flatnonzero(active == at)[0]] = scale[at]
     signals = [name for name in names if name not in own and name != "body_temperature"]
     if signals:
-        u, c = Inputs(*bench.inputs.T), tuple(course.coefficients.T)
+        u, own_states = Inputs(*bench.inputs.T), [course.states[:, at] for at in active]
         for k, at in enumerate(active):
             step = 1e-4 * scale[at]
-            moved = [list(course.states.T) for _ in range(2)]
-            moved[0][at], moved[1][at] = moved[0][at] + step, moved[1][at] - step
-            high, low = (course.model.signals(tuple(x), u, c) for x in moved)
+            high, low = (
+                model.signals((*own_states[:k], own_states[k] + by, *own_states[k + 1 :]), u, along) for by in (step, -step)
+            )
             for name in signals:
                 slopes[name][:, k] = (getattr(high, name) - getattr(low, name)) / (2 * step) * scale[at]
     return slopes

@@ -35,10 +35,13 @@ from .session import Record, Session
 MOST_ROWS = 300_000  # whitened rows that are kept: of longer sessions every second, third ... one
 SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
-BASE_STEPS, STEPS = 6, 5
+BASE_STEPS, STEPS = 20, 5
+ABSURD = 1e30  # deviance
+LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
+SETTLED = 0.3  # fall of the deviance that is not worth a step
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Study:
     """A session with everything that its fits share."""
 
@@ -162,7 +165,7 @@ def first_noise(study: Study) -> dict[tuple[str, float], Noise]:
 # ---------------------------------------------------------------- fits
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Extra:
     """A candidate in a fit: its excess over neutral, and its shape parameters."""
 
@@ -174,7 +177,7 @@ class Extra:
         return self.candidate.add_to(variant, self.excess, **dict(self.shapes))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A point of the base parameters with extras, its deviance and the readings that it predicts."""
 
@@ -202,6 +205,8 @@ def evaluate(study: Study, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit:
         (np.log(value / default) / SHAPE_DEVIATION) ** 2 for extra in extras for value, default in _against_default(extra)
     )
     deviance = float(residual @ residual + point @ point + shape_prior)
+    if not deviance < ABSURD:
+        raise SolveError("the readings of this variant are beyond all sense")
     return Fit(point, extras, deviance, tuple(readings), residual)
 
 
@@ -211,7 +216,7 @@ def _against_default(extra: Extra) -> list[tuple[float, float]]:
     return [(value, defaults[name]) for name, value in extra.shapes]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BaseFit:
     """The base model at its best, seen from there: `J` whitened answers to the base parameters (rows, p)."""
 
@@ -225,22 +230,50 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
     """Fit the base parameters, and find the noise on the way. Raises SolveError where the valve cannot be run."""
     study = replace(study, noise=first_noise(study))
     point = np.zeros(len(study.base.parameters))
-    views, columns = _seen(study, point)
-    tell(0.4)
     fit = evaluate(study, point, ())
-    study = replace(study, noise=find_noise(study, fit.readings) if _repeated(study) else study.noise)
-    J = study.stack(columns)
-    fit = _descend(study, evaluate(study, point, ()), J)
+    if _repeated(study):
+        study = replace(study, noise=find_noise(study, fit.readings))
+    fit, views, columns = _settle(study, evaluate(study, point, ()), tell)
     if not _repeated(study):  # the noise is what the best fit leaves: again with its colour
         for _ in range(2):
             study = replace(study, noise=find_noise(study, fit.readings))
-            J = study.stack(columns)
-            fit = _descend(study, evaluate(study, fit.point, ()), J)
-    tell(0.7)
-    views, columns = _seen(study, fit.point)
-    J = study.stack(columns)
-    again = _descend(study, fit, J, most=1)
-    return BaseFit(study, again, tuple(views), J)
+            fit, views, columns = _settle(study, evaluate(study, fit.point, ()), tell)
+    return BaseFit(study, fit, tuple(views), study.stack(columns))
+
+
+def _settle(study: Study, fit: Fit, tell: Callable[[float], None]) -> tuple[Fit, list[View], list[dict[str, np.ndarray]]]:
+    """Levenberg-Marquardt in the base parameters, damped in the metric of their prior; the answers at its end too."""
+    damping = 0.0
+    views, columns = _seen(study, study.base.at(fit.point))
+    J, seen_from = study.stack(columns), fit.point
+    for k in range(BASE_STEPS):
+        H = J.T @ J + np.eye(J.shape[1])
+        gradient = J.T @ fit.residual - fit.point
+        new, promised = None, float(gradient @ np.linalg.solve(H, gradient))
+        if promised < SETTLED:
+            break
+        for _ in range(8):
+            step = np.linalg.solve(H + damping * np.eye(len(gradient)), gradient)
+            if np.max(np.abs(step)) <= LONGEST_STEP:
+                new = _shorter(study, fit, lambda share, step=step: (fit.point + share * step, ()), (1.0,))  # noqa: B023
+                if new is not None:
+                    break
+            damping = max(10.0 * damping, 1.0)
+        if new is None:
+            break
+        tell((k + 1) / BASE_STEPS)
+        gained = fit.deviance - new.deviance
+        fit, good = new, gained > 0.75 * promised
+        if gained < SETTLED and damping == 0.0:
+            break
+        damping = 0.0 if damping <= 1.0 or good else damping / 10.0
+        far = float(np.max(np.abs(fit.point - seen_from)))
+        if (not good and far > 0.2) or (gained > 50.0 and far > 0.7):  # the answers were taken far from here
+            views, columns = _seen(study, study.base.at(fit.point))
+            J, seen_from = study.stack(columns), fit.point
+    if np.any(fit.point != seen_from):
+        views, columns = _seen(study, study.base.at(fit.point))
+    return fit, views, columns
 
 
 def _repeated(study: Study) -> bool:
@@ -248,31 +281,15 @@ def _repeated(study: Study) -> bool:
     return len(labels) > len(set(labels))
 
 
-def _seen(study: Study, point: np.ndarray) -> tuple[list[View], list[dict[str, np.ndarray]]]:
-    variant = study.base.at(point)
+def _seen(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.ndarray]]]:
     views = each(lambda bench: view(bench, variant), study.benches)
     beside = neighbours(study.base, variant)
     return views, each(lambda seen: parameter_columns(seen, study.base, beside), views)
 
 
-def _descend(study: Study, fit: Fit, J: np.ndarray, most: int = BASE_STEPS) -> Fit:
-    """Gauss-Newton in the base parameters alone, with steps halved until the deviance falls."""
-    H = J.T @ J + np.eye(J.shape[1])
-    for _ in range(most):
-        step = np.linalg.solve(H, J.T @ fit.residual - fit.point)
-        promised = float(step @ H @ step)
-        if promised < 0.05:
-            break
-        better = _shorter(study, fit, lambda share, step=step: (fit.point + share * step, ()))  # noqa: B023
-        if better is None:
-            break
-        fit = better
-    return fit
-
-
-def _shorter(study: Study, fit: Fit, trial: Callable) -> Fit | None:
+def _shorter(study: Study, fit: Fit, trial: Callable, shares: Sequence[float] = (1.0, 0.4, 0.1)) -> Fit | None:
     """The first of shorter and shorter steps whose deviance is lower; None where none is."""
-    for share in (1.0, 0.4, 0.1):
+    for share in shares:
         try:
             new = evaluate(study, *trial(share))
         except (SolveError, InputError):  # a figure that no valve can have: a shorter step
@@ -298,33 +315,60 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
             continue
     if fit is None:
         return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
-    occam = 0.0
+    damping, stale, occam = 0.0, 0, 0.0
+    views = base.views
     for k in range(steps + 1):
-        names, S = _extra_columns(base, fit)
-        all_columns = np.column_stack([J, S])
-        H = all_columns.T @ all_columns
-        prior = np.array([1.0] * p + [0.0 if not shape else SHAPE_DEVIATION**-2 for _, shape in names])
-        gradient = all_columns.T @ fit.residual
-        gradient[:p] -= fit.point
-        for at, (extra, shape) in enumerate(names):
-            if shape:
-                value, default = next(v for v, n in zip(_against_default(extra), extra.shapes, strict=True) if n[0] == shape)
-                gradient[p + at] -= np.log(value / default) / SHAPE_DEVIATION**2
-        H[np.diag_indices_from(H)] += prior
+        names, S = _extra_columns(base, views, fit)
+        H, gradient = _normal(fit, np.column_stack([J, S]), names)
         occam = _occam(H, p, names)
-        if k == steps:
+        metric = np.array([1.0] * p + [e.candidate.typical**-2 if not shape else 1.0 for e, shape in names])
+        promised = float(gradient @ np.linalg.lstsq(H, gradient, rcond=1e-13)[0])
+        if k == steps or promised < SETTLED:
             break
-        scale = np.sqrt(np.diag(H))
-        step = np.linalg.lstsq(H / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
-        if float(step @ gradient) < 0.05:
+        new = None
+        for _ in range(6):
+            step = _solve(H + damping * np.diag(metric), gradient)
+            if np.max(np.abs(step[:p])) <= LONGEST_STEP:
+                new = _shorter(
+                    study, fit, lambda share, fit=fit, step=step, names=names: (  # noqa: B023
+                        fit.point + share * step[:p], _moved(fit, names, share * step[p:])
+                    ), (1.0,),
+                )  # fmt: skip
+                if new is not None:
+                    break
+            damping = max(10.0 * damping, 0.1)
+        gained = 0.0 if new is None else fit.deviance - new.deviance
+        fit = fit if new is None else new
+        damping = 0.0 if damping <= 0.1 or gained > 0.5 * promised else damping / 10.0
+        if gained < 0.5 * promised and promised > 10.0:  # the answers were taken too far from here: once anew
+            if stale == 1:
+                break
+            stale += 1
+            views, columns = _seen(study, fit.variant(study.base))
+            J = study.stack(columns)
+        elif new is None or gained < SETTLED:
             break
-        better = _shorter(
-            study, fit, lambda share, fit=fit, step=step: (fit.point + share * step[:p], _moved(fit, names, share * step[p:]))
-        )
-        if better is None:
-            break
-        fit = better
     return replace(fit, occam=occam)
+
+
+def _solve(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    scale = np.sqrt(np.where(np.diag(H) > 0.0, np.diag(H), 1.0))
+    return np.linalg.lstsq(H / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
+
+
+def _normal(fit: Fit, columns: np.ndarray, names: Sequence[tuple[Extra, str]]) -> tuple[np.ndarray, np.ndarray]:
+    """(H, gradient) of base parameters, then of extras, with their priors."""
+    p = len(fit.point)
+    H = columns.T @ columns
+    prior = np.array([1.0] * p + [0.0 if not shape else SHAPE_DEVIATION**-2 for _, shape in names])
+    gradient = columns.T @ fit.residual
+    gradient[:p] -= fit.point
+    for at, (extra, shape) in enumerate(names):
+        if shape:
+            value, default = dict(zip((n for n, _ in extra.shapes), _against_default(extra), strict=True))[shape]
+            gradient[p + at] -= np.log(value / default) / SHAPE_DEVIATION**2
+    H[np.diag_indices_from(H)] += prior
+    return H, gradient
 
 
 def _occam(H: np.ndarray, p: int, names: Sequence[tuple[Extra, str]]) -> float:
@@ -355,23 +399,33 @@ def _moved(fit: Fit, names: Sequence[tuple[Extra, str]], step: np.ndarray) -> tu
     return tuple(replace(e, excess=new[id(e)][0], shapes=tuple(new[id(e)][1].items())) for e in fit.extras)
 
 
-def _extra_columns(base: BaseFit, fit: Fit) -> tuple[list[tuple[Extra, str]], np.ndarray]:
+def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list[tuple[Extra, str]], np.ndarray]:
     """Whitened answers to the excess of each extra and to the logarithm of each of its shapes, with what each is."""
-    study, views = base.study, base.views
-    origin = views[0].variant
+    study = base.study
+    origin = fit.variant(study.base) if views is not base.views else views[0].variant
+    taken = views is not base.views  # seen from the fit itself: what is there already is moved, not added
     names: list[tuple[Extra, str]] = []
     candidates, changed, divide = [], [], []
     for extra in fit.extras:
         size = extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 1e-3 * extra.candidate.typical
         names.append((extra, ""))
         candidates.append(extra.candidate)
-        changed.append(extra.candidate.add_to(origin, size, **dict(extra.shapes)))
-        divide.append(size)
+        if taken:
+            step = 0.05 * size
+            changed.append(replace(fit, extras=_replaced(fit, extra, replace(extra, excess=extra.excess - step))).variant(study.base))
+            divide.append(-step)
+        else:
+            changed.append(extra.candidate.add_to(origin, size, **dict(extra.shapes)))
+            divide.append(size)
         for shape, value in extra.shapes:
             names.append((extra, shape))
             candidates.append(extra.candidate)
             moved = {**dict(extra.shapes), shape: value * 1.1}
-            changed.append(extra.candidate.add_to(origin, size, **moved))
+            if taken:
+                other = replace(extra, shapes=tuple(moved.items()))
+                changed.append(replace(fit, extras=_replaced(fit, extra, other)).variant(study.base))
+            else:
+                changed.append(extra.candidate.add_to(origin, size, **moved))
             divide.append(0.0)
     columns = study.stack(each(lambda seen: candidate_columns(seen, candidates, changed), views))
     out = np.empty_like(columns)
@@ -381,14 +435,18 @@ def _extra_columns(base: BaseFit, fit: Fit) -> tuple[list[tuple[Extra, str]], np
             own = k
             out[:, k] = columns[:, k] / by
         else:
-            out[:, k] = (columns[:, k] - columns[:, own]) / np.log(1.1)
-    if len(fit.extras) == 1 and abs(fit.extras[0].excess) > 0.05 * fit.extras[0].candidate.typical:
+            out[:, k] = (columns[:, k] - (0.0 if taken else columns[:, own])) / np.log(1.1)
+    if not taken and len(fit.extras) == 1 and abs(fit.extras[0].excess) > 0.05 * fit.extras[0].candidate.typical:
         # what the fit has really gained by its one effect, over what the linear equations say of the base
         moved = base.fit.residual - base.J @ (fit.point - base.fit.point) - fit.residual
         secant = moved / fit.extras[0].excess
         if float(secant @ out[:, 0]) > 0.25 * float(out[:, 0] @ out[:, 0]):
             out[:, 0] = secant
     return names, out
+
+
+def _replaced(fit: Fit, old: Extra, new: Extra) -> tuple[Extra, ...]:
+    return tuple(new if extra is old else extra for extra in fit.extras)
 
 
 def gram_of(study: Study, views: Sequence[View], blocks: Sequence[Sequence[dict[str, np.ndarray]]], point: np.ndarray,

@@ -1,0 +1,650 @@
+"""The full suite of hidden effects: what valvesim's diagnosis finds in sessions of a plant that is not its model.
+
+    .venv/bin/python benchmarks/hidden_effects.py run --workers 2   # the same again after a break: it goes on
+    .venv/bin/python benchmarks/hidden_effects.py report            # docs/hidden_effects.md from what there is
+
+A case is drawn by tests/hidden_plant.py, its strength tuned to a distance d', its session written to a folder, and
+diagnosed from that folder alone. Each case adds one line of JSON to the results. Seeds from 0 are those of the table;
+while the diagnosis is being worked on, --seed-offset 10000 draws others.
+
+Symbols
+    y readings, r whitened by the true noise; dy what is hidden adds to them; J answers to the base parameters
+    d'^2 = dy'dy - dy'J (J'J + I)^-1 J'dy: what the base parameters, held by their priors, cannot take up;
+    where they take up nearly all, from the point that they reach
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+from zlib import crc32
+
+ROOT = Path(__file__).resolve().parent.parent
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: a worker is one core
+    os.environ.setdefault(threads, "1")
+sys.path.insert(0, str(ROOT / "tests"))
+
+import hidden_plant  # noqa: E402
+import numpy as np  # noqa: E402
+from hidden_baselines import baselines  # noqa: E402
+from hidden_plant import EFFECTS, OUTSIDE, PARAMETERS, SENSOR_FAULTS, Case, draw, responses, write_session  # noqa: E402
+from hidden_report import write_report  # noqa: E402
+
+import valvesim as vs  # noqa: E402
+from valvesim import diagnosis as engine  # noqa: E402
+from valvesim.answer import Diagnosis, Term  # noqa: E402
+from valvesim.catalogue import CATALOGUE  # noqa: E402
+from valvesim.hypotheses import Candidate, View, neighbours, parameter_columns, view  # noqa: E402
+from valvesim.noise import Noise  # noqa: E402
+from valvesim.prediction import prepare  # noqa: E402
+from valvesim.scene import Scene, look  # noqa: E402
+from valvesim.session import Session, load_session  # noqa: E402
+from valvesim.study import BaseFit, Extra, Fit, Study, evaluate, fit_base, prepare_study, refit  # noqa: E402
+from valvesim.units import quantities  # noqa: E402
+
+RESULTS = ROOT / "benchmarks" / "results" / "hidden_effects.jsonl"
+DOCUMENT = ROOT / "docs" / "hidden_effects.md"
+KINDS = hidden_plant.KINDS
+
+TARGETS = (5.0, 8.0, 15.0, 40.0)
+PARAMETER_TARGETS = (8.0, 15.0, 40.0, 15.0)
+OUTSIDE_TARGETS = (8.0, 15.0, 40.0, 40.0)
+PAIR_TARGET, WEAKER = 20.0, 6.0  # d' of both together, and of the weaker alone
+NONE_CASES, PAIR_CASES, POOR_CASES = 200, 50, 32
+ORACLE_STEPS = 2
+STRONGEST = 20.0  # times the strength as drawn
+MOST_OFFSET = 0.35  # of a parameter, relative: beyond it is another valve
+INSIDE = 0.95  # share of the catalogue's bounds that a hidden amplitude keeps to
+CLOSE = 0.15  # relative miss of d' after which the strength is tuned once more
+TRIALS = 3
+RULER_STEPS, LONGEST_STEP = 3, 6.0  # of the base parameters, in prior deviations
+TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equations are not trusted
+BASELINE_EVERY = 3  # cases: the baselines refit a dozen candidates
+
+
+# ---------------------------------------------------------------- the cases
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One case of the list: what is hidden (drawn where `name` is None), and the d' to tune it to (0: as drawn)."""
+
+    kind: str
+    name: str | None
+    seed: int
+    target: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """What tells it from all others."""
+        return f"{self.kind} {self.name or '-'} {self.seed} {self.target:g}"
+
+
+def cases(offset: int = 0) -> list[Spec]:
+    """All cases, kinds interleaved, so that the first hundred are a small suite of their own."""
+
+    def each(names: Sequence[str], repeats: int, targets: Sequence[float]) -> list[tuple[str, float]]:
+        return [(n, targets[(r + k) % len(targets)]) for r in range(repeats) for k, n in enumerate(names)]
+
+    lists: dict[str, list[tuple[str | None, float]]] = {
+        "none": [(None, 0.0)] * NONE_CASES,
+        "effect": [*each(list(EFFECTS), 8, TARGETS)],
+        "pair": [(None, PAIR_TARGET)] * PAIR_CASES,
+        "outside": [*each(list(OUTSIDE), 4, OUTSIDE_TARGETS)],
+        "parameter": [*each(PARAMETERS, 4, PARAMETER_TARGETS)],
+        "sensor": [*each(list(SENSOR_FAULTS), 6, TARGETS)],
+        "poor": [(None, 0.0)] * POOR_CASES,
+    }
+    placed = [
+        ((at + 0.5) / len(members), kind, Spec(kind, name, offset + at, target))
+        for kind, members in lists.items()
+        for at, (name, target) in enumerate(members)
+    ]
+    return [spec for _, _, spec in sorted(placed, key=lambda each: each[:2])]
+
+
+# ---------------------------------------------------------------- strength
+
+
+Records = list[dict[str, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A case at its strength: `factors` on the amplitudes as drawn, `distance` its measured d', noise-free `records`.
+
+    Of a pair `alone` are the d' of each, and `overlap` the cosine between what they show.
+    """
+
+    case: Case
+    factors: tuple[float, ...]
+    distance: float
+    alone: tuple[float, ...]
+    overlap: float
+    records: Records
+
+
+@dataclass(frozen=True)
+class Ruler:
+    """Measures d' in a case, about the very valve on its bench: there the base parameters start, with their priors.
+
+    About the nominal valve the scatter alone would tilt J enough to pass 0.5 % of lost magnet for d' = 6.
+    """
+
+    study: Study
+    quiet: Records
+    at_rest: tuple[View, ...]
+    J: np.ndarray
+
+    def change(self, case: Case, records: Records) -> np.ndarray:
+        """Whitened dy (rows,) of the training records."""
+        by_name = {run.name: k for k, run in enumerate(case.runs)}
+        columns = []
+        for bench in self.study.benches:
+            k = by_name[bench.record.name]
+            columns.append({c: (records[k][c] - self.quiet[k][c])[:, None] for c in bench.record.outputs})
+        return self.study.stack(columns)[:, 0]
+
+    def products(self, changes: np.ndarray) -> np.ndarray:
+        """(k, k) products of changes (rows, k) off the base parameters, by the linear equations."""
+        shadow = self.J.T @ changes
+        return changes.T @ changes - shadow.T @ np.linalg.solve(self._H(self.J), shadow)
+
+    def distance(self, change: np.ndarray) -> float:
+        """d' of a change (rows,): the least that the base parameters leave of it, moved and asked again where they must.
+
+        The linear equations err by a few hundredths of what they take up, which may be more than what is left.
+        """
+        point, left, J, least = np.zeros(self.J.shape[1]), change, self.J, np.inf
+        for _ in range(RULER_STEPS + 1):
+            gradient = J.T @ left - point
+            step = np.linalg.solve(self._H(J), gradient)
+            now = float(left @ left + point @ point)
+            least = min(least, max(now - float(gradient @ step), 0.0))
+            if now < TAKEN_UP**2 * least:
+                break
+            step *= min(1.0, LONGEST_STEP / float(np.max(np.abs(step))))
+            try:
+                views, J = _seen_from(self.study, point + step)
+            except (vs.SolveError, vs.InputError):  # no such valve: what the linear equations said stands
+                break
+            point = point + step
+            moved = [
+                {name: (seen.readings[name] - rest.readings[name])[:, None] for name in rest.readings}
+                for seen, rest in zip(views, self.at_rest, strict=True)
+            ]
+            left = change - self.study.stack(moved)[:, 0]
+        return float(np.sqrt(least))
+
+    @staticmethod
+    def _H(J: np.ndarray) -> np.ndarray:
+        return J.T @ J + np.eye(J.shape[1])
+
+
+def ruler(case: Case, quiet: Records, folder: Path) -> Ruler:
+    """The ruler of a case; `quiet` are its noise-free records with nothing hidden."""
+    write(case, quiet, folder)
+    study = prepare_study(replace(load_session(folder), valve=case.valve))
+    meters = {meter.channel: meter for meter in case.meters}
+    noise = {(c, b.record.rate): _true_noise(meters[c]) for b in study.benches for c in b.record.outputs}
+    study = replace(study, noise=noise)
+    return Ruler(study, quiet, *_seen_from(study, np.zeros(len(study.base.parameters))))
+
+
+def _seen_from(study: Study, point: np.ndarray) -> tuple[tuple[View, ...], np.ndarray]:
+    """(views, J) of the training records from a point of the base parameters."""
+    variant = study.base.at(point)
+    beside = neighbours(study.base, variant)
+    views = tuple(view(bench, variant) for bench in study.benches)
+    return views, study.stack([parameter_columns(seen, study.base, beside) for seen in views])
+
+
+def _true_noise(meter: hidden_plant.Meter) -> Noise:
+    rho = meter.colour
+    return Noise(deviation(meter) * float(np.sqrt(1.0 - rho * rho)), (rho,) if rho else (), True, "the plant's")
+
+
+def deviation(meter: hidden_plant.Meter) -> float:
+    """Standard deviation of a meter's noise and rounding."""
+    return float(np.hypot(meter.noise, meter.resolution / np.sqrt(12.0)))
+
+
+def write(case: Case, records: Records, folder: Path) -> None:
+    """The session of a case whose noise-free records are known already."""
+    with patch.object(hidden_plant, "responses", lambda case, strength=1.0: records):
+        write_session(case, folder)
+
+
+def tune(case: Case, target: float, folder: Path) -> Tuned:
+    """The case at the strength whose d' is nearest to the target; one thing alone, at a target of 0, as drawn."""
+    quiet = responses(case, 0.0)
+    if not case.hidden:
+        return Tuned(case, (), 0.0, (), 0.0, quiet)
+    rule = ruler(case, quiet, folder)
+    most = np.array([_most(name, figures) for name, figures in case.hidden])
+    first, changes = np.minimum(1.0, most), []
+    for k in range(len(most)):  # each alone, to know its share
+        factors, trial, records = _run(case, np.where(np.arange(len(most)) == k, first, 0.0))
+        first[k] = factors[k]
+        changes.append(rule.change(trial, records))
+    G = rule.products(np.column_stack(changes) / first)
+    size = np.sqrt(np.maximum(np.diag(G), 1e-12))
+    overlap = float(G[0, -1] / np.sqrt(G[0, 0] * G[-1, -1])) if len(most) == 2 else 0.0
+    if target == 0.0:
+        distance = rule.distance(changes[0])
+        return Tuned(trial, tuple(map(float, first)), distance, (distance,), overlap, records)
+    factors = _factors(size, overlap, target, most)
+    best: Tuned | None = None
+    for _ in range(TRIALS):
+        factors, trial, records = _run(case, factors)
+        distance = rule.distance(rule.change(trial, records))
+        if best is None or _miss(distance, target) < _miss(best.distance, target):
+            alone = tuple(map(float, size * factors)) if len(most) == 2 else (distance,)
+            best = Tuned(trial, tuple(map(float, factors)), distance, alone, overlap, records)
+        again = np.minimum(factors * np.clip(target / max(distance, 1e-9), 0.1, 10.0), most)
+        if abs(distance / target - 1.0) < CLOSE or np.allclose(again, factors, rtol=0.02):
+            break
+        factors = again
+    assert best is not None
+    return best
+
+
+def _miss(distance: float, target: float) -> float:
+    return abs(float(np.log(max(distance, 1e-9) / target)))
+
+
+def _factors(size: np.ndarray, overlap: float, target: float, most: np.ndarray) -> np.ndarray:
+    """Factors at which what is hidden has d' = target in all: two alike, or the one that can less at its most.
+
+    Two that cancel in part would have to be stronger: neither goes beyond the target alone.
+    """
+    cosine = np.array([[1.0, overlap], [overlap, 1.0]])[: len(size), : len(size)]
+    most = np.minimum(most, target / size)
+    alone = np.minimum(size * most, max(target / np.sqrt(len(size)), WEAKER))
+    for _ in range(20):
+        distance = float(np.sqrt(max(alone @ cosine @ alone, 1e-300)))
+        alone = np.minimum(alone * target / distance, size * most)
+    return alone / size
+
+
+def _run(case: Case, factors: np.ndarray) -> tuple[np.ndarray, Case, Records]:
+    """(factors, case, noise-free records) at factors, or at half of them and again half where the plant diverges."""
+    for _ in range(5):
+        trial = scaled(case, factors)
+        try:
+            return factors, trial, responses(trial)
+        except (FloatingPointError, ZeroDivisionError, ValueError, vs.InputError) as error:
+            last = error
+        factors = factors / 2.0
+    raise last
+
+
+def scaled(case: Case, factors: Iterable[float]) -> Case:
+    """The case with the amplitude of each thing hidden times a factor, reckoned from its neutral value."""
+    hidden = []
+    for (name, figures), factor in zip(case.hidden, factors, strict=True):
+        parameter, neutral = amplitude(name)
+        hidden.append((name, {**figures, parameter: neutral + float(factor) * (figures[parameter] - neutral)}))
+    return replace(case, hidden=tuple(hidden))
+
+
+def amplitude(name: str) -> tuple[str, float]:
+    """(amplitude's name, its neutral value) of a hidden thing."""
+    if name in PARAMETERS:
+        return "offset", 0.0
+    if name in SENSOR_FAULTS:
+        return SENSOR_FAULTS[name][0], 0.0
+    entry = EFFECTS.get(name) or OUTSIDE[name]
+    return entry.parameter, entry.neutral
+
+
+def _most(name: str, figures: dict[str, Any]) -> float:
+    """The largest factor at which the amplitude stays inside the bounds of catalogue or valve."""
+    parameter, neutral = amplitude(name)
+    away = figures[parameter] - neutral
+    if name in OUTSIDE:
+        return STRONGEST
+    if name in PARAMETERS:
+        nominal = float(getattr(vs.Valve(), name))
+        low, high = (value / nominal - 1.0 for value in quantities(vs.Valve)[name].metadata["bounds"])
+        low, high = max(low, -MOST_OFFSET), min(high, MOST_OFFSET)
+    else:
+        effect = CATALOGUE[name]
+        effect = effect.on(figures["channel"]) if effect.reading is not None else effect
+        low, high = (value - neutral for value in effect.amplitude.bounds)
+    return float(min(INSIDE * (high if away > 0.0 else low) / away, STRONGEST))
+
+
+# ---------------------------------------------------------------- the truth
+
+
+def truth_labels(case: Case) -> list[str]:
+    """What is hidden by the diagnosis' own labels: name, sensor, side; `outside:NAME` for what it cannot know."""
+    labels = []
+    for name, figures in case.hidden:
+        at = f"@{figures['channel']}" if "channel" in figures else ""
+        side = f"[side={figures['side']:g}]" if "side" in figures else ""
+        prefix = "parameter:" if name in PARAMETERS else "outside:" if name in OUTSIDE else ""
+        labels.append(f"{prefix}{name}{at}{side}")
+    return labels
+
+
+def true_extras(case: Case, study: Study) -> tuple[Extra, ...] | None:
+    """What is hidden as the model's own effects at their true figures; None where the catalogue lacks it."""
+    extras = []
+    figures_of = hidden_plant.truth(case)["parameters"]
+    for label, (cause, figures) in zip(truth_labels(case), figures_of.items(), strict=True):
+        same = [c for c in study.candidates if c.family == label]
+        if not same:
+            return None
+        candidate = min(same, key=lambda c: _apart(c, figures))
+        if candidate.effect is None:
+            name = cause.removeprefix("parameter:")
+            extras.append(Extra(candidate, figures["value"] - float(getattr(study.session.valve, name))))
+            continue
+        own, fixed = candidate.effect.amplitude, dict(candidate.fixed)
+        shapes = tuple((p.name, figures.get(p.name, fixed.get(p.name, p.default))) for p in candidate.shapes())
+        low, high = candidate.limits
+        excess = float(np.clip(figures[own.name] - (own.neutral or 0.0), INSIDE * low, INSIDE * high))
+        extras.append(Extra(candidate, excess, shapes))
+    return tuple(extras)
+
+
+def _apart(candidate: Candidate, figures: dict[str, Any]) -> float:
+    """How far a candidate's fixed shapes are from the true ones, in logarithms."""
+    return sum(abs(float(np.log(value / figures.get(name, value)))) for name, value in candidate.fixed)
+
+
+def true_term(case: Case) -> tuple[str, str, str, Any] | None:
+    """(port, variable, memory, w) of a term outside the catalogue that is a function of one variable; else None."""
+    ((name, p),) = case.hidden
+    size, shape = p["size"], p.get("form_shape", 1.0)
+    supply = float(np.median([run.supply for run in case.runs]))
+    motor = 2.82  # N m/A, the torque constant of the reference valve
+    terms = {
+        "cubic_spool_spring": ("spool_force", "spool_position", "none", lambda x: -size * x**3),
+        "spool_detent": ("spool_force", "spool_position", "none", lambda x: -size * np.sin(2.0 * np.pi * x / shape)),
+        "quadratic_spool_damping": ("spool_force", "spool_velocity", "none", lambda v: -size * v * np.abs(v)),
+        "quadratic_armature_torque": ("armature_torque", "armature_angle", "none", lambda a: size * a * a),
+        "spool_end_leakage": ("pilot_flow", "load_differential_pressure", "none", lambda d: -size * d),
+        "hydraulic_lock": ("spool_force", "spool_position", "none", lambda x: -size * supply * x * np.abs(x)),
+        "torque_memory_of_pressure": ("armature_torque", "load_differential_pressure", "lag", lambda d: size * d),
+        "armature_memory": ("armature_torque", "armature_angle", "path", lambda a: -size * np.ones_like(a)),
+        "amplifier_dead_band": ("armature_torque", "current", "none", lambda i: -motor * np.clip(i, -size, size)),
+        "one_sided_spool_spring": ("spool_force", "spool_position", "none", lambda x: -size * x * x),
+    }
+    return terms.get(name)
+
+
+def term_error(case: Case, term: Term) -> float | None:
+    """Relative L2 error of a recovered term over its knots, offsets removed; None where it is of another kind."""
+    expected = true_term(case)
+    if expected is None or (term.port, term.variable, term.memory) != expected[:3]:
+        return None
+    at, got = np.asarray(term.at), np.asarray(term.value)
+    want = expected[3](at)
+    if term.memory != "path":  # whose sign turns: nothing takes up its mean
+        got, want = got - got.mean(), want - want.mean()
+    return float(np.linalg.norm(got - want) / max(np.linalg.norm(want), 1e-300))
+
+
+# ---------------------------------------------------------------- one case
+
+
+@dataclass
+class Caught:
+    """What a diagnosis fits on its way, kept so that oracle and baselines need not fit it again."""
+
+    base: BaseFit | None = None
+    scene: Scene | None = None
+    fits: list[Fit] = field(default_factory=list)
+
+
+def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, float]]:
+    """(diagnosis, its fits, seconds on the clock and of processor)."""
+    caught = Caught()
+
+    def catching_base(*arguments, **named) -> BaseFit:
+        caught.base = fit_base(*arguments, **named)
+        return caught.base
+
+    def catching_look(base: BaseFit, fit: Fit, **named) -> Scene:
+        scene = look(base, fit, **named)
+        caught.scene = scene if fit is base.fit and caught.scene is None else caught.scene
+        return scene
+
+    def catching_refit(*arguments, **named) -> Fit:
+        caught.fits.append(refit(*arguments, **named))
+        return caught.fits[-1]
+
+    with ExitStack() as stack:
+        for name, function in (("fit_base", catching_base), ("look", catching_look), ("refit", catching_refit)):
+            stack.enter_context(patch.object(engine, name, function))
+        begin, worked = time.perf_counter(), time.process_time()
+        found = engine.diagnose(folder)
+        return found, caught, (time.perf_counter() - begin, time.process_time() - worked)
+
+
+def run_case(spec: Spec, with_baselines: bool) -> dict[str, Any]:
+    """The line of a case. What fails is told in it: `outcome` "error", with the message."""
+    row: dict[str, Any] = {**asdict(spec), "key": spec.key, "outcome": "error"}
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="valvesim_hidden_") as place, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            case = draw(spec.seed, spec.kind, name=spec.name)
+            row |= _of_case(case)
+            tuned = tune(case, spec.target, Path(place) / "quiet")
+            row |= _of_case(tuned.case) | {
+                "factors": tuned.factors, "distance": tuned.distance, "alone": tuned.alone, "overlap": tuned.overlap,
+            }  # fmt: skip
+            folder = Path(place) / "session"
+            write(tuned.case, tuned.records, folder)
+            row["preparing"] = time.perf_counter() - begin
+            found, caught, (row["seconds"], row["cpu_seconds"]) = diagnose_and_catch(folder)
+            row |= _of_diagnosis(tuned.case, found)
+            row["outcome"] = "done"
+            row |= _errors(tuned, found, caught, load_session(folder), row)
+            if with_baselines:
+                start = time.perf_counter()
+                row["baselines"] = baselines(caught.base, caught.scene, caught.fits, found)
+                row["baseline_seconds"] = time.perf_counter() - start
+        except Exception as error:  # a suite of hundreds does not stop for one: it is an outcome
+            row["message"] = f"{type(error).__name__}: {error}"[:600]
+    row["total"] = time.perf_counter() - begin
+    return _plain(row)
+
+
+def _of_case(case: Case) -> dict[str, Any]:
+    hidden = hidden_plant.truth(case)
+    return {
+        "labels": truth_labels(case), "truth": hidden["parameters"], "channels": case.channels, "drive": case.drive,
+        "isothermal": case.isothermal, "colour": max(meter.colour for meter in case.meters),
+    }  # fmt: skip
+
+
+def _of_diagnosis(case: Case, found: Diagnosis) -> dict[str, Any]:
+    named = [one.label for one in found.candidates if one.names == found.causes and one.in_set]
+    return {
+        "verdict": found.verdict,
+        "causes": found.causes,
+        "named": named[0].split(" + ") if found.causes and named else list(found.causes),
+        "candidates": [
+            {**asdict(one), "labels": [] if one.names == ("unknown",) else one.label.split(" + ")}
+            for one in found.candidates[:10]
+        ],
+        "parameters": [asdict(one) for one in found.parameters],
+        "gain": [asdict(one) for one in found.gain],
+        "gain_claimed": found.gain_claimed,
+        "location": found.location,
+        "summary": found.summary,
+        "limits": {one.label: one.amplitude for one in found.detection_limits},
+        "limit_units": {one.label: one.unit for one in found.detection_limits},
+        "next_test": asdict(found.next_test) if found.next_test is not None else None,
+        "term": asdict(found.term) if found.term is not None else None,
+        "term_truth": case.kind == "outside" and true_term(case) is not None,
+        "term_error": term_error(case, found.term) if found.term is not None and case.kind == "outside" else None,
+        "top_score": found.scores[0].z if found.scores else 0.0,
+        "alarm_level": found.alarm_level,
+    }
+
+
+def _errors(tuned: Tuned, found: Diagnosis, caught: Caught, session: Session, row: dict[str, Any]) -> dict[str, Any]:
+    """True errors on the locked records, in noise deviations: of base, extension and oracle."""
+    truth = {run.name: record for run, record in zip(tuned.case.runs, tuned.records, strict=True)}
+    sigma = {meter.channel: deviation(meter) for meter in tuned.case.meters}
+
+    def pooled(readings: Iterable[tuple[str, str, np.ndarray]]) -> float:
+        left = [(read - truth[record][channel]) / sigma[channel] for record, channel, read in readings]
+        return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+
+    locked = [trace for trace in found.traces if trace.role == "test" and trace.channel in sigma]
+    errors: dict[str, Any] = {
+        "error_before": pooled((t.record, t.channel, t.base) for t in locked),
+        "error_after": pooled((t.record, t.channel, t.extended) for t in locked),
+    }
+    base = caught.base
+    extras = true_extras(tuned.case, base.study) if base is not None and tuned.case.hidden else None
+    if base is None or extras is None:
+        return errors
+    oracle = _oracle(base, extras, caught.fits)
+    variant = oracle.variant(base.study.base)
+    read = []
+    for record in session.locked:
+        bench = prepare(session, record, base.study.benches[0].universe)
+        values = bench.readings(bench.run(variant), variant)
+        read += [(record.name, name, values[name]) for name in record.outputs]
+    return {**errors, "error_oracle": pooled(read), "oracle_fall": base.fit.deviance - oracle.deviance}
+
+
+def _oracle(base: BaseFit, extras: tuple[Extra, ...], fits: Sequence[Fit]) -> Fit:
+    """The true cause fitted to the data: from its true figures, with the base parameters settled anew about them."""
+    own = sorted(extra.candidate.family for extra in extras)
+    tried = [base.fit, *(f for f in fits if sorted(e.candidate.family for e in f.extras) == own)]
+    try:
+        there = evaluate(base.study, base.fit.point, extras)
+        gradient = base.J.T @ there.residual - there.point
+        settled = np.linalg.solve(base.J.T @ base.J + np.eye(base.J.shape[1]), gradient)
+        tried.append(refit(base, extras, there.point + settled, steps=ORACLE_STEPS))
+    except (vs.SolveError, vs.InputError):  # the model cannot be run at the plant's figures
+        pass
+    return min(tried, key=lambda fit: fit.deviance)
+
+
+def _plain(value: Any) -> Any:
+    """As JSON knows it; what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(each) for each in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+# ---------------------------------------------------------------- all of them
+
+
+def read_results(path: Path) -> list[dict[str, Any]]:
+    """The lines of a results file; a last line that was cut off by an interruption is left out."""
+    rows = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError:
+            print(f"{path}: a line that is no JSON is left out: {line[:60]}", file=sys.stderr)
+    return rows
+
+
+def run(todo: Sequence[Spec], path: Path, workers: int, with_baselines: bool) -> None:
+    """Run cases that the results do not hold yet; this process alone writes, a line at a time."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    done = {row["key"] for row in read_results(path)}
+    left = [spec for spec in todo if spec.key not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists() and path.read_bytes()[-1:] not in (b"", b"\n"):  # an interruption within a line
+        with path.open("a", encoding="utf-8") as file:
+            file.write("\n")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+               TextColumn("left"), TimeRemainingColumn())  # fmt: skip
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        with Progress(*columns, speed_estimate_period=600.0) as progress, path.open("a", encoding="utf-8") as file:
+            bar = progress.add_task("hidden effects", total=len(todo), completed=len(todo) - len(left))
+            waiting: dict[Future, Spec] = {}
+            queue = iter(left)
+            while True:
+                while len(waiting) < workers and (spec := next(queue, None)) is not None:
+                    beside = with_baselines and crc32(spec.key.encode()) % BASELINE_EVERY == 0
+                    waiting[pool.submit(run_case, spec, beside)] = spec
+                if not waiting:
+                    break
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    spec, row = waiting.pop(future), future.result()
+                    file.write(json.dumps(row, ensure_ascii=False, allow_nan=False) + "\n")
+                    file.flush()
+                    progress.update(bar, advance=1, description=_told(spec, row))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _told(spec: Spec, row: dict[str, Any]) -> str:
+    answer = row.get("verdict", row.get("message", "error"))
+    return f"{spec.kind} {spec.name or ''}: {answer} {' + '.join(row.get('named', ()))}"[:70].ljust(70)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="The full suite of hidden effects.")
+    parser.add_argument("what", choices=("run", "report"))
+    parser.add_argument("--cases", type=int, help="only the first so many of the list")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, help="only these")
+    parser.add_argument("--seed-offset", type=int, default=0, help="10000 while the diagnosis is worked on")
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--baselines", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("-o", "--output", type=Path, default=DOCUMENT, help="the report's file")
+    options = parser.parse_args()
+    chosen = [spec for spec in cases(options.seed_offset) if options.kinds is None or spec.kind in options.kinds]
+    chosen = chosen[: options.cases]
+    if options.what == "run":
+        try:
+            run(chosen, options.results, options.workers, options.baselines)
+        except KeyboardInterrupt:
+            sys.exit(f"interrupted; what is done stands in {options.results}, the same command goes on from there")
+        return
+    keys = {spec.key for spec in chosen}
+    rows = {row["key"]: row for row in read_results(options.results) if row["key"] in keys}
+    if not rows:
+        sys.exit(f"{options.results}: no results of these cases; make them with `run`")
+    write_report(list(rows.values()), len(chosen), options.output)
+    print(f"wrote {options.output} from {len(rows)} of {len(chosen)} cases")
+
+
+if __name__ == "__main__":
+    main()
