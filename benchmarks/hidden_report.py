@@ -310,8 +310,8 @@ def _definitions() -> str:
 
 - **d'**: norm, whitened by the meters' true noise (AR(1), and rounding), of what the hidden adds to the noise-free
   training records, less what the base parameters can take up against their priors: by the linear equations about the
-  valve on the bench, and where they take up nearly all, again from where they get to. Cases are tuned to a target; where the catalogue's bounds or the plant forbid it, the largest d' possible stands. All tables go by
-  the measured d'.
+  valve on the bench, and where they take up nearly all, again from where they get to. Cases are tuned to a target;
+  where the catalogue's bounds or the plant forbid it, the largest d' possible stands. All tables go by the measured d'.
 - **false alarm**: on an empty session, any verdict but `no_discrepancy`. **detected**: the same where something is
   hidden.
 - **right cause first**: the most probable candidate has the true names, sensor and side included. By definition the
@@ -584,8 +584,8 @@ def _limits(done: Sequence[Row]) -> str:
         lines.append((name, unit, *quantiles, blind, seen, f"{max(missed):.1f}" if missed else ""))
     return (
         "## Detection limits\n\nThe amplitude that a session itself says it would show nine times in ten, over all\n"
-        "sessions (sensor faults, in the unit of their channel, are not pooled), how many sessions were blind to it, and\n"
-        "the largest d' that went unseen.\n\n"
+        "sessions (sensor faults, in the unit of their channel, are not pooled), how many sessions were blind to it,\n"
+        "and the largest d' that went unseen.\n\n"
         + table(
             ("effect", "unit", "a tenth below", "median", "a tenth above", "blind", "detected", "largest d' unseen"),
             lines,

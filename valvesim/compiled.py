@@ -166,7 +166,7 @@ def _print_function(name: str, function: Any, targets: Sequence[str], zeros: Seq
     """A CasADi function as Python source: one line an operation."""
     import casadi
 
-    lines = ["@njit(nogil=True, error_model='numpy')", f"def {name}(y, u, c, out):"]
+    lines = ["@njit(cache=True, nogil=True, error_model='numpy')", f"def {name}(y, u, c, out):"]
     operations = _operations(casadi)
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)

@@ -365,6 +365,14 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
     H[np.arange(p), np.arange(p)] += 1.0
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     C = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    # parts of records that disagree widen the interval: no model is the plant (a sandwich over the parts)
+    pushes = C @ np.array([part[at, 0] for part in gram.products]).T
+    parts = len(gram.products)
+
+    def deviation_of(combine: np.ndarray) -> float:
+        among = float(np.sum((combine @ pushes) ** 2)) * parts / max(parts - 1, 1)
+        return float(np.sqrt(max(combine @ C @ combine, among)))
+
     names = [parameter.name for parameter in base.study.base.parameters]
     found = []
     for k, (extra, shape) in enumerate(kinds):
@@ -375,7 +383,7 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
             combine = np.zeros(len(at))
             combine[j], combine[p + k] = parameter.deviation, own_step(extra)
             value = parameter.nominal + fit.point[j] * parameter.deviation + extra.excess
-            deviation = float(np.sqrt(combine @ C @ combine))
+            deviation = deviation_of(combine)
             low, high = value - 1.96 * deviation, value + 1.96 * deviation
             found.append(Estimate(name=parameter.name, cause=candidate.name, value=value, low=low, high=high, unit=parameter.unit))
             continue
@@ -383,12 +391,12 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
         if shape:
             declared = next(q for q in effect.parameters if q.name == shape)
             value = dict(extra.shapes)[shape]
-            spread = float(np.log(1.1) * np.sqrt(C[p + k, p + k]))
+            spread = np.log(1.1) * deviation_of(np.eye(len(at))[p + k])
             low, high = value * np.exp(-1.96 * spread), value * np.exp(1.96 * spread)
         else:
             declared = effect.amplitude
             value = (declared.neutral or 0.0) + extra.excess
-            spread = float(abs(own_step(extra)) * np.sqrt(C[p + k, p + k]))
+            spread = abs(own_step(extra)) * deviation_of(np.eye(len(at))[p + k])
             low, high = value - 1.96 * spread, value + 1.96 * spread
         low, high = max(low, declared.bounds[0]), min(high, declared.bounds[1])
         found.append(

@@ -276,6 +276,7 @@ class View:
                 continue
             faults = tuple(a for a in self.variant.effects if not isinstance(a.effect, SmallError))
             variant = replace(self.variant, effects=faults)
+            own = own[:: self.bench.finer]
             base = self.bench.sensed({name: own}, self.course, variant)[name]
             out[name] = self.bench.sensed({name: own[:, None] + moved}, self.course, variant)[name] - base[:, None]
         return out
@@ -343,13 +344,11 @@ class View:
 def view(bench: Bench, variant: Variant) -> View:
     """A record seen from a variant."""
     course = bench.run(variant)
-    at_valve = bench.outputs(course)
-    off = bench.switched_off(course.model, variant.effects)
-    active = {a.effect.name for a in variant.effects}
-    model = Model(course.model.drive, tuple(e for e in course.model.effects if e.name in active))
+    at_valve = bench.outputs(course, variant)
+    model, own = bench.reduced(course, variant)
     along = bench.coefficients_along(variant, model)
-    linear = linearise(bench, course, off, model, along)
-    rates, signals = model.evaluate(tuple(course.states[:, linear.active].T), tuple(bench.inputs.T), along)
+    linear = linearise(bench, course, own, model, along)
+    rates, signals = model.evaluate(tuple(course.states[:, own].T), tuple(bench.inputs.T), along)
     readings = bench.sensed(at_valve, course, variant)
     return View(bench, variant, course, linear, model, at_valve, readings, rates, signals)
 
@@ -380,10 +379,22 @@ def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -
             elif p.sensor.channel != name:
                 columns.append(np.zeros_like(read))
             else:
-                changed = seen.variant.with_effect(p.sensor(**{p.sensor.amplitude.name: p.deviation}))
-                columns.append(seen.bench.sensed({name: seen.at_valve[name]}, seen.course, changed)[name] - read)
+                columns.append(_sensor_slope(seen, p, name) * p.deviation)
         out[name] = np.column_stack(columns)
     return out
+
+
+def _sensor_slope(seen: View, parameter: BaseParameter, channel: str) -> np.ndarray:
+    """Slope (n_samples,) of a reading over a sensor's small error, by a step much shorter than its deviation."""
+    assert parameter.sensor is not None  # noqa: S101 - the caller has chosen those with a sensor
+    step, name = 0.1 * parameter.deviation, parameter.sensor.amplitude.name
+    high, low = (
+        seen.bench.sensed(
+            {channel: seen.at_valve[channel]}, seen.course, seen.variant.with_effect(parameter.sensor(**{name: by}))
+        )[channel]
+        for by in (step, -step)
+    )
+    return (high - low) / (2.0 * step)
 
 
 def candidate_columns(seen: View, candidates: Sequence[Candidate], changed: Sequence[Variant]) -> dict[str, np.ndarray]:

@@ -30,8 +30,8 @@ FINEST = 5e-4  # s: a course is kept at this spacing or finer where the record i
 SLOW = 5e-3  # s: a record sampled more slowly than this is quasi-static between its samples, and kept as it is
 TOLERANCE = 3e-4  # errs by 1e-6 of the span: the samples of the inputs keep the steps short
 MAX_STEPS = 50_000_000
-UPSAMPLED = 4  # a grid for sensors that remember, as a multiple of the bench's
-STATIC = ("sensor_bias", "sensor_gain", "sensor_temperature_drift")  # these do not remember
+SENSOR_STEP = 1e-4  # s: sensors are read on a grid this fine, since a fast lag sees the corners between samples
+LONG = 20.0  # s: of longer records the sensors' grid is no finer than half the course's
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,17 @@ class Variant:
 
 @dataclass(frozen=True)
 class Course:
-    """A variant's run on the grid of its bench: states (n, n_x), coefficients (n, n_c) flat, of `model`, in SI."""
+    """A variant's run on the grid of its bench: states (n, n_x), coefficients (n, n_c) flat, of `model`, in SI.
+
+    `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there.
+    """
 
     model: Model
     states: np.ndarray
     coefficients: np.ndarray
     parts: PartTemperatures
+    fine: np.ndarray
+    oil: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,9 @@ class Bench:
     path: TemperaturePath
     times: np.ndarray
     refinement: int
+    finer: int
+    fine_times: np.ndarray
+    fine_inputs: np.ndarray
     starts: np.ndarray
     rows: np.ndarray
     inputs: np.ndarray  # (n, inputs): command, its rate, pressures
@@ -84,10 +92,12 @@ class Bench:
         """The course of a variant from rest. Raises InputError for impossible dimensions, SolveError where it fails."""
         path, flat, model = self._coefficients(variant)
         compiled = compile_model(model)
-        states = _integrate(self, compiled, path, flat, self.switched_off(model, variant.effects))
+        fine = _integrate(self, compiled, path, flat, self.switched_off(model, variant.effects))
         along = between(self.times, path.times, flat).T
         temperatures = {name: between(self.times, path.times, _column(value, path))[0] for name, value in _parts(path)}
-        return Course(model, states, along, PartTemperatures(**temperatures))
+        oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
+        states = np.ascontiguousarray(fine[:: self.finer])
+        return Course(model, states, along, PartTemperatures(**temperatures), fine, oil)
 
     def _coefficients(self, variant: Variant, model: Model | None = None) -> tuple[TemperaturePath, np.ndarray, Model]:
         """Temperature path, flat coefficients (m, n_c) at its knots, and the model that they are for."""
@@ -100,10 +110,12 @@ class Bench:
         knots = np.stack(np.broadcast_arrays(*flat), axis=-1).astype(float)
         return path, np.array(np.broadcast_to(knots, (len(path.times), knots.shape[-1]))), model
 
-    def coefficients_along(self, variant: Variant, model: Model) -> tuple:
-        """Flat coefficients of a model for a variant on the grid, (n,) or (1,) each."""
+    def coefficients_along(self, variant: Variant, model: Model, times: np.ndarray | None = None) -> tuple:
+        """Flat coefficients of a model for a variant on the grid (or at `times`), (n,) or (1,) each."""
         path, flat, _ = self._coefficients(variant, model)
-        return tuple(flat.T) if len(path.times) == 1 else tuple(between(self.times, path.times, flat))
+        if len(path.times) == 1:
+            return tuple(flat.T)
+        return tuple(between(self.times if times is None else times, path.times, flat))
 
     def switched_off(self, model: Model, active: Sequence[ActiveEffect]) -> np.ndarray:
         """True for each state of the model that is the memory of an effect which is not active."""
@@ -111,46 +123,48 @@ class Bench:
         off = [False] * (len(STATE_CHANNELS) + len(model.drive.memory))
         return np.array([*off, *(e.name not in given for e in model.effects for _ in e.memory)])
 
+    def reduced(self, course: Course, variant: Variant) -> tuple[Model, np.ndarray]:
+        """The model with a variant's own effects alone, and the indices of its states in the course's."""
+        active = {a.effect.name for a in variant.effects}
+        model = Model(course.model.drive, tuple(e for e in course.model.effects if e.name in active))
+        return model, np.flatnonzero(~self.switched_off(course.model, variant.effects))
+
     def readings(self, course: Course, variant: Variant) -> dict[str, np.ndarray]:
         """What the record's sensors would have read, (n_samples,) by channel, before noise and resolution."""
-        return self.sensed(self.outputs(course), course, variant)
+        return self.sensed(self.outputs(course, variant), course, variant)
 
-    def outputs(self, course: Course) -> dict[str, np.ndarray]:
-        """The record's output channels on the grid, (n,) each, as they are at the valve."""
+    def outputs(self, course: Course, variant: Variant) -> dict[str, np.ndarray]:
+        """The record's output channels on the fine grid, (n_f,) each, as they are at the valve."""
         names = self.record.outputs
         values = {
-            channel.name: course.states[:, k]
+            channel.name: course.fine[:, k]
             for k, channel in enumerate(course.model.state_channels)
             if channel.name in names
         }
-        if "body_temperature" in names:
-            values["body_temperature"] = course.parts.body
         if set(names) - set(values):
-            signals = course.model.signals(
-                tuple(course.states.T), Inputs(*self.inputs.T), tuple(course.coefficients.T)
-            )  # fmt: skip
+            model, own = self.reduced(course, variant)
+            along = self.coefficients_along(variant, model, self.fine_times)
+            signals = model.signals(tuple(course.fine[:, own].T), Inputs(*self.fine_inputs.T), along)
             for name in names:
                 if name not in values:
-                    values[name] = np.broadcast_to(getattr(signals, name), self.times.shape)
+                    values[name] = np.broadcast_to(getattr(signals, name), self.fine_times.shape)
         return values
 
     def sensed(self, values: dict[str, np.ndarray], course: Course, variant: Variant) -> dict[str, np.ndarray]:
-        """Channels on the grid, (n,) or columns (n, k), as their sensors give them at the record's samples."""
+        """Channels on the grid or on the fine grid, (n,) or columns (n, k), as their sensors give them at the samples."""
         read = {}
         for name, column in values.items():
             acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
             if self.lags.get(name, 0.0) > 0.0:
                 acting.append(CATALOGUE["sensor_lag"].on(name)(time_constant=self.lags[name]))
-            finer = UPSAMPLED if any(a.effect.name not in STATIC for a in acting) else 1
-            times, oil = self.times, course.parts.oil
-            if finer > 1:  # a fast lag must not take the samples for the corners of straight lines
+            fine = len(column) == len(self.fine_times)
+            if acting and not fine:
                 from scipy.interpolate import CubicSpline
 
-                times = np.linspace(0.0, self.times[-1], (len(self.times) - 1) * finer + 1)
-                column, oil = CubicSpline(self.times, column)(times), np.interp(times, self.times, oil)
+                column, fine = CubicSpline(self.times, column)(self.fine_times), True
             for active in acting:
-                column = _read(active, times, column, oil)
-            read[name] = column[:: self.refinement * finer]
+                column = _read(active, self.fine_times, column, course.oil)
+            read[name] = column[:: self.refinement * (self.finer if fine else 1)]
         return read
 
 
@@ -169,10 +183,17 @@ def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Ben
     refinement = int(np.ceil(step / FINEST - 1e-6)) if step <= SLOW else 1
     count = (len(record.time) - 1) * refinement + 1
     times = np.linspace(0.0, float(record.time[-1]), count)
+    finer = 1
+    if step <= SLOW:
+        finer = int(np.ceil(step / refinement / SENSOR_STEP - 1e-6)) if record.duration <= LONG else 2
+    fine_times = np.linspace(0.0, float(record.time[-1]), (count - 1) * finer + 1)
     commands = (scenario.command, *scenario.pressures())
     starts, intervals = merge(commands, scenario.duration)
-    values = [evaluate(command, times) for command in commands]
-    inputs = np.column_stack([values[0], np.gradient(values[0], times), *values[1:]])
+
+    def inputs(at: np.ndarray) -> np.ndarray:
+        values = [evaluate(command, at) for command in commands]
+        return np.column_stack([values[0], np.gradient(values[0], at), *values[1:]])
+
     sensors = session.sensors
     return Bench(
         record=record,
@@ -183,9 +204,12 @@ def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Ben
         path=temperature_knots(scenario)[0],
         times=times,
         refinement=refinement,
+        finer=finer,
+        fine_times=fine_times,
+        fine_inputs=inputs(fine_times),
         starts=starts,
         rows=intervals.rows,
-        inputs=inputs,
+        inputs=inputs(times),
     )
 
 
@@ -212,14 +236,14 @@ def _column(value: np.ndarray, path: TemperaturePath) -> np.ndarray:
 def _integrate(
     bench: Bench, compiled: CompiledModel, path: TemperaturePath, flat: np.ndarray, off: np.ndarray
 ) -> np.ndarray:
-    """States (n, n_x) in SI on the bench's grid."""
+    """States (n_f, n_x) in SI on the bench's fine grid."""
     y = _rest(bench, compiled, flat[0], off)
-    out = np.empty((len(bench.times), len(y)))
+    out = np.empty((len(bench.fine_times), len(y)))
     clock, count = np.array([0.0, 1e-5, 0.0]), np.zeros(2, dtype=np.int64)
     atol = np.where(off, np.inf, 1e-2 * TOLERANCE)
     end = float(bench.times[-1])
     status = compiled.run(
-        y, clock, end, bench.starts, bench.rows, path.times, flat, bench.times, out, TOLERANCE, atol, MAX_STEPS, count
+        y, clock, end, bench.starts, bench.rows, path.times, flat, bench.fine_times, out, TOLERANCE, atol, MAX_STEPS, count
     )
     if status or not np.isfinite(out[-1]).all():
         raise SolveError(

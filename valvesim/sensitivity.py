@@ -112,10 +112,10 @@ class Linearised:
         return np.einsum("ns,nsk->nk", self.slopes[name], answers) + direct
 
 
-def linearise(bench: Bench, course: Course, switched_off: np.ndarray, model: Model, along: tuple) -> Linearised:
-    """The equations along a course; states that are `switched_off` (memories of absent effects) take no part.
+def linearise(bench: Bench, course: Course, active: np.ndarray, model: Model, along: tuple) -> Linearised:
+    """The equations along a course, in its `active` states: memories of absent effects take no part.
 
-    `model` has the states that do take part, and `along` its flat coefficients on the grid.
+    `model` has those states, and `along` are its flat coefficients on the grid.
     """
     compiled = compile_model(course.model)
     scale = compiled.scale
@@ -124,7 +124,6 @@ def linearise(bench: Bench, course: Course, switched_off: np.ndarray, model: Mod
     compiled.jacobians(
         np.ascontiguousarray(course.states / scale), bench.inputs, np.ascontiguousarray(course.coefficients), A
     )
-    active = np.flatnonzero(~switched_off)
     A = np.ascontiguousarray(A[:, active][:, :, active])
     h = float(bench.times[1] - bench.times[0])
     E, early, late = (np.empty((n - 1, len(active), len(active))) for _ in range(3))

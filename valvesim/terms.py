@@ -9,6 +9,7 @@ Symbols
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 
 from .channels import Channel, State
 from .effects import Effect, Parameter, Ports, Situation
-from .errors import unknown_name
+from .errors import InputError, unknown_name
 from .laws import dahl_rate
 
 
@@ -38,11 +39,12 @@ class Port:
 
 @dataclass(frozen=True)
 class Variable:
-    """What a term may be a function of."""
+    """What a term may be a function of; `rate` is the state that is its rate of change, where its path is followed."""
 
     name: str
     unit: str
     scale: float
+    rate: str = ""
 
     def of(self, state: State, current: Any) -> Any:
         """Its value, in SI."""
@@ -65,13 +67,14 @@ VARIABLES = {
     variable.name: variable
     for variable in (
         Variable("current", "A", 1e-2),
-        Variable("armature_angle", "rad", 4e-4),
+        Variable("armature_angle", "rad", 4e-4, rate="armature_rate"),
         Variable("load_differential_pressure", "Pa", 1e6),
-        Variable("spool_position", "m", 4e-4),
+        Variable("spool_position", "m", 4e-4, rate="spool_velocity"),
         Variable("spool_velocity", "m/s", 0.1),
     )
 }
 NONE, LAG, PATH = "none", "lag", "path"  # what a term remembers: nothing, the variable of a while ago, its direction
+MEMORIES = (NONE, LAG, PATH)
 LAG_TIMES = (3e-3, 3e-2)  # s, at which lagged variables are looked for
 
 
@@ -104,7 +107,7 @@ def families() -> tuple[Family, ...]:
             found.append(Family(port, variable))
             if variable.name in ("current", "spool_position", "load_differential_pressure"):
                 found += [Family(port, variable, LAG, time) for time in LAG_TIMES]
-            if variable.name in ("spool_position", "armature_angle"):
+            if variable.rate:
                 found.append(Family(port, variable, PATH, width=0.1 * variable.scale))
     return tuple(found)
 
@@ -119,43 +122,52 @@ def term_effect(
     port: str, variable: str, knots: Sequence[float], values: Sequence[float], *, memory: str = NONE,
     time_constant: float = 0.0, width: float = 0.0, name: str = "recovered_term",
 ) -> Effect:  # fmt: skip
-    """An effect that adds w(variable) at a port, w given by `values` at `knots` (SI), straight in between.
+    """An effect that adds w(variable) at a port, w given by `values` at `knots` (SI, rising), straight in between.
 
-    `memory` is NONE, LAG (the variable through a first-order lag of `time_constant` s) or PATH (w times the direction of
-    the variable's path, which turns over `width`). Raises InputError for an unknown port or variable.
+    `memory` is NONE, LAG (the variable through a first-order lag of `time_constant` s) or PATH (w times the direction
+    of the variable's path, which turns over `width`, in the variable's unit). Knots and values, time constant and
+    width are parameters of the effect (at_1 .., value_1 .., time_constant, width), and these are their defaults: terms
+    that differ in figures alone are one compiled model.
+
+    Raises InputError for an unknown port, variable or memory, knots that do not rise or do not match the values, a lag
+    without its time, a path without its width, or the path of a variable that has none.
     """
-    if port not in PORTS:
-        raise unknown_name("port", port, PORTS)
-    if variable not in VARIABLES:
-        raise unknown_name("variable", variable, VARIABLES)
+    for what, given, known in (("port", port, PORTS), ("variable", variable, VARIABLES), ("memory", memory, MEMORIES)):
+        if given not in known:
+            raise unknown_name(what, given, known)
     place, argument = PORTS[port], VARIABLES[variable]
-    at = tuple(float(k) for k in knots)
-    largest = max(max(abs(float(v)) for v in values), 1e-30)
+    if memory == PATH and not argument.rate:
+        paths = ", ".join(v.name for v in VARIABLES.values() if v.rate)
+        raise InputError(f"term {name}: the path of {variable} has no memory here; choose one of {paths}")
+    at, w = np.asarray(knots, dtype=float), np.asarray(values, dtype=float)
+    if len(at) < 2 or len(at) != len(w) or not np.all(np.diff(at) > 0.0) or not np.all(np.isfinite([at, w])):
+        raise InputError(
+            f"term {name}: expected at least two knots, rising, with one value each, got {len(at)} knots {at} and "
+            f"{len(w)} values"
+        )
+    for figure, value, needed in (("time_constant", time_constant, memory == LAG), ("width", width, memory == PATH)):
+        if needed != (value > 0.0):
+            raise InputError(
+                f"term {name}: {figure} = {value:g} with memory = {memory!r}; a {LAG} needs its time_constant and a "
+                f"{PATH} its width, above zero, and no other has one"
+            )
+    reach, largest = 1e3 * float(np.max(np.abs(at))), 1e6 * max(float(np.max(np.abs(w))), 1e-30)
 
-    def parameter(k: int, value: float) -> Parameter:
-        return Parameter(
-            name=f"value_{k + 1}", unit=place.unit, doc=f"added at {variable} = {at[k]:.4g} {argument.unit}",
-            default=float(value), bounds=(-1e6 * largest, 1e6 * largest),
-        )  # fmt: skip
+    def figure(name: str, unit: str, doc: str, value: float, bounds: tuple[float, float]) -> Parameter:
+        return Parameter(name=name, unit=unit, doc=doc, default=float(value), bounds=bounds)
 
-    def balance(s: Situation, p: Any, state: tuple) -> tuple[Ports, tuple]:
-        u, rates = argument.of(s.state, s.coil_current), ()
-        direction: Any = 1.0
-        if memory == LAG:
-            (lagged,) = state
-            rates = ((u - lagged) / time_constant,)
-            u = lagged
-        if memory == PATH:
-            (direction,) = state
-            rate = s.state.spool_velocity if variable == "spool_position" else s.state.armature_rate
-            rates = (dahl_rate(rate, direction, width),)
-        w: Any = p.value_1
-        for k in range(len(at) - 1):  # each piece adds its rise
-            piece = np.minimum(np.maximum(u, at[k]), at[k + 1]) - at[k]
-            w = w + (getattr(p, f"value_{k + 2}") - getattr(p, f"value_{k + 1}")) / (at[k + 1] - at[k]) * piece
-        return place.ports(p.share * direction * w), rates
-
-    share = Parameter(name="share", unit="1", doc="of the term", default=0.0, bounds=(0.0, 10.0), neutral=0.0, typical=1.0)
+    places = [figure(f"at_{k + 1}", argument.unit, f"{variable} at knot {k + 1}", u, (-reach, reach))
+              for k, u in enumerate(at)]  # fmt: skip
+    heights = [figure(f"value_{k + 1}", place.unit, f"added at knot {k + 1}", v, (-largest, largest))
+               for k, v in enumerate(w)]  # fmt: skip
+    own = {
+        NONE: (),
+        LAG: (figure("time_constant", "s", f"of the lag of {variable}", time_constant, (1e-5, 1e3)),),
+        PATH: (figure("width", argument.unit, f"of the turning of {variable}'s path", width, (1e-9 * reach, reach)),),
+    }[memory]
+    share = Parameter(
+        name="share", unit="1", doc="of the term", default=0.0, bounds=(0.0, 10.0), neutral=0.0, typical=1.0
+    )
     states = {NONE: (), LAG: (Channel(f"{name}_lagged", argument.unit, f"{variable} lagged", argument.scale),),
               PATH: (Channel(f"{name}_direction", "1", f"direction of {variable}", 1.0),)}  # fmt: skip
     return Effect(
@@ -163,7 +175,32 @@ def term_effect(
         doc=f"a term recovered from measurements: w({variable}), straight between {len(at)} knots",
         location=place.doc,
         signature="none of the known causes",
-        parameters=(share, *(parameter(k, v) for k, v in enumerate(values))),
+        parameters=(share, *places, *heights, *own),
         memory=states[memory],
-        balance=balance,
+        balance=_balance(port, variable, memory, len(at)),
     )
+
+
+@functools.cache
+def _balance(port: str, variable: str, memory: str, count: int) -> Any:
+    """What the effects of all terms of one kind add: one function, so that they are one compiled model."""
+    place, argument = PORTS[port], VARIABLES[variable]
+
+    def balance(s: Situation, p: Any, state: tuple) -> tuple[Ports, tuple]:
+        u, rates, direction = argument.of(s.state, s.coil_current), (), 1.0
+        if memory == LAG:
+            (lagged,) = state
+            rates = ((u - lagged) / p.time_constant,)
+            u = lagged
+        if memory == PATH:
+            (direction,) = state
+            rates = (dahl_rate(getattr(s.state, argument.rate), direction, p.width),)
+        at = [getattr(p, f"at_{k + 1}") for k in range(count)]
+        height = [getattr(p, f"value_{k + 1}") for k in range(count)]
+        w: Any = height[0]
+        for k in range(count - 1):  # each piece adds its rise
+            piece = np.minimum(np.maximum(u, at[k]), at[k + 1]) - at[k]
+            w = w + (height[k + 1] - height[k]) / (at[k + 1] - at[k]) * piece
+        return place.ports(p.share * direction * w), rates
+
+    return balance

@@ -1,0 +1,154 @@
+"""The noise of a sensor: its colour from long series, its deviation in closed form, and whitening that leaves no colour."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from valvesim.noise import FEWEST_PER_LAG, MOST_LAGS, Noise, fit_noise, rounding
+
+AR2 = (1.2, -0.5)
+
+
+def coloured(lags, innovation=1.0, count=20_000, seed=0):
+    """Stationary noise of these lags: the first 2000 samples, which still know the start, are left out."""
+    white = np.random.default_rng(seed).normal(0.0, innovation, count + 2000)
+    return lfilter([1.0], [1.0, *(-a for a in lags)], white)[2000:]
+
+
+def found(*series, floor=0.0):
+    return fit_noise(series, verified=True, source="a test", floor=floor)
+
+
+def correlations(white, most=6):
+    white = white - white.mean()
+    return np.array([np.mean(white[k:] * white[: len(white) - k]) for k in range(1, most + 1)]) / np.mean(white**2)
+
+
+# ---------------------------------------------------------------- the fit
+
+
+@pytest.mark.parametrize("lags", [(0.9,), (-0.6,), AR2, (0.5, 0.0, 0.3)])
+def test_lags_and_innovation_of_a_long_series_are_recovered(lags):
+    noise = found(3.0 + coloured(lags, innovation=2e-6, seed=3))
+    assert len(noise.lags) == len(lags)
+    assert noise.lags == pytest.approx(lags, abs=0.03)  # about four standard deviations of an estimate
+    assert noise.innovation == pytest.approx(2e-6, rel=0.02)
+    assert (noise.verified, noise.source) == (True, "a test")
+
+
+def test_several_series_of_one_noise_are_fitted_together_each_about_its_own_mean():
+    series = [offset + coloured((0.8,), count=1500, seed=k) for k, offset in enumerate((-50.0, 0.0, 1000.0))]
+    noise = found(*series)
+    assert noise.lags == pytest.approx((0.8,), abs=0.04)
+    assert noise.innovation == pytest.approx(1.0, rel=0.05)
+
+
+def test_white_noise_is_seldom_taken_for_coloured():
+    orders = [len(found(np.random.default_rng(seed).normal(size=500)).lags) for seed in range(200)]
+    assert np.mean(np.array(orders) == 0) >= 0.93  # BIC errs in about 2 of 100
+    assert max(orders) <= 2
+
+
+def test_a_short_series_is_not_given_more_lags_than_it_can_tell():
+    short = coloured((0.0,) * 7 + (0.95,), count=5 * FEWEST_PER_LAG - 1, seed=2)
+    assert len(found(short).lags) <= 4
+    assert len(found(coloured((0.0,) * 7 + (0.95,), count=4000, seed=2)).lags) == MOST_LAGS == 8
+    assert found(np.array([1.0, 3.0])).lags == ()
+
+
+def test_lags_that_would_grow_are_pulled_in():
+    time = np.arange(2000)
+    growing = 1.004**time + 1e-3 * np.random.default_rng(0).normal(size=time.size)
+    for series in (growing, np.sin(0.1 * time) + 1e-4 * np.random.default_rng(1).normal(size=time.size)):
+        noise = found(series)
+        roots = np.abs(np.roots([1.0, *(-a for a in noise.lags)]))
+        assert len(roots) and roots.max() <= 0.995 + 1e-6
+        assert np.isfinite(noise.deviation)
+    assert np.abs(np.roots([1.0, *(-a for a in found(growing).lags)])).max() == pytest.approx(0.995, abs=1e-6)
+
+
+def test_lags_that_decay_are_left_as_they_are():
+    assert found(coloured((0.98,), seed=5)).lags[0] == pytest.approx(0.98, abs=0.01)
+
+
+# ---------------------------------------------------------------- the floor
+
+
+def test_the_floor_raises_the_deviation_and_keeps_the_colour():
+    series = coloured((0.8,), innovation=1e-3)
+    free, raised = found(series), found(series, floor=1.0)
+    assert raised.deviation == pytest.approx(1.0, rel=1e-9)
+    assert raised.lags == free.lags
+    assert found(series, floor=0.5 * free.deviation) == free
+
+
+def test_a_series_without_any_noise_has_the_floor_alone():
+    assert found(np.full(500, 2.0), floor=1e-6) == Noise(1e-6, (), True, "a test")
+
+
+# ---------------------------------------------------------------- deviation and whitening
+
+
+def test_the_stationary_deviation_is_the_closed_form():
+    assert Noise(0.3, (), True, "").deviation == 0.3
+    for a in (0.5, -0.9, 0.99):
+        assert Noise(0.3, (a,), True, "").deviation == pytest.approx(0.3 / np.sqrt(1.0 - a * a), rel=1e-9)
+    a, b = AR2
+    variance = (1.0 - b) / ((1.0 + b) * ((1.0 - b) ** 2 - a * a))
+    assert Noise(2.0, AR2, True, "").deviation == pytest.approx(2.0 * np.sqrt(variance), rel=1e-9)
+
+
+@pytest.mark.parametrize("lags", [(), (0.9,), AR2])
+def test_whitening_leaves_white_noise_of_unit_size(lags):
+    series = coloured(lags, innovation=5e-6, seed=7)
+    white = Noise(5e-6, lags, True, "").whiten(series[:, None], np.ones(len(series), dtype=bool))
+    assert white.shape == (len(series) - len(lags), 1)
+    assert np.std(white) == pytest.approx(1.0, abs=0.02)
+    assert np.abs(correlations(white[:, 0])).max() < 4.0 / np.sqrt(len(white))
+    if lags:
+        assert np.abs(correlations(series)).max() > 0.5
+
+
+def test_rows_that_touch_an_unusable_sample_are_dropped_and_no_others():
+    series = np.column_stack([coloured(AR2, count=60), coloured(AR2, count=60, seed=1)])
+    noise, usable = Noise(1.0, AR2, True, ""), np.ones(60, dtype=bool)
+    clean = noise.whiten(series, usable)
+    assert clean == pytest.approx(series[2:] - 1.2 * series[1:-1] + 0.5 * series[:-2])
+    spoiled, gone = series.copy(), [20, 40, 41, 59]
+    usable[gone], spoiled[gone] = False, 1e9
+    touched = {k + j for k in gone for j in range(3)}
+    keep = [k for k in range(2, 60) if k not in touched]
+    assert noise.whiten(spoiled, usable) == pytest.approx(clean[np.array(keep) - 2])
+
+
+def test_whitening_is_linear_so_that_answers_and_residual_stay_together():
+    rng, noise, usable = np.random.default_rng(0), Noise(0.1, AR2, True, ""), np.ones(200, dtype=bool)
+    r, s = rng.normal(size=(2, 200, 1))
+    together = noise.whiten(r - 3.0 * s, usable)
+    assert together == pytest.approx(noise.whiten(r, usable) - 3.0 * noise.whiten(s, usable))
+
+
+# ---------------------------------------------------------------- resolution
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 3.0])
+def test_rounding_of_dithered_readings_adds_a_twelfth_of_the_step_squared(share):
+    step = 2e-6
+    values = np.linspace(0.0, 1e-3, 50_000)
+    left = rounding(values, share * step, step, seed=4)
+    assert np.var(left) == pytest.approx((share * step) ** 2 + step**2 / 12.0, rel=0.03)
+
+
+def test_rounding_without_noise_stays_within_half_a_step_and_is_coloured_where_slow():
+    step, slow = 1e-6, np.linspace(0.0, 5e-5, 20_000)
+    left = rounding(slow, 0.0, step, seed=0)
+    assert np.abs(left).max() <= 0.5 * step * (1.0 + 1e-9)
+    assert np.var(left) == pytest.approx(step**2 / 12.0, rel=0.02)
+    assert correlations(left)[0] > 0.95
+    assert np.abs(correlations(rounding(slow, step, step, seed=0))).max() < 0.05
+
+
+def test_rounding_is_the_same_for_a_seed():
+    values = np.linspace(0.0, 1.0, 100)
+    assert np.array_equal(rounding(values, 0.1, 0.1, seed=1), rounding(values, 0.1, 0.1, seed=1))
+    assert not np.array_equal(rounding(values, 0.1, 0.1, seed=1), rounding(values, 0.1, 0.1, seed=2))
