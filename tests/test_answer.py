@@ -91,9 +91,10 @@ def test_the_file_holds_what_the_dictionary_does(tmp_path):
     assert "Prüfstand 3" in text and text.endswith("}\n")
 
 
-def test_the_dictionary_has_every_field_but_the_traces():
-    table = answer().to_dict()
-    assert set(table) == {f.name for f in dataclasses.fields(Diagnosis)} - {"traces"}
+def test_the_dictionary_has_every_field_but_traces_and_what_only_python_can_use():
+    table = answer(extended_variant=object()).to_dict()
+    assert set(table) == {f.name for f in dataclasses.fields(Diagnosis)} - {"traces", "extended_variant"}
+    assert set(table["next_test"]) == {f.name for f in dataclasses.fields(NextTest)} - {"inputs"}
     assert table["verdict"] == "cause" and table["causes"] == ["spool_coulomb_friction"]
     assert table["candidates"][0]["same_as"] == ["spool_silting"]
     assert table["parameters"][0] == {

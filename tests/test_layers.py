@@ -13,10 +13,10 @@ PACKAGE = Path(valvesim.__file__).parent
 PICTURES = ("report", "report_response", "report_bench", "report_paper", "report_datasheet", "report_diagnosis")
 ORDER = (
     "errors", "units", "figures", "channels", "laws", "fluid", "parameters", "flow_laws", "effects", "catalogue",
-    "model", "static", "reproduce", "files", "commands", "thermal", "rosenbrock", "compiled", "scenario", "simulate",
-    "drift", "response", "bench", "linear", "datasheet", "session", "prediction", "sensitivity", "noise",
-    "evidence", "hypotheses", "study", "terms", "scene", "diagnosis",
-    "answer", *PICTURES, "cli",
+    "model", "static", "reproduce", "files", "commands", "thermal", "rosenbrock", "compiled", "user_effects",
+    "scenario", "simulate", "drift", "response", "bench", "linear", "datasheet", "session", "prediction", "sensitivity",
+    "noise", "evidence", "hypotheses", "study", "terms", "extension", "scene", "answer", "recovery", "next_test",
+    "diagnosis", *PICTURES, "cli",
 )  # fmt: skip
 HEAVY = {"matplotlib", "control", "xarray", "casadi", "pint", "numba", "netCDF4"}
 

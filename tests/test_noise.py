@@ -1,4 +1,4 @@
-"""The noise of a sensor: its colour from long series, its deviation in closed form, and whitening that leaves no colour."""
+"""The noise of a sensor: its colour from long series, its deviation in closed form, whitening that leaves no colour."""
 
 import numpy as np
 import pytest

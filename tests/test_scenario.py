@@ -434,7 +434,7 @@ WRONG = {
         "[outputs]\nchannels = 3\n",
         "line 5: outputs.channels: expected a list of channel names, got 3",
     ),
-    "repeated section": ('[[valve]]\nnull_gap = "1 mm"\n', "case.toml: valve: expected a table, got"),
+    "repeated section": ('[[valve]]\nnull_gap = "1 mm"\n', "case.toml, line 4: valve: expected a table, got"),
     "two drives": (
         '[command.voltage]\nconstant = "1 V"\n',
         "command: give either [command.current] or [command.voltage]",

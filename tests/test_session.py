@@ -1,7 +1,6 @@
 """A measured session: read strictly, audited, split into training and locked records, made into scenarios."""
 
 import dataclasses
-import os
 import re
 
 import numpy as np
@@ -12,7 +11,7 @@ from valvesim.commands import Constant, Table, evaluate
 from valvesim.errors import InputError
 from valvesim.model import CurrentDrive, VoltageDrive
 from valvesim.scenario import Thermal
-from valvesim.session import INPUTS, OUTPUTS, Record, Sensor, load_effects, load_session, record_scenario
+from valvesim.session import INPUTS, OUTPUTS, Record, Sensor, load_session, record_scenario
 from valvesim.simulate import simulate
 
 TIME = np.arange(200) / 1e3
@@ -199,7 +198,7 @@ def test_a_session_file_that_cannot_be_read_is_refused(session, tmp_path):
 @pytest.mark.parametrize(
     "toml, message",
     [
-        ("\nsed = 1", ", line 2: unknown key 'sed'; did you mean 'seed'?"),
+        ("\nsed = 1", ", line 2: session: unknown key 'sed'; did you mean 'seed'?"),
         ("valve = 1", ", line 1: valve: expected a table, got 1"),
         ("title = 1", ", line 1: title: expected text, got 1"),
         ("seed = 1.5", ", line 1: seed: expected a whole number, 0 or more, got 1.5"),
@@ -269,39 +268,6 @@ def test_a_session_of_test_records_alone_is_refused(session):
 
 
 # ---------------------------------------------------------------- a user's effects
-
-
-def test_a_users_effects_are_loaded_in_order_and_leave_nothing_behind(tmp_path):
-    more = EFFECT + "\nfriction = vs.effect('spool_coulomb_friction')\nalias = own\n"
-    more += "import dataclasses\nother = dataclasses.replace(friction, name='other')\n"
-    (tmp_path / "own.py").write_text(more, encoding="utf-8")
-    assert [effect.name for effect in load_effects(tmp_path / "own.py")] == ["side_load", "other"]
-    assert os.listdir(tmp_path) == ["own.py"]
-
-
-@pytest.mark.parametrize(
-    "content, message",
-    [
-        ("a = 1\nb = (\n", ", line 2: fails with SyntaxError"),
-        ("a = 1\n\nb = a / 0\n", ", line 3: fails with ZeroDivisionError: division by zero"),
-        ("def f():\n    raise SystemExit(3)\nf()", ", line 2: fails with SystemExit: 3"),
-        ("\nopen('/no/such/file')", ", line 2: fails with FileNotFoundError"),
-        ("import no_such_module", ", line 1: fails with ModuleNotFoundError"),
-        ("import valvesim as vs\na = vs.effect('spool_coulomb_friction')", ": declares no effect; expected"),
-        (EFFECT.replace("side_load", "entrained_air"), ": effect 'entrained_air' is in the catalogue already"),
-        (EFFECT + EFFECT.replace("own", "other"), ": two effects are called 'side_load'"),
-        (EFFECT.replace(", neutral=0.0", ""), ": effect side_load has no parameter with a neutral value"),
-    ],
-)
-def test_a_users_file_that_fails_is_refused_with_its_line(tmp_path, content, message):
-    path = tmp_path / "own.py"
-    path.write_text(content, encoding="utf-8")
-    assert refused(load_effects, path).startswith(f"{path}{message}")
-
-
-def test_a_users_file_that_is_no_text_is_refused(tmp_path):
-    (tmp_path / "own.py").write_bytes(b"\xff\xfe")
-    assert "fails with UnicodeDecodeError" in refused(load_effects, tmp_path / "own.py")
 
 
 def test_two_files_with_one_effect_are_refused(session, tmp_path):

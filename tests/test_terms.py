@@ -7,10 +7,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from valvesim.channels import Inputs, State
+from valvesim.compiled import source
 from valvesim.effects import Effect, Ports, Situation
 from valvesim.errors import InputError
 from valvesim.laws import dahl_rate
-from valvesim.model import Model
+from valvesim.model import AT_20, Model
+from valvesim.parameters import Valve
 from valvesim.terms import LAG, LAG_TIMES, NONE, PATH, PORTS, VARIABLES, Family, families, hats, term_effect
 
 KNOTS = (-2.0, -0.5, 1.0, 3.0)
@@ -131,14 +133,10 @@ def test_a_term_runs_in_the_model_as_a_constant_force_would():
     term = term_effect("spool_force", "spool_position", scaled("spool_position"), (force,) * 4, name="my_term")
     model = Model(effects=(term,))
     assert isinstance(term, Effect) and term.name == "my_term"
-    import valvesim as vs
-
-    valve = vs.reference_valve()
     state, inputs = (1e-4, 0.1, 7.2e6, 7.0e6, 1e-4, 0.01), (1e-3, 0.0, 21e6, 0.5e6, 0.0)
-    c = valve.at(20.0)
-    parts = vs.PartTemperatures.uniform(20.0) if hasattr(vs, "PartTemperatures") else None
-    with_term = model.rhs(state, inputs, model.flat_coefficients(c, [at_full(term)], parts))
-    without = Model().rhs(state, inputs, Model().flat_coefficients(c, [], parts))
+    c = Valve().at(AT_20)
+    with_term = model.rhs(state, inputs, model.flat_coefficients(c, [at_full(term)]))
+    without = Model().rhs(state, inputs, Model().flat_coefficients(c, []))
     differs = [k for k in range(6) if with_term[k] != without[k]]
     assert differs == [5]
     assert with_term[5] - without[5] == pytest.approx(force / c.spool_mass)
@@ -149,6 +147,41 @@ def test_unknown_places_and_variables_are_refused_with_the_nearest():
         term_effect("spool_forc", "current", KNOTS, VALUES)
     with pytest.raises(InputError, match="variable.*spool_speed.*spool_"):
         term_effect("spool_force", "spool_speed", KNOTS, VALUES)
+
+
+@pytest.mark.parametrize(
+    "changed, says",
+    [
+        ({"memory": "lga"}, "memory.*lga.*lag"),
+        ({"knots": (-2.0, 1.0, -0.5, 3.0)}, "rising"),
+        ({"knots": (-2.0, 1.0, 1.0, 3.0)}, "rising"),
+        ({"knots": KNOTS[:3]}, "3 knots.*4 values"),
+        ({"knots": KNOTS[:1], "values": VALUES[:1]}, "at least two knots"),
+        ({"values": (1.0, np.nan, 0.0, 0.0)}, "knots"),
+        ({"memory": LAG}, "time_constant = 0.*lag"),
+        ({"memory": LAG, "time_constant": -1e-3}, "time_constant = -0.001"),
+        ({"memory": PATH, "variable": "spool_position"}, "width = 0.*path"),
+        ({"time_constant": 1e-3}, "time_constant = 0.001.*none"),
+        ({"width": 1e-3}, "width = 0.001.*none"),
+        ({"memory": PATH, "width": 1e-3}, "current has no memory.*armature_angle, spool_position"),
+    ],
+)
+def test_a_term_that_makes_no_sense_is_refused_with_the_reason(changed, says):
+    given = {"port": "spool_force", "variable": "current", "knots": KNOTS, "values": VALUES} | changed
+    with pytest.raises(InputError, match=f"(?s){says}"):
+        term_effect(**given)
+
+
+@pytest.mark.parametrize("memory", [{}, {"memory": LAG, "time_constant": 1e-3}, {"memory": PATH, "width": 1e-5}])
+def test_terms_that_differ_in_figures_alone_are_one_compiled_model(memory):
+    other = {name: figure if name == "memory" else 3.0 * figure for name, figure in memory.items()}
+    one, same = (
+        term_effect("spool_force", "spool_position", scaled("spool_position", share), VALUES[::way], **figures)
+        for share, way, figures in ((1.0, 1, memory), (0.5, -1, other))
+    )
+    assert source(Model(effects=(one,))) == source(Model(effects=(same,)))
+    elsewhere = term_effect("armature_torque", "spool_position", scaled("spool_position"), VALUES, **memory)
+    assert source(Model(effects=(elsewhere,))) != source(Model(effects=(one,)))
 
 
 # ---------------------------------------------------------------- families

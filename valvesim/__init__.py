@@ -6,6 +6,7 @@ valve = vs.reference_valve()
 vs.static_solution(valve, current=1e-3, temperature=20.0).spool_position     # m
 result = vs.simulate(vs.load_scenario("scenarios/launch_shock.toml"))
 result["spool_position"]                                                     # over time, with its unit
+vs.diagnose("my_session").summary                                            # what measured records show of its errors
 """
 
 from .catalogue import CATALOGUE, effect
@@ -21,6 +22,18 @@ from .simulate import Result, simulate, simulate_batch
 from .static import StaticSolution, static_solution, tad_polynomial
 from .thermal import ThermalNetwork, temperature_path
 
+_DIAGNOSIS = ("Diagnosis", "diagnose", "load_session")
+
+
+def __getattr__(name: str):
+    """What a diagnosis needs is loaded when it is asked for: a simulation starts without it."""
+    if name not in _DIAGNOSIS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from . import answer, diagnosis, session
+
+    return getattr({"Diagnosis": answer, "diagnose": diagnosis, "load_session": session}[name], name)
+
+
 __all__ = [
     "ActiveEffect",
     "CATALOGUE",
@@ -28,6 +41,7 @@ __all__ = [
     "Coefficients",
     "Constant",
     "CurrentDrive",
+    "Diagnosis",
     "Effect",
     "InputError",
     "MIL_PRF_5606",
@@ -58,8 +72,10 @@ __all__ = [
     "YH12_PAPER",
     "compile_model",
     "derivatives",
+    "diagnose",
     "effect",
     "load_scenario",
+    "load_session",
     "reference_valve",
     "simulate",
     "simulate_batch",

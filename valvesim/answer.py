@@ -1,10 +1,10 @@
-"""The answer of a diagnosis: verdict, causes, candidates, estimates, gain, limits and next test, as data and as JSON."""
+"""The answer of a diagnosis: verdict, causes, candidates, estimates, gain, limits and next test, as data and JSON."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +48,8 @@ class CandidateAnswer:
 class Gain:
     """What the extension gains on one locked record: root mean square errors in units of the noise, over all channels.
 
-    `change` is after minus before of the mean square, with its 95 % interval; `claimed` where that excludes zero and the
-    gain is worth having.
+    `change` is after minus before of the mean square, with its 95 % interval; `claimed` where that is below
+    zero.
     """
 
     record: str
@@ -75,7 +75,11 @@ class DetectionLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class NextTest:
-    """The cheapest further test that tells candidates apart, and how surely (power at 1 % error)."""
+    """The cheapest further test that tells candidates apart, and how surely (power at 1 % error).
+
+    `inputs` are its columns (n,) in SI, temperatures in °C: time, current or voltage, oil_temperature, supply_pressure,
+    load_pressure. JSON leaves them out.
+    """
 
     description: str
     settings: dict[str, str]
@@ -84,6 +88,7 @@ class NextTest:
     distance: float
     power: float
     alternatives: tuple[str, ...] = ()
+    inputs: dict[str, np.ndarray] = field(default_factory=dict, compare=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,17 +178,28 @@ class Diagnosis:
     notes: tuple[str, ...]
     traces: tuple[Trace, ...]
     extended_scenario: str  # the text of a scenario file
+    extended_effects: dict[str, str] = dataclasses.field(default_factory=dict)  # Python files that it names, by name
+    extended_variant: Any = None  # the valve and its effects: prediction.Variant
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the traces, ready for JSON."""
-        table = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "traces"}
+        left_out = ("traces", "extended_variant", "extended_effects")
+        names = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
+        table = {name: getattr(self, name) for name in names}
         table["extended_scenario"] = "extended.toml"
-        return _plain(table)
+        plain = _plain(table)
+        if plain["next_test"] is not None:
+            del plain["next_test"]["inputs"]
+        return plain
 
     def to_json(self, path: str | Path) -> Path:
         """Write `diagnosis.json`."""
         text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8") and None)
+
+        def write(temporary: Path) -> None:
+            temporary.write_text(text, encoding="utf-8")
+
+        return write_atomically(Path(path), write)
 
 
 def _plain(value: Any) -> Any:

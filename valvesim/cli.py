@@ -1,4 +1,4 @@
-"""The command line: `valvesim run | static | response | bench | datasheet | ...`.
+"""The command line: `valvesim run | static | response | bench | datasheet | diagnose | ...`.
 
 Exit codes: 0 done, 1 a solve failed, 2 the input is wrong. Tables go to standard output, all else to standard error.
 """
@@ -11,8 +11,11 @@ import gc
 import io
 import json
 import multiprocessing
+import os
 import pickle
+import shutil
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -319,6 +322,125 @@ def reproduce(output: Path, seed: int, starts: int | None) -> None:
             progress=lambda text, share: bar.update(stage, description=text, completed=share),
         )  # fmt: skip
     _print_written([page])
+
+
+@cli.command()
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("results/diagnosis"), show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), help="Of all draws, in place of the session's own [0].")
+@click.option(
+    "--effects", "own", multiple=True, type=click.Path(path_type=Path), help="A Python file of your own effects."
+)
+def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...]) -> None:
+    """What the simulation gets wrong in a measured SESSION: cause, extended model, gain on locked records.
+
+    Writes diagnosis.json, report.html with its pictures, extended.toml (a scenario for `valvesim run`) and, where one
+    helps, the next test as next_test.csv: all of them, or nothing.
+    """
+    with _all_or_nothing(output, _ANSWER) as folder, _progress() as bar:
+        stage = bar.add_task("reading", total=1.0)
+        from .diagnosis import diagnose as find  # half a second with all that it needs
+        from .session import load_session
+
+        found = find(
+            load_session(session, seed=seed, effects=own),
+            progress=lambda text, share: bar.update(stage, description=text, completed=share),
+        )
+        bar.update(stage, description="drawing", total=None)
+        names = [path.name for path in _write_diagnosis(found, folder)]
+    _print_diagnosis(found)
+    _print_written([output / name for name in names])
+
+
+_ANSWER = (
+    "diagnosis.json", "report.html", "extended.toml", "recovered_term.py", "next_test.csv", "errors.png", "traces.png",
+    "scores.png", "gain.png", "term.png",
+)  # fmt: skip
+"""All that a diagnosis may write; what an earlier one left in the folder goes with the answer that it belonged to."""
+
+
+def _write_diagnosis(found: Any, folder: Path) -> list[Path]:
+    from .report_diagnosis import write_report
+
+    texts = {"extended.toml": found.extended_scenario, **getattr(found, "extended_effects", {})}
+    if found.next_test is not None and found.next_test.inputs:
+        texts["next_test.csv"] = _columns_text(found.next_test.inputs)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    written = [found.to_json(folder / "diagnosis.json"), *(folder / name for name in texts)]
+    return [*written, *write_report(found, folder)]
+
+
+def _columns_text(columns: dict[str, Any]) -> str:
+    """A CSV of inputs over time, as a session reads it: `name [unit]` over figures as people read them."""
+    from .session import UNITS
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    shown = {name: DISPLAY.get(UNITS[name], (UNITS[name], 1.0)) for name in columns}
+    writer.writerow(f"{name} [{unit}]" for name, (unit, _) in shown.items())
+    scaled = [[f"{value * shown[name][1]:.9g}" for value in values] for name, values in columns.items()]
+    writer.writerows(zip(*scaled, strict=True))
+    return text.getvalue()
+
+
+def _print_diagnosis(found: Any) -> None:
+    """Verdict, causes with their figures, next test and gain, a line each."""
+    console = _console()
+    console.print(f"[bold]{found.verdict.replace('_', ' ')}[/bold]: {escape(found.summary)}")
+    if found.location:
+        console.print(escape(f"where: {found.location}"))
+    for e in found.parameters:
+        unit, factor = DISPLAY.get(e.unit, (e.unit, 1.0))
+        value, low, high = (f"{figure * factor:.4g}" for figure in (e.value, e.low, e.high))
+        console.print(escape(f"  {e.cause}: {e.name} = {value} {symbol(unit)} (95 %: {low} to {high})"))
+    if found.term is not None:
+        term = f"{found.term.port} as a function of {found.term.variable}".replace("_", " ")
+        formula = f": {found.term.formula}" if found.term.formula else ""
+        console.print(escape(f"missing term: {term}{formula}"))
+    if len(found.candidates) > 1 and found.verdict in ("ambiguous", "unknown"):
+        ranked = ", ".join(f"{c.label} {c.probability:.0%}" for c in found.candidates[:4])
+        console.print(escape(f"candidates: {ranked}"))
+    if (test := found.next_test) is not None:
+        power = f"tells {' from '.join(test.separates)} apart with {test.power:.0%}"
+        console.print(escape(f"next test, {test.duration:g} s: {test.description}; {power}"))
+    for g in found.gain:
+        told = "" if g.claimed else ", not claimed"
+        console.print(escape(f"gain on {g.record}: error {g.before:.3g} -> {g.after:.3g} (noise {g.floor:.3g}){told}"))
+
+
+@contextlib.contextmanager
+def _all_or_nothing(folder: Path, names: Sequence[str]) -> Iterator[Path]:
+    """A folder beside `folder` to write in; at the end its files move there, and no others of `names` stay there.
+
+    Whatever happens before, `folder` is as it was, and no folder is left that was made for it. Raises InputError where
+    that cannot be.
+    """
+    folder = folder.absolute()
+    missing = [parent for parent in folder.parents if not parent.exists()]
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise FileExistsError("it is a file")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{folder}: cannot be written ({error})") from None
+    try:
+        yield temporary
+        try:
+            folder.mkdir(exist_ok=True)
+            written = {path.name for path in temporary.iterdir()}
+            for name in sorted(written):
+                os.replace(temporary / name, folder / name)
+            for name in set(names) - written:
+                (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written ({error})") from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        for parent in missing:  # innermost first; only empty ones go
+            with contextlib.suppress(OSError):
+                parent.rmdir()
 
 
 def _print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

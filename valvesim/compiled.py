@@ -227,7 +227,8 @@ def _package_text() -> str:
     folder = Path(__file__).parent
     versions = [version("numba"), version("casadi"), version("numpy"), sys.version]
     names = (
-        "catalogue", "channels", "commands", "compiled", "effects", "fluid", "laws", "model", "parameters", "rosenbrock",
+        "catalogue", "channels", "commands", "compiled", "effects", "fluid", "laws", "model", "parameters",
+        "rosenbrock",
     )  # fmt: skip
     return "\n".join([*versions, *((folder / f"{name}.py").read_text(encoding="utf-8") for name in names)])
 

@@ -8,7 +8,7 @@ A cause is named only where nothing else explains the data nearly as well and no
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -32,14 +32,16 @@ from .answer import (
     Trace,
 )
 from .channels import SIGNAL_CHANNELS, STATE_CHANNELS
-from .errors import InputError, SolveError
+from .extension import effect_files, scenario_text
 from .hypotheses import Candidate
+from .next_test import design
 from .prediction import Variant, prepare
-from .scene import Scene, look, own_step
+from .recovery import recover
+from .scene import NOISE_ERROR, Scene, look, own_step
 from .session import Record, Session, load_session
-from .study import BaseFit, Extra, Fit, Study, each, evaluate, fit_base, prepare_study, refit, residual_of
+from .study import BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit, residual_of
 
-ALARM = 0.01  # probability of an alarm where nothing is hidden, of candidates and of free terms each
+ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 SINGLES, PAIRS = 5, 3  # how many are refitted
 PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
@@ -103,7 +105,16 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
 def _alarm(scene: Scene) -> tuple[bool, float]:
     """Whether anything shows, and the level that the candidates' z had to pass."""
     level = scene.level(ALARM)
-    return bool(scene.z().max(initial=0.0) > level or _worst_family(scene) < ALARM), level
+    shows = scene.z().max(initial=0.0) > level or _worst_family(scene) < TERM_ALARM
+    return bool(shows or _leftover(scene.fit, scene.study)), level
+
+
+def _leftover(fit: Fit, study: Study) -> bool:
+    """Whether a fit leaves more than the noise, beyond what the noise's own estimate may be off."""
+    if not all(noise.verified for noise in study.noise.values()):
+        return False  # there the noise is what a fit leaves
+    rows = len(fit.residual)
+    return bool(fit.deviance - rows > NOISE_ERROR * rows + 5.0 * np.sqrt(2.0 * rows))
 
 
 def _worst_family(scene: Scene) -> float:
@@ -169,19 +180,25 @@ def _starts(scene: Scene, level: float) -> list[tuple[Extra, ...]]:
         if fall[k] >= worth and family not in seen:
             seen.add(family)
             singles.append(k)
-    starts = [(_extra(scene, k, projected.score[k] / projected.overlap[k, k]),) for k in singles[:SINGLES]]
+    starts: list[tuple[Extra, ...]] = [
+        (_extra(scene, k, projected.score[k] / projected.overlap[k, k]),) for k in singles[:SINGLES]
+    ]
     pairs = []
     visible = [k for k in range(q) if scene.visible()[k]]
     for i, j in combinations(visible, 2):
-        if scene.candidates[i].name == scene.candidates[j].name and scene.candidates[i].effect is not None and (
-            not scene.candidates[i].effect.channel  # type: ignore[union-attr]
-            or scene.candidates[i].effect.channel == scene.candidates[j].effect.channel  # type: ignore[union-attr]
+        if (
+            scene.candidates[i].name == scene.candidates[j].name
+            and scene.candidates[i].effect is not None
+            and (
+                not scene.candidates[i].effect.channel  # type: ignore[union-attr]
+                or scene.candidates[i].effect.channel == scene.candidates[j].effect.channel  # type: ignore[union-attr]
+            )
         ):
             continue
-        O = projected.overlap[np.ix_([i, j], [i, j])]
-        if abs(O[0, 1]) > 0.97 * np.sqrt(O[0, 0] * O[1, 1]):
+        both = projected.overlap[np.ix_([i, j], [i, j])]
+        if abs(both[0, 1]) > 0.97 * np.sqrt(both[0, 0] * both[1, 1]):
             continue
-        a = np.linalg.solve(O, projected.score[[i, j]])
+        a = np.linalg.solve(both, projected.score[[i, j]])
         if any(scene.candidates[k].one_sided and v < 0.0 for k, v in zip((i, j), a, strict=True)):
             continue
         pairs.append((float(a @ projected.score[[i, j]]), i, j, a))
@@ -206,9 +223,7 @@ def _extra(scene: Scene, k: int, amount: float) -> Extra:
     return Extra(candidate, float(np.clip(amount * scene.sizes[k], 0.9 * low, 0.9 * high)), shapes)
 
 
-def _with_more(
-    base: BaseFit, scene: Scene, final: Scene, found: list[Explained]
-) -> tuple[list[Explained], Scene]:
+def _with_more(base: BaseFit, scene: Scene, final: Scene, found: list[Explained]) -> tuple[list[Explained], Scene]:
     """The found with a further effect each time one shows in what the best leaves: up to three in all."""
     while len(final.fit.extras) < 3:
         z, level = final.z(), final.level(ALARM)
@@ -240,10 +255,10 @@ def _quiet(base: BaseFit, final: Scene) -> bool:
     allowance = LEFT_SHARE * gained
     tests = [(value - allowance, freedom) for value, freedom in final.family_tests() if freedom]
     least = min((float(chi2.sf(max(value, 0.0), freedom)) for value, freedom in tests), default=1.0)
-    families_quiet = least * max(len(tests), 1) > ALARM
+    families_quiet = least * max(len(tests), 1) > TERM_ALARM
     wander, freedom = final.constancy()
     constant = freedom == 0 or float(chi2.sf(max(wander - allowance, 0.0), freedom)) > 1e-3
-    return families_quiet and constant
+    return families_quiet and constant and not _leftover(final.fit, base.study)
 
 
 # ---------------------------------------------------------------- the answer
@@ -260,20 +275,28 @@ def _answer(
     term: Term | None = None
     notes = list(session.notes)
     if any(not noise.verified for noise in study.noise.values()):
-        notes.append("noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it")
+        notes.append(
+            "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
+        )
     if _hopeless(base, chosen):
         verdict, in_set = UNKNOWN, []
-        notes.insert(0, "the base model cannot come near these records: are they of this valve, with these units and signs?")
+        notes.insert(
+            0, "the base model cannot come near these records: are they of this valve, with these units and signs?"
+        )
     named = best if verdict in (CAUSE, AMBIGUOUS) else None
-    extended = chosen if verdict in (CAUSE, AMBIGUOUS) else base.fit
+    variant, readings, point = base.fit.variant(study.base), base.fit.readings, base.fit.point
+    if named is not None:
+        variant, readings, point = chosen.variant(study.base), chosen.readings, chosen.point
+    elif verdict == UNKNOWN and not _hopeless(base, chosen) and (recovered := recover(base, scene)) is not None:
+        term, variant, readings, point = recovered.term, recovered.variant, recovered.readings, recovered.point
     causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
     estimates = _estimates(base, final) if named is not None else ()
-    gain, claimed, traces = _gain(base, extended)
+    gain, claimed, traces = _gain(base, variant, readings)
     return Diagnosis(
         title=session.title,
         verdict=verdict,
         causes=causes,
-        summary=_summary(verdict, in_set, estimates, notes),
+        summary=_summary(verdict, in_set, term, notes),
         location=_location(verdict, in_set),
         candidates=tuple(answers),
         parameters=estimates,
@@ -282,7 +305,7 @@ def _answer(
         detection_limits=_limits(scene, level),
         next_test=_next(base, in_set) if verdict == AMBIGUOUS else None,
         term=term,
-        shifts=_shifts(study, extended.point),
+        shifts=_shifts(study, point),
         noise=tuple(
             NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=UNITS[channel], order=len(n.lags),
                        verified=n.verified, source=n.source)
@@ -293,7 +316,9 @@ def _answer(
         errors=_errors(base),
         notes=tuple(notes),
         traces=traces,
-        extended_scenario=scenario_text(session, extended.variant(study.base)),
+        extended_scenario=scenario_text(session, variant),
+        extended_effects=effect_files(session, variant),
+        extended_variant=variant,
     )  # fmt: skip
 
 
@@ -385,7 +410,11 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
             value = parameter.nominal + fit.point[j] * parameter.deviation + extra.excess
             deviation = deviation_of(combine)
             low, high = value - 1.96 * deviation, value + 1.96 * deviation
-            found.append(Estimate(name=parameter.name, cause=candidate.name, value=value, low=low, high=high, unit=parameter.unit))
+            found.append(
+                Estimate(
+                    name=parameter.name, cause=candidate.name, value=value, low=low, high=high, unit=parameter.unit
+                )
+            )
             continue
         effect = candidate.effect
         if shape:
@@ -396,7 +425,12 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
         else:
             declared = effect.amplitude
             value = (declared.neutral or 0.0) + extra.excess
-            spread = abs(own_step(extra)) * deviation_of(np.eye(len(at))[p + k])
+            combine = own_step(extra) * np.eye(len(at))[p + k]
+            if candidate.family in names:  # the sensor's error within tolerance is the same error: their sum is known
+                j = names.index(candidate.family)
+                combine[j] = base.study.base.parameters[j].deviation
+                value += fit.point[j] * combine[j]
+            spread = deviation_of(combine)
             low, high = value - 1.96 * spread, value + 1.96 * spread
         low, high = max(low, declared.bounds[0]), min(high, declared.bounds[1])
         found.append(
@@ -412,16 +446,28 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
     return tuple(found)
 
 
-def _summary(verdict: str, in_set: Sequence[Explained], estimates: Sequence[Estimate], notes: Sequence[str]) -> str:
+def _summary(verdict: str, in_set: Sequence[Explained], term: Term | None, notes: Sequence[str]) -> str:
     if verdict == NO_DISCREPANCY:
         return "No discrepancy: the model explains the records within their noise and its own tolerances."
     if verdict == CAUSE:
-        return "The cause is " + " with ".join(c.family for c in in_set[0].candidates) + "."
+        return f"The cause is {_said(in_set[0])}."
     if verdict == AMBIGUOUS:
-        return "Something is wrong, and these cannot be told apart: " + "; ".join(one.label for one in in_set) + "."
+        return "Something is wrong, and these cannot be told apart: " + "; ".join(map(_said, in_set)) + "."
     if notes and notes[0].startswith("the base model cannot"):
-        return "Nothing is named: " + notes[0] + "."
-    return "Something is wrong that none of the known causes explains."
+        return f"Nothing is named: {notes[0]}"
+    if term is None:
+        return "Something is wrong that none of the known causes explains."
+    return (
+        "Something is wrong that none of the known causes explains; it acts like a term in the "
+        f"{term.port.replace('_', ' ')} that depends on the {term.variable.replace('_', ' ')}."
+    )
+
+
+def _said(one: Explained) -> str:
+    """A hypothesis in words: `sensor_bias@load_flow` as "sensor bias of load flow"."""
+    return " together with ".join(
+        c.family.replace("parameter:", "the figure of ").replace("@", " of ").replace("_", " ") for c in one.candidates
+    )
 
 
 def _location(verdict: str, in_set: Sequence[Explained]) -> str:
@@ -440,7 +486,9 @@ def _limits(scene: Scene, level: float) -> tuple[DetectionLimit, ...]:
         amplitude = None
         if visible[k]:
             amplitude = float((level + 1.2816) / distance[k] * abs(scene.sizes[k]))
-        one = DetectionLimit(name=candidate.name, label=candidate.family, parameter=name, amplitude=amplitude, unit=candidate.unit)
+        one = DetectionLimit(
+            name=candidate.name, label=candidate.family, parameter=name, amplitude=amplitude, unit=candidate.unit
+        )
         old = best.get(candidate.family)
         if old is None or old.amplitude is None or (amplitude is not None and amplitude < old.amplitude):
             best[candidate.family] = one
@@ -449,7 +497,13 @@ def _limits(scene: Scene, level: float) -> tuple[DetectionLimit, ...]:
 
 def _shifts(study: Study, point: np.ndarray) -> tuple[Shift, ...]:
     shifts = [
-        Shift(name=p.name, unit=p.unit, nominal=p.nominal, value=float(p.nominal + t * p.deviation), share_of_tolerance=float(t / 2.0))
+        Shift(
+            name=p.name,
+            unit=p.unit,
+            nominal=p.nominal,
+            value=float(p.nominal + t * p.deviation),
+            share_of_tolerance=float(t / 2.0),
+        )
         for p, t in zip(study.base.parameters, point, strict=True)
     ]
     return tuple(sorted(shifts, key=lambda s: -abs(s.share_of_tolerance)))
@@ -479,13 +533,15 @@ def _errors(base: BaseFit) -> dict[str, dict[str, float]]:
 # ---------------------------------------------------------------- gain
 
 
-def _gain(base: BaseFit, extended: Fit) -> tuple[tuple[Gain, ...], bool, tuple[Trace, ...]]:
+def _gain(
+    base: BaseFit, extended: Variant, readings: Sequence[dict[str, np.ndarray]]
+) -> tuple[tuple[Gain, ...], bool, tuple[Trace, ...]]:
     """Errors of base and extended model on the locked records, opened here and once; and traces of all records."""
     study, session = base.study, base.study.session
     universe = study.benches[0].universe
-    variants = (base.fit.variant(study.base), extended.variant(study.base))
+    variants = (base.fit.variant(study.base), extended)
     gains, traces, pooled = [], [], []
-    for bench, *reads in zip(study.benches, base.fit.readings, extended.readings, strict=True):
+    for bench, *reads in zip(study.benches, base.fit.readings, readings, strict=True):
         traces += _traces(study, bench.record, reads)
     for record in session.locked:
         bench = prepare(session, record, universe)
@@ -543,9 +599,6 @@ def _traces(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]
 
 
 def _next(base: BaseFit, in_set: Sequence[Explained]) -> NextTest | None:
-    return None
-
-
-def scenario_text(session: Session, variant: Variant) -> str:
-    """A scenario file of a variant under the session's first training record."""
-    return ""
+    """The test that tells the two likeliest apart."""
+    first, second = in_set[:2]
+    return design(base, first.fit, second.fit, (first.label, second.label))

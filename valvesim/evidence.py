@@ -61,7 +61,7 @@ def _H(G: np.ndarray, p: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Projected:
-    """Candidates off the base parameters: `score` (q,) s~'r~, `overlap` (q, q) s~'s~; `deviance` after the base step."""
+    """Candidates off the base parameters: `score` (q,) s~'r~, `overlap` (q, q) s~'s~; deviance after the base step."""
 
     score: np.ndarray
     overlap: np.ndarray

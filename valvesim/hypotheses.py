@@ -59,7 +59,8 @@ class Base:
 
     def at(self, point: np.ndarray) -> Variant:
         """The variant at a point, held within the bounds of each quantity."""
-        figures, sensors = {}, []
+        figures: dict[str, Any] = {}
+        sensors = []
         for parameter, where in zip(self.parameters, point, strict=True):
             value = float(np.clip(parameter.nominal + where * parameter.deviation, *parameter.bounds))
             if parameter.sensor is None:
@@ -152,7 +153,9 @@ class Candidate:
         if self.effect is None:
             return 4.0 * self._parameter.deviation
         amplitude = self.effect.amplitude
-        return abs(float(amplitude.typical) - float(amplitude.neutral or 0.0))  # type: ignore[arg-type]
+        if amplitude.typical is None:  # a user's effect may leave it out
+            return 0.05 * max(map(abs, self.limits))
+        return abs(float(amplitude.typical) - float(amplitude.neutral or 0.0))
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -189,7 +192,7 @@ class Candidate:
         if self.effect is not None:
             return variant.with_effect(self.active(excess, **shapes))
         p = self._parameter
-        value = float(np.clip(getattr(variant.valve, p.name) + excess, *p.bounds))
+        value: Any = float(np.clip(getattr(variant.valve, p.name) + excess, *p.bounds))
         return replace(variant, valve=replace(variant.valve, **{p.name: value}))
 
     def shapes(self) -> tuple[Any, ...]:
@@ -283,10 +286,7 @@ class View:
 
     def _altered(self, channel: str) -> bool:
         """Whether a sensor fault changes answers of a channel; its small errors within tolerance do not matter."""
-        return any(
-            a.effect.channel == channel and not isinstance(a.effect, SmallError)
-            for a in self.variant.effects
-        )
+        return any(a.effect.channel == channel and not isinstance(a.effect, SmallError) for a in self.variant.effects)
 
     def argument(self, variable: Any, states: tuple) -> np.ndarray:
         """A variable of a term (n,) along the course."""
@@ -407,7 +407,9 @@ def candidate_columns(seen: View, candidates: Sequence[Candidate], changed: Sequ
             quick.append(k)
         elif effect.channel in out:
             name = effect.channel
-            out[name][:, k] = seen.bench.sensed({name: seen.at_valve[name]}, seen.course, variant)[name] - seen.readings[name]
+            out[name][:, k] = (
+                seen.bench.sensed({name: seen.at_valve[name]}, seen.course, variant)[name] - seen.readings[name]
+            )
     moved = seen.by_answer([changed[k] for k in quick])
     for name in out:
         out[name][:, quick] = moved[name]

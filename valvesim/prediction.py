@@ -151,7 +151,7 @@ class Bench:
         return values
 
     def sensed(self, values: dict[str, np.ndarray], course: Course, variant: Variant) -> dict[str, np.ndarray]:
-        """Channels on the grid or on the fine grid, (n,) or columns (n, k), as their sensors give them at the samples."""
+        """Channels on either grid, (n,) or columns (n, k), as their sensors give them at the samples."""
         read = {}
         for name, column in values.items():
             acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
@@ -215,7 +215,8 @@ def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Ben
 
 def neutral(effect: Effect) -> ActiveEffect:
     """The effect switched off."""
-    return effect(**{effect.amplitude.name: effect.amplitude.neutral})  # type: ignore[dict-item]
+    amplitude = effect.amplitude
+    return effect(**{amplitude.name: amplitude.neutral or 0.0})
 
 
 def _padded(model: Model, active: Sequence[ActiveEffect]) -> list[ActiveEffect]:
@@ -243,7 +244,19 @@ def _integrate(
     atol = np.where(off, np.inf, 1e-2 * TOLERANCE)
     end = float(bench.times[-1])
     status = compiled.run(
-        y, clock, end, bench.starts, bench.rows, path.times, flat, bench.fine_times, out, TOLERANCE, atol, MAX_STEPS, count
+        y,
+        clock,
+        end,
+        bench.starts,
+        bench.rows,
+        path.times,
+        flat,
+        bench.fine_times,
+        out,
+        TOLERANCE,
+        atol,
+        MAX_STEPS,
+        count,
     )
     if status or not np.isfinite(out[-1]).all():
         raise SolveError(

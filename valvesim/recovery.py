@@ -11,7 +11,7 @@ Symbols
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,24 +19,31 @@ import numpy as np
 from .answer import Term
 from .effects import ActiveEffect
 from .errors import InputError, SolveError
-from .evidence import block_statistic, project
 from .hypotheses import View, neighbours, parameter_columns, view
 from .prediction import Variant
 from .scene import Scene, argument
-from .study import BaseFit, Study, each, gram_of, residual_of
-from .terms import LAG, NONE, PATH, Family, families, hats, term_effect
+from .study import BaseFit, Study, each, residual_of
+from .terms import LAG, NONE, PATH, Family, hats, term_effect
 
+NAME = "recovered_term"
 KNOTS = 11
 WORTH = 15.0  # fall of the deviance, beyond the price of its freedom, that a term must bring to be told
 MEMORY_MARGIN, MEMORY_SHARE = 10.0, 0.02  # deviance, or share of the fall, that memory must bring
-TRIED = 2  # families that are estimated inside the simulation
-STEPS, SETTLED = 5, 1.0
+TRIED, NEAR = 2, 0.75  # families estimated inside the simulation: so many, whose score is this share of the best's
+STEPS = 5
+SETTLED, SETTLED_SHARE, SMALL_SHARE = 1.0, 3e-3, 0.05  # fall of the deviance, and shares of it, not worth another step
 LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
 EDGE = 0.002  # share of the samples beyond the outermost knots, at either end
 BEND = 1.0  # prior deviation of a second difference, in units of the term's own size
 MEMORY_DEVIATION = 1.0  # of the logarithm of a time constant or width
 STEP = 0.1  # of such a logarithm, in differences
-FORMULA_ERROR = 0.1
+FORMULA_ERROR, FORMULAS = 0.1, 2  # relative error up to which a formula is offered, and how many are tried
+PURE_SHARE, MIXED_SHARE = 0.04, 0.02  # of what the term explains, that a formula may leave: no model is the plant
+HELD_STEPS, HELD_SHARE = 3, 0.1  # steps of a fit held to a formula; and a fall, as a share of the lack, that ends them
+SYMBOLS = {
+    "current": "i", "armature_angle": "theta", "load_differential_pressure": "p", "spool_position": "x",
+    "spool_velocity": "v",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +74,35 @@ class _State:
 
 
 @dataclass(frozen=True, eq=False)
+class _Solution:
+    """Where a search ended: the posterior `covariance` of [t, v, s], and the answers `J`, `V` that it was seen with."""
+
+    state: _State
+    covariance: np.ndarray
+    J: np.ndarray
+    V: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class _Problem:
-    """A family on its knots (k,), in a study; `bend` is the prior deviation of second differences."""
+    """A family on its knots (k,), in a study. `size` is the term's own; `visits` (k,) the samples near each knot."""
 
     study: Study
     family: Family
     knots: np.ndarray
+    visits: np.ndarray
     size: float
 
     def active(self, values: np.ndarray, figure: float) -> ActiveEffect:
         """The term at values (k,) and at a multiple exp(figure) of the family's memory."""
         family, by = self.family, float(np.exp(figure))
-        ranged = np.linspace(-self.size, self.size, len(values))  # the bounds follow from the size, not from the values
+        figures = {LAG: {"time_constant": family.time_constant * by}, PATH: {"width": family.width * by}}
         effect = term_effect(
-            family.port.name, family.variable.name, self.knots, ranged, memory=family.memory,
-            time_constant=family.time_constant * by, width=family.width * by,
+            family.port.name, family.variable.name, tuple(self.knots), (self.size,) * len(self.knots),
+            memory=family.memory, time_constant=family.time_constant, width=family.width, name=NAME,
         )  # fmt: skip
-        return effect(share=1.0, **{f"value_{k + 1}": float(v) for k, v in enumerate(values)})
+        heights = {f"value_{k + 1}": float(v) for k, v in enumerate(values)}
+        return effect(share=1.0, **heights, **figures.get(family.memory, {}))
 
     def variant(self, point: np.ndarray, values: np.ndarray, figure: float) -> Variant:
         return self.study.base.at(point).with_effect(self.active(values, figure))
@@ -115,26 +134,27 @@ def recover(base: BaseFit, scene: Scene) -> Recovered | None:
     """
     if not scene.families:
         return None
-    found = []
+    price = float(np.log(len(base.fit.residual)))
+    least, best = base.fit.deviance - WORTH, None
     for family in _ranked(scene)[:TRIED]:
-        estimated = _estimate(base, family)
-        if estimated is not None:
-            found.append(estimated)
-    price = np.log(max(len(base.fit.residual), 2))
-    worth = [(state.deviance + price * _freedom(problem), problem, state, C) for problem, state, C in found]
-    if not worth:
+        cost = price * (KNOTS + (family.memory != NONE))
+        found = _estimate(base, family, least - cost)
+        if found is not None and found[1].state.deviance + cost < least:
+            least, best = found[1].state.deviance + cost, found
+    if best is None:
         return None
-    least, problem, state, C = min(worth, key=lambda one: one[0])
-    if base.fit.deviance - least < WORTH:
-        return None
-    term = _term(problem, state, C)
-    active = problem.active(state.values, state.figure)
-    variant = problem.variant(state.point, state.values, state.figure)
-    return Recovered(term, active, problem.family, state.point, state.deviance, state.readings, variant)
-
-
-def _freedom(problem: _Problem) -> int:
-    return len(problem.knots) + (problem.family.memory != NONE)
+    problem, solution = best
+    formula, error = "", float("nan")
+    held = _with_formula(problem, solution, base.fit.deviance - solution.state.deviance)
+    if held is not None:
+        (new, formula), old = held, solution.state.values
+        error = _difference(problem, new.state.values, old)
+        solution = new
+    state = solution.state
+    return Recovered(
+        _term(problem, solution, formula, error), problem.active(state.values, state.figure), problem.family,
+        state.point, state.deviance, state.readings, problem.variant(state.point, state.values, state.figure),
+    )  # fmt: skip
 
 
 # ---------------------------------------------------------------- which family
@@ -145,12 +165,14 @@ def _ranked(scene: Scene) -> list[Family]:
     price = np.log(max(sum(scene.gram.rows), 2))
     tests = scene.family_tests()
     gains = [value - price * freedom for value, freedom in tests]
-    most = max((gain for gain, family in zip(gains, scene.families, strict=True) if family.memory == NONE), default=0.0)
-    margin = max(MEMORY_MARGIN, MEMORY_SHARE * most)
-    score = [gain - (margin if family.memory != NONE else 0.0) for gain, family in zip(gains, scene.families, strict=True)]
-    order = [int(k) for k in np.argsort(-np.array(score), kind="stable") if score[k] > 0.0]
+    remembers = np.array([family.memory != NONE for family in scene.families])
+    most = max((gain for gain, memory in zip(gains, remembers, strict=True) if not memory), default=0.0)
+    score = np.array(gains) - max(MEMORY_MARGIN, MEMORY_SHARE * most) * remembers
+    order = [int(k) for k in np.argsort(-score, kind="stable") if score[k] > 0.0]
     ranked: list[Family] = []
     for k in order:
+        if score[k] < NEAR * score[order[0]]:
+            break
         family = scene.families[k]
         if all((f.port, f.variable, f.memory) != (family.port, family.variable, family.memory) for f in ranked):
             ranked.append(family)
@@ -160,15 +182,15 @@ def _ranked(scene: Scene) -> list[Family]:
 # ---------------------------------------------------------------- inside the simulation
 
 
-def _estimate(base: BaseFit, family: Family) -> tuple[_Problem, _State, np.ndarray] | None:
-    """A family's term by Gauss-Newton upon true runs; the posterior covariance of [t, v, s] too. None where it fails."""
+def _estimate(base: BaseFit, family: Family, below: float) -> tuple[_Problem, _Solution] | None:
+    """A family's term by Gauss-Newton upon true runs; None where it will not bring the deviance below a figure."""
     study = base.study
     visited = np.concatenate([argument(seen, replace(family, memory=NONE)) for seen in base.views])
     low, high = (float(u) for u in np.quantile(visited, [EDGE, 1.0 - EDGE]))
     if not high > low:
         return None
     knots = np.linspace(low, high, KNOTS)
-    problem = _Problem(study, family, knots, 1.0)
+    problem = _Problem(study, family, knots, hats(visited, knots).sum(axis=0), 1.0)
     p = len(base.fit.point)
     V = _columns(problem, base.views, None)
     size = _size(base, V)
@@ -176,24 +198,34 @@ def _estimate(base: BaseFit, family: Family) -> tuple[_Problem, _State, np.ndarr
         return None
     problem = replace(problem, size=size)
     state = _State(base.fit.point, np.zeros(KNOTS), 0.0, base.fit.deviance, base.fit.readings, base.fit.residual)
-    J, views = base.J, base.views
-    for k in range(STEPS + 1):
+    J = base.J
+    for _ in range(STEPS):
         H, gradient = _normal(problem, state, J, V)
         inverse = _inverse(H)
         step = inverse @ gradient
-        if k == STEPS or float(gradient @ step) < SETTLED:
+        promised, gained = float(gradient @ step), base.fit.deviance - state.deviance
+        if state.deviance - 2.0 * promised > below:
+            return None
+        if promised < max(SETTLED, SETTLED_SHARE * gained):
             break
         longest = float(np.max(np.abs(step[:p])))
         new = _stepped(problem, state, step * min(1.0, LONGEST_STEP / max(longest, 1e-9)), p)
         if new is None:
             break
-        state = new
-        variant = problem.variant(state.point, state.values, state.figure)
-        views = tuple(each(lambda bench, variant=variant: view(bench, variant), study.benches))
-        beside = neighbours(study.base, variant)
-        J = study.stack(each(lambda seen, beside=beside: parameter_columns(seen, study.base, beside), views))
-        V = _columns(problem, views, state)
-    return (problem, state, inverse) if np.any(state.values) else None
+        small, state = state.deviance - new.deviance < SMALL_SHARE * gained, new
+        if small:  # seen from near enough
+            break
+        J, V = _seen_from(problem, state)
+    return (problem, _Solution(state, inverse, J, V)) if np.any(state.values) else None
+
+
+def _seen_from(problem: _Problem, state: _State) -> tuple[np.ndarray, np.ndarray]:
+    """The answers J (rows, p) and V (rows, k [+ 1]) from where a state is."""
+    study, variant = problem.study, problem.variant(state.point, state.values, state.figure)
+    views = tuple(each(lambda bench: view(bench, variant), study.benches))
+    beside = neighbours(study.base, variant)
+    J = study.stack(each(lambda seen: parameter_columns(seen, study.base, beside), views))
+    return J, _columns(problem, views, state)
 
 
 def _columns(problem: _Problem, views: Sequence[View], state: _State | None) -> np.ndarray:
@@ -212,7 +244,7 @@ def _columns(problem: _Problem, views: Sequence[View], state: _State | None) -> 
         by.append(STEP)
 
     def answers(seen: View) -> dict[str, np.ndarray]:
-        own = tuple(a for a in seen.variant.effects if state is None or a.effect.name != "recovered_term")
+        own = tuple(a for a in seen.variant.effects if state is None or a.effect.name != NAME)
         bare = replace(seen.variant, effects=own)
         moved = seen.by_answer([bare.with_effect(problem.active(v, f)) for v, f in moves])
         return {name: columns / np.array(by) for name, columns in moved.items()}
@@ -221,7 +253,7 @@ def _columns(problem: _Problem, views: Sequence[View], state: _State | None) -> 
 
 
 def _size(base: BaseFit, V: np.ndarray) -> float | None:
-    """The size of a term (largest value) by the linear equations, little smoothed; None where the data do not see it."""
+    """The size of a term (largest value) by the linear equations; None where the data do not see it."""
     p = base.J.shape[1]
     columns = np.column_stack([base.J, V[:, :KNOTS]])
     H = columns.T @ columns
@@ -267,16 +299,156 @@ def _stepped(problem: _Problem, state: _State, step: np.ndarray, p: int) -> _Sta
     return None
 
 
+# ---------------------------------------------------------------- a formula
+
+
+@dataclass(frozen=True, eq=False)
+class _Formula:
+    """A sum of shapes at the knots: `F` (k, m) at `coefficients` (m,); `write(coefficients)` says it in words."""
+
+    F: np.ndarray
+    write: Callable[[np.ndarray], str]
+    coefficients: np.ndarray
+    cost: float
+    pure: bool
+
+
+def _library(u: np.ndarray, x: str) -> list[tuple[np.ndarray, Callable[[np.ndarray], str], int]]:
+    """Shapes over the knots (columns (k, 1 or 2)), how they are written, and how many figures they have beside."""
+    reach, spacing = float(np.max(np.abs(u))), float(np.min(np.diff(u)))
+
+    def times(text: str) -> Callable[[np.ndarray], str]:
+        return lambda a: f"{a[0]:.3g} {text}"
+
+    def wave(period: float) -> Callable[[np.ndarray], str]:
+        return lambda a: f"{np.hypot(*a):.3g} sin(2 pi {x}/{period:.3g} {np.arctan2(a[1], a[0]):+.2f})"
+
+    shapes = [
+        (np.ones_like(u), times(""), 0), (u, times(x), 0), (u * u, times(f"{x}^2"), 0),
+        (u * np.abs(u), times(f"{x} |{x}|"), 0), (u**3, times(f"{x}^3"), 0), (np.abs(u), times(f"|{x}|"), 0),
+    ]  # fmt: skip
+    for b in reach * np.geomspace(0.02, 1.0, 25):
+        shapes.append((np.tanh(u / b), times(f"tanh({x}/{b:.3g})"), 1))
+        shapes.append((-np.sign(u) * np.expm1(-np.abs(u) / b), times(f"sign({x}) (1 - exp(-|{x}|/{b:.3g}))"), 1))
+    found = [(shape[:, None], write, more) for shape, write, more in shapes]
+    for b in np.geomspace(3.0 * spacing, 1.5 * float(np.ptp(u)), 80):
+        angle = 2.0 * np.pi * u / b
+        found.append((np.column_stack([np.sin(angle), np.cos(angle)]), wave(b), 1))
+    return found
+
+
+def _formulas(problem: _Problem, values: np.ndarray, C: np.ndarray, price: float) -> list[_Formula]:
+    """Formulas upon the values, best first: by their misfit in the metric of the posterior and their figures' price."""
+    u, k = problem.knots, len(problem.knots)
+    between = (0.02 * float(np.max(np.abs(values)))) ** 2  # what straight lines miss of a curve
+    W = np.linalg.inv(C + between * np.eye(k))
+    x = SYMBOLS[problem.family.variable.name]
+    extra = {"": np.empty((k, 0)), "c": np.ones((k, 1)), "l": u[:, None], "cl": np.column_stack([np.ones(k), u])}
+    found = []
+    for shape, write, more in _library(u, x):
+        for kind, columns in extra.items():
+            F = np.column_stack([shape, columns])
+            scale = np.max(np.abs(F), axis=0)
+            if np.linalg.cond(F / scale) > 1e6:
+                continue
+            normal = (F / scale).T @ W @ (F / scale)
+            a = np.linalg.solve(normal, (F / scale).T @ W @ values) / scale
+            left = values - F @ a
+            cost = float(left @ W @ left) + price * (len(a) + more)
+            found.append(_Formula(F, _written(write, kind, shape.shape[1], x), a, cost, not kind))
+    return sorted(found, key=lambda one: one.cost)
+
+
+def _written(write: Callable[[np.ndarray], str], kind: str, own: int, x: str) -> Callable[[np.ndarray], str]:
+    names = {"": [], "c": [""], "l": [f" {x}"], "cl": ["", f" {x}"]}[kind]
+
+    def text(a: np.ndarray) -> str:
+        more = "".join(f" {'-' if v < 0 else '+'} {abs(v):.3g}{name}" for v, name in zip(a[own:], names, strict=True))
+        return write(a[:own]).strip() + more
+
+    return text
+
+
+def _with_formula(problem: _Problem, solution: _Solution, gained: float) -> tuple[_Solution, str] | None:
+    """The term held to a formula and fitted with it, where the records do not object; with the formula."""
+    from scipy.stats import chi2
+
+    state, p, k = solution.state, len(solution.state.point), len(problem.knots)
+    C = solution.covariance
+    Cv = C[p : p + k, p : p + k]
+    formulas = _formulas(problem, state.values, Cv, max(12.0, MIXED_SHARE * gained))
+    pure = next(formula for formula in formulas if formula.pure)
+    for formula in dict.fromkeys((pure, *formulas[:FORMULAS])):
+        change = formula.F @ formula.coefficients - state.values
+        push = C[:, p : p + k] @ np.linalg.lstsq(Cv, change, rcond=1e-10)[0]
+        figure = state.figure + float(push[p + k :].sum())
+        try:
+            held = problem.evaluate(state.point + push[:p], state.values + change, figure)
+        except (SolveError, InputError):
+            continue
+        held, covariance = _held(problem, solution, held, formula.F)
+        share = PURE_SHARE if formula.pure else MIXED_SHARE  # offsets and slopes are what the base has tolerances for
+        rise = held.deviance - state.deviance
+        if rise > max(float(chi2.isf(1e-3, k - formula.F.shape[1])), share * gained):
+            continue
+        if rise > 0.0 and _difference(problem, held.values, state.values) > FORMULA_ERROR:
+            continue
+        a = np.linalg.lstsq(formula.F / np.max(np.abs(formula.F), axis=0), held.values, rcond=None)[0]
+        a = a / np.max(np.abs(formula.F), axis=0)
+        return replace(solution, state=held, covariance=covariance), _sentence(problem, formula.write(a), held.figure)
+    return None
+
+
+def _held(problem: _Problem, solution: _Solution, held: _State, F: np.ndarray) -> tuple[_State, np.ndarray]:
+    """The best state near one whose values are a sum of the columns F (k, m), and its covariance of [t, v, s]."""
+    p, (k, m), more = len(held.point), F.shape, solution.V.shape[1] - len(F)
+    scale = np.max(np.abs(F), axis=0)
+    T = np.zeros((p + k + more, p + m + more))
+    T[:p, :p], T[p : p + k, p : p + m], T[p + k :, p + m :] = np.eye(p), F / scale, np.eye(more)
+    J, V = solution.J, solution.V
+    for _ in range(HELD_STEPS):
+        H, gradient = _normal(problem, held, J, V)
+        inverse = T @ _inverse(T.T @ H @ T) @ T.T
+        new = _stepped(problem, held, inverse @ gradient, p)
+        if new is None:
+            break
+        small, held = held.deviance - new.deviance < HELD_SHARE * (held.deviance - solution.state.deviance), new
+        if small or held.deviance < solution.state.deviance:
+            break
+        J, V = _seen_from(problem, held)
+    return held, inverse
+
+
+def _difference(problem: _Problem, new: np.ndarray, old: np.ndarray) -> float:
+    """Relative root mean square difference of values where the records went, but for offset and slope in the base."""
+    u, weight = problem.knots / np.max(np.abs(problem.knots)), np.sqrt(problem.visits)
+    A = np.column_stack([np.ones_like(u), u]) if problem.family.memory != PATH else np.zeros((len(u), 1))
+    A, change = A * weight[:, None], (new - old) * weight
+    left = change - A @ np.linalg.lstsq(A, change, rcond=None)[0]
+    return float(np.linalg.norm(left) / np.linalg.norm(new * weight))
+
+
+def _sentence(problem: _Problem, formula: str, figure: float) -> str:
+    family = problem.family
+    x, by = SYMBOLS[family.variable.name], float(np.exp(figure))
+    memory = {
+        NONE: "",
+        LAG: f" lagged by {family.time_constant * by * 1e3:.3g} ms",
+        PATH: f", times the direction of its path, which turns over {family.width * by:.2g} {family.variable.unit}",
+    }[family.memory]
+    return f"{formula} {family.port.unit}, {x} = {family.variable.name} in {family.variable.unit}{memory}"
+
+
 # ---------------------------------------------------------------- the answer
 
 
-def _term(problem: _Problem, state: _State, C: np.ndarray) -> Term:
-    p, k = len(state.point), len(problem.knots)
-    covariance = C[p : p + k, p : p + k]
+def _term(problem: _Problem, solution: _Solution, formula: str, error: float) -> Term:
+    p, k = len(solution.state.point), len(problem.knots)
+    variance = np.diag(solution.covariance)[p : p + k]
     family = problem.family
     return Term(
         port=family.port.name, port_unit=family.port.unit, variable=family.variable.name,
         variable_unit=family.variable.unit, memory=family.memory, at=tuple(map(float, problem.knots)),
-        value=tuple(map(float, state.values)), deviation=tuple(float(v) for v in np.sqrt(np.maximum(np.diag(covariance), 0.0))),
-        formula="", formula_error=float("nan"),
+        value=tuple(map(float, solution.state.values)), deviation=tuple(map(float, np.sqrt(np.maximum(variance, 0.0)))),
+        formula=formula, formula_error=error,
     )  # fmt: skip

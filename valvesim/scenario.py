@@ -9,7 +9,8 @@ from __future__ import annotations
 import dataclasses
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,15 +18,16 @@ from typing import Any
 import numpy as np
 
 from .catalogue import CATALOGUE
-from .commands import COMMANDS, VALUE, Command, Constant, Sum, evaluate, largest, read_table
-from .effects import ActiveEffect
+from .commands import COMMANDS, VALUE, Command, Constant, Sum, Table, evaluate, largest, read_table
+from .effects import ActiveEffect, Effect
 from .errors import InputError, unknown_name, warn_once
 from .flow_laws import FLOW_LAWS
 from .fluid import MIL_PRF_5606, OILS, Oil
 from .model import CurrentDrive, Model, VoltageDrive
 from .parameters import ROUTES, Valve, check_routes
 from .thermal import TemperaturePath, ThermalNetwork, temperature_path, throttling_rise
-from .units import POSITIVE, change, check_bounds, parse, quantities, quantity
+from .units import POSITIVE, change, check_bounds, parse, parse_list, quantities, quantity
+from .user_effects import load_effects_files
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,19 +157,31 @@ def load_scenario(path: str | Path, *, settings: Sequence[str] = ()) -> Scenario
     Raises InputError for a missing file, broken TOML, or any key or figure that makes no sense.
     """
     path = Path(path)
+    text, table = read_toml(path)
+    for setting in settings:
+        _override(table, setting)
+    with located(path, text, settings):
+        return Reader(path.parent).scenario(table)
+
+
+def read_toml(path: Path, expected: str = "") -> tuple[str, dict[str, Any]]:
+    """(text, table) of a TOML file; InputError where it cannot be read, and what was `expected` where there is none."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-        table = tomllib.loads(text)
+        return text, tomllib.loads(text)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
+        raise InputError(f"{path}: no such file{'; ' if expected else ''}{expected}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from None
-    for setting in settings:
-        _override(table, setting)
+
+
+@contextmanager
+def located(path: Path, text: str, settings: Sequence[str] = ()) -> Iterator[None]:
+    """An InputError from inside gets the file and line of the key that it speaks of, or the setting that it does."""
     try:
-        return _Reader(path.parent).scenario(table)
+        yield
     except InputError as error:
         message = str(error)
         for own, key in _KEYS.items():
@@ -188,7 +202,8 @@ _KEYS = {
 
 def _dotted(message: str) -> str:
     """The message with an unknown name written as a dotted key: `valve: unknown key 'x'` as `valve.x`."""
-    return re.sub(r"([\w.]+): unknown [\w ]+ '([^']+)'", r"\1.\2", message).removeprefix("scenario.")
+    dotted = re.sub(r"([\w.]+): unknown [\w ]+ '([^']+)'", r"\1.\2", message)
+    return dotted.removeprefix("scenario.").removeprefix("session.")
 
 
 def _speaks_of(message: str, key: str) -> bool:
@@ -200,12 +215,12 @@ def read_tables(settings: Sequence[str]) -> tuple[Valve, Oil]:
     table: dict[str, Any] = {}
     for setting in settings:
         _override(table, setting)
-    reader = _Reader(Path())
+    reader = Reader(Path())
     reader.known(table, ("valve", "oil"), "--set")
-    return _valve(table.get("valve", {})), reader.oil(table.get("oil", {}))
+    return read_valve(table.get("valve", {})), reader.oil(table.get("oil", {}))
 
 
-def _valve(table: dict[str, Any]) -> Valve:
+def read_valve(table: dict[str, Any]) -> Valve:
     """The reference valve with figures from a table; `flow_law` names the law of the pilot's flow coefficients."""
     figures = dict(table)
     law = figures.pop("flow_law", "yan_2019")
@@ -249,13 +264,13 @@ def _line_of(text: str, message: str) -> int | None:
 
 
 @dataclass(frozen=True)
-class _Reader:
+class Reader:
     """Turns TOML tables into a scenario; `folder` is where relative file names start."""
 
     folder: Path
 
     def scenario(self, table: dict[str, Any]) -> Scenario:
-        self.known(table, ("title", "duration", *self._SECTIONS), "scenario")
+        self.known(table, ("title", "duration", "effects_files", *self._SECTIONS), "scenario")
         for name in self._SECTIONS:
             if not isinstance(table.get(name, {}), dict):
                 raise InputError(f"{name}: expected a table, got {table[name]!r}")
@@ -270,7 +285,7 @@ class _Reader:
         kind, command = next(iter(commands.items()))
         pressures = table.get("pressures", {})
         self.known(pressures, ("supply", "return", "load"), "pressures")
-        valve = _valve(table.get("valve", {}))
+        valve = read_valve(table.get("valve", {}))
         outputs, solver = table.get("outputs", {}), table.get("solver", {})
         self.known(outputs, ("rate", "channels"), "outputs")
         self.known(solver, ("tolerance",), "solver")
@@ -297,8 +312,8 @@ class _Reader:
             thermal=self.thermal(thermal),
             command=self.command(command, "A" if kind == "current" else "V", f"command.{kind}", kind),
             drive=CurrentDrive() if kind == "current" else VoltageDrive(),
-            effects=self.effects(table.get("effects", {})),
-            channels=self._names(outputs.get("channels", []), "outputs.channels", "channel"),
+            effects=self.effects(table.get("effects", {}), self.own_effects(table)),
+            channels=self.names(outputs.get("channels", []), "outputs.channels", "channel"),
             **options,
         )
 
@@ -318,7 +333,7 @@ class _Reader:
     def thermal(self, table: dict[str, Any]) -> Thermal:
         figures = dict(table)
         routes = figures.pop("routes", list(ROUTES))
-        self._names(routes, "thermal.routes", "route")
+        self.names(routes, "thermal.routes", "route")
         isothermal, heat = (self._switch(figures, name) for name in ("isothermal", "throttling_heat"))
         initial = figures.pop("initial_temperature", None)
         ambient = figures.pop("ambient_temperature", None)
@@ -344,16 +359,22 @@ class _Reader:
             **options,
         )
 
-    def effects(self, table: dict[str, Any]) -> tuple[ActiveEffect, ...]:
-        active = []
+    def own_effects(self, table: dict[str, Any]) -> tuple[Effect, ...]:
+        """The user's own effects, of the files that the top-level key `effects_files` names."""
+        files = self.names(table.get("effects_files", []), "effects_files", "file")
+        return load_effects_files(self.folder, files)
+
+    def effects(self, table: dict[str, Any], own: Sequence[Effect] = ()) -> tuple[ActiveEffect, ...]:
+        """The active effects: of the catalogue, or the user's own."""
+        active, known = [], CATALOGUE | {effect.name: effect for effect in own}
         for name, figures in table.items():
-            if name not in CATALOGUE:
-                raise unknown_name("effect", name, CATALOGUE, "effects")
+            if name not in known:
+                raise unknown_name("effect", name, known, "effects")
             several = figures if isinstance(figures, list) else [figures]  # [[effects.sensor_bias]]: one a channel
             for one in several:
                 if not isinstance(one, dict):
                     raise InputError(f"effects.{name}: expected a table of its parameters, got {one!r}")
-                active.append(CATALOGUE[name].read(one, f"effects.{name}"))
+                active.append(known[name].read(one, f"effects.{name}"))
         return tuple(active)
 
     def command(self, table: Any, unit: str, where: str, column: str) -> Command:
@@ -396,16 +417,24 @@ class _Reader:
             raise InputError(f"{where.rpartition('.')[0]}.{message}") from None
 
     def _table(self, figures: Any, unit: str, where: str, column: str) -> Command:
+        """Points of a CSV file (`start`: the file's time that is the run's zero), or of two lists in the text."""
+        if isinstance(figures, dict) and figures.keys() >= {"times", "values"}:
+            self.known(figures, ("times", "values"), where)
+            times = parse_list(figures["times"], "s", f"{where}.times")
+            values = parse_list(figures["values"], unit, f"{where}.values")
+            return Table(times=tuple(times.tolist()), values=tuple(values.tolist()), where=where)
         if not isinstance(figures, dict) or not isinstance(figures.get("file"), str):
-            raise InputError(f"{where}: expected {{ file = 'name.csv' }}, got {figures!r}")
-        self.known(figures, ("file", "column"), where)
+            raise InputError(f"{where}: expected {{ file = 'name.csv' }}, got {figures!r} (or lists: times, values)")
+        self.known(figures, ("file", "column", "start"), where)
+        start = parse(figures.get("start", "0 s"), "s", f"{where}.start")
         try:
-            return read_table(self.folder / figures["file"], str(figures.get("column", column)), unit)
+            read = read_table(self.folder / figures["file"], str(figures.get("column", column)), unit)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
+        return dataclasses.replace(read, times=tuple((np.asarray(read.times) - start).tolist())) if start else read
 
     @staticmethod
-    def _names(given: Any, where: str, what: str) -> tuple[str, ...]:
+    def names(given: Any, where: str, what: str) -> tuple[str, ...]:
         if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
             raise InputError(f"{where}: expected a list of {what} names, got {given!r}")
         return tuple(given)

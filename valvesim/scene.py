@@ -1,4 +1,4 @@
-"""What a fit leaves, looked at from all sides at once: candidates, free terms at every port, each part of each record."""
+"""What a fit leaves, from all sides at once: candidates, free terms at every port, each part of each record."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from .terms import LAG, PATH, Family, families, hats, term_effect
 KNOTS = 6  # of each family's function while it is looked for
 REACH = 10.0  # a candidate must show at this multiple of its typical amplitude, or the session is blind to it
 SHAPE_STEP = 1.1
+NOISE_ERROR = 0.06  # relative error of a noise's variance that a pair of short repeats may make
 DIRECT = ("load_flow", "internal_leakage")
 
 
@@ -43,6 +44,11 @@ class Scene:
         """Candidates (first) and families, with the extras free."""
         return self.everything.without(self.own)
 
+    @property
+    def dispersion(self) -> float:
+        """By how much the noise may be larger than its repeats have said: what the fit leaves, within reason."""
+        return float(np.clip(self.fit.deviance / len(self.fit.residual), 1.0, 1.0 + NOISE_ERROR))
+
     def visible(self) -> np.ndarray:
         """(q,) True for candidates that the session would show if they were there."""
         reach = np.array([min(REACH * c.typical, max(map(abs, c.limits))) for c in self.candidates])
@@ -51,7 +57,7 @@ class Scene:
     def z(self) -> np.ndarray:
         """(q,) of the candidates: below zero, or of the wrong sign, means no evidence; zero where blind."""
         q = len(self.candidates)
-        z = self.projected.z[:q]
+        z = self.projected.z[:q] / np.sqrt(self.dispersion)
         one_sided = np.array([c.one_sided for c in self.candidates])
         return np.where(self.visible(), np.where(one_sided, np.maximum(z, 0.0), np.abs(z)), 0.0)
 
@@ -65,10 +71,11 @@ class Scene:
     def family_tests(self) -> list[tuple[float, int]]:
         """(chi-square, degrees of freedom) of each family."""
         projected = self.projected
-        return [block_statistic(projected, block) for block in self.blocks]
+        tests = [block_statistic(projected, block) for block in self.blocks]
+        return [(value / self.dispersion, freedom) for value, freedom in tests]
 
     def constancy(self) -> tuple[float, int]:
-        """(chi-square, degrees of freedom) of the first extra's amplitude being the same in every part of every record."""
+        """(chi-square, degrees of freedom) of the first extra's amplitude being the same in every part."""
         if not self.own:
             return 0.0, 0
         G, k = self.gram, 1 + self.gram.parameters + self.own[0]
@@ -95,9 +102,7 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     else:
         views = tuple(each(lambda bench: view(bench, variant), study.benches))
     taken = {extra.candidate.family for extra in fit.extras}
-    candidates = tuple(
-        c for c in study.candidates if c.family not in taken and not _acts_already(c, fit.extras)
-    )
+    candidates = tuple(c for c in study.candidates if c.family not in taken and not _acts_already(c, fit.extras))
     beside = neighbours(study.base, variant)
     sizes = np.array([_size(c) for c in candidates])
     changed = [c.add_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
@@ -150,7 +155,9 @@ def own_steps(fit: Fit) -> list[tuple[Candidate, Fit]]:
 
 def own_step(extra: Extra) -> float:
     """The step of an excess: inwards, so that it stays inside its limits."""
-    return -0.05 * extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 0.01 * extra.candidate.typical
+    return (
+        -0.05 * extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 0.01 * extra.candidate.typical
+    )
 
 
 def family_columns(

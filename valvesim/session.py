@@ -8,12 +8,8 @@ from __future__ import annotations
 
 import csv
 import re
-import tomllib
-import traceback
-import types
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -21,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from .catalogue import CATALOGUE
 from .channels import INPUT_CHANNELS, SIGNAL_CHANNELS, STATE_CHANNELS
 from .commands import Command, Constant, Table
 from .effects import ActiveEffect, Effect
@@ -30,8 +25,9 @@ from .files import _HEADER, read_columns
 from .fluid import COMPUTED_RANGE, Oil
 from .model import CurrentDrive, VoltageDrive
 from .parameters import REFERENCE_TEMPERATURE, Valve
-from .scenario import _KEYS, Scenario, Thermal, _line_of, _Reader, _valve
+from .scenario import Reader, Scenario, Thermal, located, read_toml, read_valve
 from .units import DISPLAY, convert, parse, quantities, symbol
+from .user_effects import load_effects_files
 
 INPUTS = (
     "current", "voltage", "oil_temperature", "supply_pressure", "return_pressure", "load_pressure", "body_temperature",
@@ -44,7 +40,7 @@ OUTPUTS = (
 """Columns that the model is held against; `current` only where the drive is a voltage."""
 
 _MODEL_UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *INPUT_CHANNELS, *SIGNAL_CHANNELS)}
-_UNITS = {"time": "s", "voltage": "V", "oil_temperature": "degC", "body_temperature": "degC"} | {
+UNITS = {"time": "s", "voltage": "V", "oil_temperature": "degC", "body_temperature": "degC"} | {
     name: _MODEL_UNITS[name] for name in (*INPUTS, *OUTPUTS) if name in _MODEL_UNITS
 }
 # Where the output goes when the command goes up, so that a flat top can be told from rest; leakage goes down both ways.
@@ -81,7 +77,7 @@ class Record:
     """One measured record on an even clock: `time` (n,) s from 0, `values[column]` (n,) in SI, temperatures in °C.
 
     `usable[channel]` (n,) is False where the sensor is saturated. An input that carries nothing but noise is held at
-    its mean. `role` is "train" or "test"; records with one label `repeats` are repeats of one test.
+    its mean. `role` is "train" or "test"; records with one label `repeats` are repeats of one test. `path` is its file.
     """
 
     name: str
@@ -90,6 +86,7 @@ class Record:
     usable: dict[str, np.ndarray]
     role: str = "train"
     repeats: str | None = None
+    path: Path | None = None
 
     @property
     def duration(self) -> float:
@@ -129,7 +126,8 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A session that passed the audit. `effects` are known and in the base model, `user_effects` join the search.
+    """A session that passed the audit. `effects` are known and in the base model, `user_effects` join the search and
+    come from `effects_files`.
 
     `tolerances` are half-widths in SI of valve parameters, where the session overrides them; `sensors` has one entry
     for each output channel that any record has; `notes` say in words what was found, left out and cannot be claimed.
@@ -147,6 +145,7 @@ class Session:
     sensors: dict[str, Sensor]
     records: tuple[Record, ...]
     notes: tuple[str, ...]
+    effects_files: tuple[Path, ...] = ()
 
     @property
     def training(self) -> tuple[Record, ...]:
@@ -164,24 +163,29 @@ class Session:
         return VoltageDrive() if self.records[0].command == "voltage" else CurrentDrive()
 
 
-def load_session(folder: str | Path) -> Session:
+def load_session(folder: str | Path, *, seed: int | None = None, effects: Sequence[str | Path] = ()) -> Session:
     """Read a session folder and audit it.
+
+    `seed` takes the place of the session's own; `effects` are further files of a user's own effects.
 
     Raises InputError (file, line, key) for a missing or broken `session.toml`, unknown keys, and records that make no
     sense: see the module's tests for every case.
     """
     folder = Path(folder)
     path = folder / "session.toml"
-    text, table = _read_toml(path)
-    with _located(path, text):
-        session = _settings(folder, table)
+    text, table = read_toml(path, "a session is a folder with session.toml and CSV records")
+    text = _numbered(text)
+    with located(path, text):
+        session = _settings(folder, table, tuple(Path(file).absolute() for file in effects))
+        if seed is not None:
+            session = replace(session, seed=_seed(seed))
         listed = _listed(folder, table.get("records"))
         stated = _stated_sensors(table.get("sensors", {}))
     notes: list[str] = []
     records = [_read_record(folder, session, notes, *each) for each in listed]
     _check_drive(records)
     _check_repeats(records, session.valve)
-    with _located(path, text):
+    with located(path, text):
         sensors = _sensors(stated, records, notes)
     records = [usable for record in records if (usable := _usable(record, sensors, notes)) is not None]
     if not any(record.moves() for record in records):
@@ -190,39 +194,6 @@ def load_session(folder: str | Path) -> Session:
     if all(record.role == "test" for record in records):
         raise InputError(f"{folder}: every record has role = 'test', so none is left to learn from")
     return replace(session, sensors=sensors, records=tuple(records), notes=tuple(notes))
-
-
-def load_effects(path: str | Path) -> tuple[Effect, ...]:
-    """The effects that a Python file declares at its top level, in their order.
-
-    Raises InputError for a file that fails to run (with its line), holds no `Effect`, or has a name of the catalogue.
-    """
-    path = Path(path)
-    module = types.ModuleType(path.stem)
-    module.__file__ = str(path)
-    try:
-        # executed, not imported: an import would leave its bytecode in the user's folder
-        exec(compile(path.read_text(encoding="utf-8-sig"), str(path), "exec"), vars(module))
-    except FileNotFoundError as error:
-        if not path.exists():
-            raise InputError(f"{path}: no such file") from None
-        raise _failed(path, error) from error
-    except (Exception, SystemExit) as error:  # a user's file may raise anything
-        raise _failed(path, error) from error
-    own = list({id(v): v for v in vars(module).values() if isinstance(v, Effect)}.values())
-    own = [effect for effect in own if effect is not CATALOGUE.get(effect.name)]  # what it took from there to build on
-    if not own:
-        raise InputError(f"{path}: declares no effect; expected `name = valvesim.Effect(...)` at its top level")
-    for k, effect in enumerate(own):
-        if effect.name in CATALOGUE:
-            raise InputError(f"{path}: effect {effect.name!r} is in the catalogue already; give yours another name")
-        if effect.name in (other.name for other in own[:k]):
-            raise InputError(f"{path}: two effects are called {effect.name!r}")
-        try:
-            _ = effect.amplitude
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-    return tuple(own)
 
 
 def record_scenario(
@@ -260,58 +231,38 @@ _TABLES = ("valve", "oil", "thermal", "effects", "tolerances", "sensors")
 _ROLES = ("train", "test")
 
 
-def _read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        return text, tomllib.loads(text)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a session is a folder with session.toml and CSV records") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+def _numbered(text: str) -> str:
+    """The text with each [[records]] numbered from 1, as the messages name them."""
+    numbers = count(1)
+    return re.sub(r"(?m)^[ \t]*\[\[\s*records\s*\]\]", lambda _: f"[records.{next(numbers)}]", text)
 
 
-@contextmanager
-def _located(path: Path, text: str) -> Iterator[None]:
-    """An InputError from inside gets the file and the line of the key that it speaks of; records count from 1."""
-    try:
-        yield
-    except InputError as error:
-        message = str(error)
-        for own, key in _KEYS.items():
-            message = message.replace(own, key)
-        numbers = count(1)
-        numbered = re.sub(r"(?m)^[ \t]*\[\[\s*records\s*\]\]", lambda _: f"[records.{next(numbers)}]", text)
-        line = _line_of(numbered, message)
-        message = message.removeprefix("scenario: ")
-        raise InputError(f"{path}{f', line {line}' if line else ''}: {message}") from None
-
-
-def _settings(folder: Path, table: dict[str, Any]) -> Session:
-    """Everything in `session.toml` but sensors and records."""
-    reader = _Reader(folder)
-    reader.known(table, ("title", "seed", "effects_files", "records", *_TABLES), "scenario")
+def _settings(folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...]) -> Session:
+    """Everything in `session.toml` but sensors and records, with more files of effects."""
+    reader = Reader(folder)
+    reader.known(table, ("title", "seed", "effects_files", "records", *_TABLES), "session")
     for name in _TABLES:
         if not isinstance(table.get(name, {}), dict):
             raise InputError(f"{name}: expected a table, got {table[name]!r}")
-    title, seed = table.get("title", folder.resolve().name), table.get("seed", 0)
+    title = table.get("title", folder.resolve().name)
     if not isinstance(title, str):
         raise InputError(f"title: expected text, got {title!r}")
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise InputError(f"seed: expected a whole number, 0 or more, got {seed!r}")
     if "oil_temperature" in table.get("thermal", {}):
         raise InputError("thermal.oil_temperature: comes from the records (column 'oil_temperature [degC]')")
-    valve = _valve(table.get("valve", {}))
+    valve = read_valve(table.get("valve", {}))
+    named = reader.names(table.get("effects_files", []), "effects_files", "file")
+    files: tuple[str | Path, ...] = (*named, *more_effects)
+    own = load_effects_files(folder, files)
     return Session(
         folder=folder,
         title=title,
-        seed=seed,
+        seed=_seed(table.get("seed", 0)),
         valve=valve,
         oil=reader.oil(table.get("oil", {})),
         thermal=reader.thermal(table.get("thermal", {})),
-        effects=reader.effects(table.get("effects", {})),
-        user_effects=_user_effects(folder, reader._names(table.get("effects_files", []), "effects_files", "file")),
+        effects=reader.effects(table.get("effects", {}), own),
+        user_effects=own,
+        effects_files=tuple(folder.absolute() / file for file in files),
         tolerances={name: _tolerance(valve, name, text) for name, text in table.get("tolerances", {}).items()},
         sensors={},
         records=(),
@@ -319,26 +270,10 @@ def _settings(folder: Path, table: dict[str, Any]) -> Session:
     )
 
 
-def _user_effects(folder: Path, files: Sequence[str]) -> tuple[Effect, ...]:
-    effects: dict[str, Effect] = {}
-    for file in files:
-        try:
-            own = load_effects(folder / file)
-        except InputError as error:
-            raise InputError(f"effects_files: {error}") from None
-        for effect in own:
-            if effect.name in effects:
-                raise InputError(f"effects_files: {file!r} declares {effect.name!r}, which another file did already")
-            effects[effect.name] = effect
-    return tuple(effects.values())
-
-
-def _failed(path: Path, error: BaseException) -> InputError:
-    """The error for a user's file that failed to run, with the last of its own lines that was reached."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    if isinstance(error, SyntaxError) and error.filename == str(path):
-        lines.append(error.lineno)
-    return InputError(f"{path}{f', line {lines[-1]}' if lines else ''}: fails with {type(error).__name__}: {error}")
+def _seed(given: Any) -> int:
+    if isinstance(given, bool) or not isinstance(given, int) or given < 0:
+        raise InputError(f"seed: expected a whole number, 0 or more, got {given!r}")
+    return given
 
 
 def _tolerance(valve: Valve, name: str, text: Any) -> float:
@@ -367,8 +302,8 @@ def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
             raise unknown_name("output channel", name, OUTPUTS, "sensors")
         if not isinstance(figures, dict):
             raise InputError(f"{where}: expected a table, got {figures!r}")
-        _Reader.known(figures, ("noise", "resolution", "lag", "range"), where)
-        units = {"noise": _UNITS[name], "resolution": _UNITS[name], "lag": "s"}
+        Reader.known(figures, ("noise", "resolution", "lag", "range"), where)
+        units = {"noise": UNITS[name], "resolution": UNITS[name], "lag": "s"}
         known: dict[str, Any] = {}
         for key in figures.keys() & units.keys():
             known[key] = parse(figures[key], units[key], f"{where}.{key}")
@@ -376,8 +311,8 @@ def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
                 least = "be positive" if key == "noise" else "not be negative"
                 raise InputError(f"{where}.{key}: {figures[key]!r} must {least}")
         if "range" in figures:
-            known["range"] = _range(figures["range"], _UNITS[name], f"{where}.range")
-        sensors[name] = Sensor(name, _UNITS[name], **known)
+            known["range"] = _range(figures["range"], UNITS[name], f"{where}.range")
+        sensors[name] = Sensor(name, UNITS[name], **known)
     return sensors
 
 
@@ -404,7 +339,7 @@ def _listed(folder: Path, records: Any) -> list[tuple[str, str, str | None]]:
     listed: list[tuple[str, str, str | None]] = []
     for k, entry in enumerate(records, start=1):
         where = f"records.{k}"
-        _Reader.known(entry, ("file", "repeats", "role"), where)
+        Reader.known(entry, ("file", "repeats", "role"), where)
         file, role, repeats = entry.get("file"), entry.get("role", "train"), entry.get("repeats")
         if not isinstance(file, str):
             raise InputError(f"{where}.file: expected the name of a CSV file, got {file!r}")
@@ -434,7 +369,7 @@ def _read_record(folder: Path, session: Session, notes: list[str], file: str, ro
     outputs = [n for n in OUTPUTS if n in values and (n != "current" or "voltage" in values)]
     if not outputs:
         raise InputError(f"{path}: no output channel; expected one or more of {', '.join(OUTPUTS[:-1])}")
-    record = Record(name, time, values, {n: np.ones(len(time), dtype=bool) for n in outputs}, role, repeats)
+    record = Record(name, time, values, {n: np.ones(len(time), dtype=bool) for n in outputs}, role, repeats, path)
     for column in record.inputs:
         if _rests(values[column], _scale(column, session.valve)):
             values[column] = np.full(len(time), np.mean(values[column]))
@@ -447,8 +382,8 @@ def _read_values(path: Path) -> dict[str, np.ndarray]:
     """All columns of a record in SI: numbers in bulk, and `read_columns` where anything is odd, for its messages."""
     line, header = _header(path)
     for name in header:
-        if name not in _UNITS:
-            raise unknown_name("column", name, _UNITS, f"{path}, line {line}")
+        if name not in UNITS:
+            raise unknown_name("column", name, UNITS, f"{path}, line {line}")
     for one in (("time",), ("current", "voltage")):
         if not any(name in header for name in one):
             raise InputError(f"{path}, line {line}: no column {' or '.join(map(repr, one))}{nearest(one[0], header)}")
@@ -461,10 +396,10 @@ def _read_values(path: Path) -> dict[str, np.ndarray]:
     except ValueError:
         table = np.empty((0, 0))
     if table.shape[1] != len(header) or not np.isfinite(table).all():
-        values = read_columns(path, {name: _UNITS[name] for name in header})
+        values = read_columns(path, {name: UNITS[name] for name in header})
     else:
         values = {
-            name: convert(table[:, k], unit, _UNITS[name], f"{path}, column {name!r}")
+            name: convert(table[:, k], unit, UNITS[name], f"{path}, column {name!r}")
             for k, (name, unit) in enumerate(header.items())
         }
     if len(values["time"]) < LEAST_SAMPLES:
@@ -525,7 +460,7 @@ def _scale(name: str, valve: Valve) -> float:
         return valve.rated_current
     if name == "voltage":
         return valve.rated_current * valve.coil_resistance
-    return 100.0 if _UNITS[name] == "degC" else valve.supply_pressure
+    return 100.0 if UNITS[name] == "degC" else valve.supply_pressure
 
 
 def _rests(values: np.ndarray, scale: float) -> bool:
@@ -538,7 +473,7 @@ def _rests(values: np.ndarray, scale: float) -> bool:
 
 def _check_command(path: Path, record: Record, valve: Valve, notes: list[str]) -> None:
     command, rated = record.values[record.command], _scale(record.command, valve)
-    unit, factor = DISPLAY.get(_UNITS[record.command], (_UNITS[record.command], 1.0))
+    unit, factor = DISPLAY.get(UNITS[record.command], (UNITS[record.command], 1.0))
     k = int(np.argmax(np.abs(command)))
     told = f"{record.command} of {command[k] * factor:.4g} {unit}"
     limit = f"the rated {rated * factor:.4g} {unit}"
@@ -556,12 +491,12 @@ def _check_conditions(path: Path, record: Record, valve: Valve, notes: list[str]
     def refuse(wrong: np.ndarray, name: str, why: str) -> None:
         if wrong.any():
             k = int(np.argmax(wrong))
-            value = _shown(record.values[name][k], _UNITS[name])
+            value = _shown(record.values[name][k], UNITS[name])
             raise InputError(f"{path}, line {_line(path, k)}: {name} of {value} {why}")
 
     for name in record.inputs[1:]:
         (low, high), values = bounds[name], record.values[name]
-        span = f"[{_shown(low, _UNITS[name])}, {_shown(high, _UNITS[name])}]"
+        span = f"[{_shown(low, UNITS[name])}, {_shown(high, UNITS[name])}]"
         refuse((values < low) | (values > high), name, f"is outside {span}")
     pressure = {f"{n}_pressure": record.values.get(f"{n}_pressure", getattr(valve, f"{n}_pressure")) for n in
                 ("supply", "return", "load")}  # fmt: skip
@@ -612,8 +547,8 @@ def _check_repeats(records: Sequence[Record], valve: Valve) -> None:
                 span = max(span, _scale(name, valve))
             off = float(np.sqrt(np.mean((a - b) ** 2)))
             if off > REPEAT_MISMATCH * max(span, LEAST_MOTION * _scale(name, valve)):
-                raise InputError(f"{pair} inputs differ: {name} by {_shown(off, _UNITS[name])} rms, more than "
-                                 f"{REPEAT_MISMATCH:.0%} of {_shown(span, _UNITS[name])}")  # fmt: skip
+                raise InputError(f"{pair} inputs differ: {name} by {_shown(off, UNITS[name])} rms, more than "
+                                 f"{REPEAT_MISMATCH:.0%} of {_shown(span, UNITS[name])}")  # fmt: skip
 
 
 # ---------------------------------------------------------------- sensors
@@ -627,7 +562,7 @@ def _sensors(stated: dict[str, Sensor], records: Sequence[Record], notes: list[s
             raise InputError(f"sensors.{name}: no record has this output channel; they have {', '.join(measured)}")
     sensors = {}
     for name in measured:
-        sensor = stated.get(name, Sensor(name, _UNITS[name]))
+        sensor = stated.get(name, Sensor(name, UNITS[name]))
         if sensor.resolution == 0.0:
             step = _grid([record.values[name] for record in records if name in record.outputs])
             if step > 0.0:
@@ -659,7 +594,7 @@ def _usable(record: Record, sensors: dict[str, Sensor], notes: list[str]) -> Rec
     for name in record.outputs:
         values = record.values[name]
         if record.moves(record.command) and np.ptp(values) == 0.0:
-            notes.append(f"{record.name}: {name} is stuck at {_shown(values[0], _UNITS[name])} while the "
+            notes.append(f"{record.name}: {name} is stuck at {_shown(values[0], UNITS[name])} while the "
                          f"{record.command} moves, and is left out")  # fmt: skip
             continue
         good = ~_saturated(record, sensors[name])

@@ -35,7 +35,7 @@ from .session import Record, Session
 MOST_ROWS = 300_000  # whitened rows that are kept: of longer sessions every second, third ... one
 SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
-BASE_STEPS, STEPS = 20, 5
+BASE_STEPS, STEPS = 20, 10
 ABSURD = 1e30  # deviance
 LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
 SETTLED = 0.3  # fall of the deviance that is not worth a step
@@ -157,7 +157,9 @@ def first_noise(study: Study) -> dict[tuple[str, float], Noise]:
             bend = np.diff(record.values[name], 2)
             size = float(np.sqrt(np.mean(bend**2) / 6.0))
             sensor = study.session.sensors.get(name)
-            floor = max((sensor.resolution if sensor else 0.0) / np.sqrt(12.0), 2e-3 * float(np.ptp(record.values[name])))
+            floor = max(
+                (sensor.resolution if sensor else 0.0) / np.sqrt(12.0), 2e-3 * float(np.ptp(record.values[name]))
+            )
             found[name, record.rate] = Noise(max(size, floor, 1e-30), (), False, "first guess")
     return found
 
@@ -202,7 +204,9 @@ def evaluate(study: Study, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit:
     readings = each(lambda bench: bench.readings(bench.run(variant), variant), study.benches)
     residual = study.stack([residual_of(b.record, r) for b, r in zip(study.benches, readings, strict=True)])[:, 0]
     shape_prior = sum(
-        (np.log(value / default) / SHAPE_DEVIATION) ** 2 for extra in extras for value, default in _against_default(extra)
+        (np.log(value / default) / SHAPE_DEVIATION) ** 2
+        for extra in extras
+        for value, default in _against_default(extra)
     )
     deviance = float(residual @ residual + point @ point + shape_prior)
     if not deviance < ABSURD:
@@ -241,7 +245,9 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
     return BaseFit(study, fit, tuple(views), study.stack(columns))
 
 
-def _settle(study: Study, fit: Fit, tell: Callable[[float], None]) -> tuple[Fit, list[View], list[dict[str, np.ndarray]]]:
+def _settle(
+    study: Study, fit: Fit, tell: Callable[[float], None]
+) -> tuple[Fit, list[View], list[dict[str, np.ndarray]]]:
     """Levenberg-Marquardt in the base parameters, damped in the metric of their prior; the answers at its end too."""
     damping = 0.0
     views, columns = _seen(study, study.base.at(fit.point))
@@ -255,7 +261,7 @@ def _settle(study: Study, fit: Fit, tell: Callable[[float], None]) -> tuple[Fit,
         for _ in range(8):
             step = np.linalg.solve(H + damping * np.eye(len(gradient)), gradient)
             if np.max(np.abs(step)) <= LONGEST_STEP:
-                new = _shorter(study, fit, lambda share, step=step: (fit.point + share * step, ()), (1.0,))  # noqa: B023
+                new = _shorter(study, fit, lambda _, step=step: (fit.point + step, ()), (1.0,))  # noqa: B023
                 if new is not None:
                     break
             damping = max(10.0 * damping, 1.0)
@@ -315,8 +321,10 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
             continue
     if fit is None:
         return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
+    if (leap := _leap(base, tuple(start))) is not None and leap.deviance < fit.deviance:
+        fit = leap
     damping, stale, occam = 0.0, 0, 0.0
-    views = base.views
+    views: Sequence[View] = base.views
     for k in range(steps + 1):
         names, S = _extra_columns(base, views, fit)
         H, gradient = _normal(fit, np.column_stack([J, S]), names)
@@ -340,8 +348,8 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
         gained = 0.0 if new is None else fit.deviance - new.deviance
         fit = fit if new is None else new
         damping = 0.0 if damping <= 0.1 or gained > 0.5 * promised else damping / 10.0
-        if gained < 0.5 * promised and promised > 10.0:  # the answers were taken too far from here: once anew
-            if stale == 1:
+        if gained < 0.5 * promised and promised > 10.0:  # the answers were taken too far from here
+            if stale == 3:
                 break
             stale += 1
             views, columns = _seen(study, fit.variant(study.base))
@@ -349,6 +357,30 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
         elif new is None or gained < SETTLED:
             break
     return replace(fit, occam=occam)
+
+
+def _leap(base: BaseFit, start: tuple[Extra, ...]) -> Fit | None:
+    """Where the linear equations put everything at once: a base parameter stretched by the cause goes back at once."""
+    study, p = base.study, base.J.shape[1]
+    absent = replace(base.fit, extras=start)  # its residual is that without the extras
+    names, S = _extra_columns(base, base.views, absent)
+    own = [k for k, (_, shape) in enumerate(names) if not shape]
+    columns = np.column_stack([base.J, S[:, own]])
+    H, gradient = _normal(base.fit, columns, [names[k] for k in own])
+    step = _solve(H, gradient)
+    extras = tuple(
+        replace(e, excess=float(np.clip(a, *_inside(e.candidate)))) for e, a in zip(start, step[p:], strict=True)
+    )
+    try:
+        return evaluate(study, base.fit.point + step[:p], extras)
+    except (SolveError, InputError):
+        return None
+
+
+def _inside(candidate: Candidate) -> tuple[float, float]:
+    """The limits of an excess while it is fitted: never quite off, for there a step would not see where to go."""
+    low, high = candidate.limits
+    return (1e-3 * candidate.typical if candidate.one_sided else 0.9 * low), 0.9 * high
 
 
 def _solve(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -372,7 +404,7 @@ def _normal(fit: Fit, columns: np.ndarray, names: Sequence[tuple[Extra, str]]) -
 
 
 def _occam(H: np.ndarray, p: int, names: Sequence[tuple[Extra, str]]) -> float:
-    """ln det of the extras' posterior precision in units of their priors, base parameters taken out: their Occam factor."""
+    """Occam factor: ln det of the extras' posterior precision in units of their priors, base parameters out."""
     if not names:
         return 0.0
     scale = np.array([3.0 * e.candidate.typical if not shape else SHAPE_DEVIATION for e, shape in names])
@@ -385,18 +417,16 @@ def _occam(H: np.ndarray, p: int, names: Sequence[tuple[Extra, str]]) -> float:
 
 def _moved(fit: Fit, names: Sequence[tuple[Extra, str]], step: np.ndarray) -> tuple[Extra, ...]:
     """The extras after a step of amplitudes and of logarithms of shapes, held inside their limits."""
-    new = {id(extra): [extra.excess, dict(extra.shapes)] for extra in fit.extras}
+    excesses = {id(extra): extra.excess for extra in fit.extras}
+    shapes = {id(extra): dict(extra.shapes) for extra in fit.extras}
     for (extra, shape), by in zip(names, step, strict=True):
         if shape:
             bounds = next(p.bounds for p in extra.candidate.shapes() if p.name == shape)
-            value = new[id(extra)][1][shape] * np.exp(np.clip(by, -1.5, 1.5))
-            new[id(extra)][1][shape] = float(np.clip(value, *bounds))
+            value = shapes[id(extra)][shape] * np.exp(np.clip(by, -1.5, 1.5))
+            shapes[id(extra)][shape] = float(np.clip(value, *bounds))
         else:
-            low, high = extra.candidate.limits
-            if extra.candidate.one_sided:  # never quite off: there a step would not see where to go
-                low = 1e-3 * extra.candidate.typical
-            new[id(extra)][0] = float(np.clip(extra.excess + by, low, high))
-    return tuple(replace(e, excess=new[id(e)][0], shapes=tuple(new[id(e)][1].items())) for e in fit.extras)
+            excesses[id(extra)] = float(np.clip(extra.excess + by, *_inside(extra.candidate)))
+    return tuple(replace(e, excess=excesses[id(e)], shapes=tuple(shapes[id(e)].items())) for e in fit.extras)
 
 
 def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list[tuple[Extra, str]], np.ndarray]:
@@ -412,7 +442,8 @@ def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list
         candidates.append(extra.candidate)
         if taken:
             step = 0.05 * size
-            changed.append(replace(fit, extras=_replaced(fit, extra, replace(extra, excess=extra.excess - step))).variant(study.base))
+            less = replace(extra, excess=extra.excess - step)
+            changed.append(replace(fit, extras=_replaced(fit, extra, less)).variant(study.base))
             divide.append(-step)
         else:
             changed.append(extra.candidate.add_to(origin, size, **dict(extra.shapes)))

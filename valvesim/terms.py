@@ -140,15 +140,15 @@ def term_effect(
         paths = ", ".join(v.name for v in VARIABLES.values() if v.rate)
         raise InputError(f"term {name}: the path of {variable} has no memory here; choose one of {paths}")
     at, w = np.asarray(knots, dtype=float), np.asarray(values, dtype=float)
-    if len(at) < 2 or len(at) != len(w) or not np.all(np.diff(at) > 0.0) or not np.all(np.isfinite([at, w])):
+    if len(at) < 2 or len(at) != len(w) or not np.all(np.diff(at) > 0.0) or not np.all(np.isfinite([*at, *w])):
         raise InputError(
-            f"term {name}: expected at least two knots, rising, with one value each, got {len(at)} knots {at} and "
-            f"{len(w)} values"
+            f"term {name}: expected at least two knots, rising, with one finite value each, got {len(at)} knots "
+            f"{at.tolist()} and {len(w)} values {w.tolist()}"
         )
-    for figure, value, needed in (("time_constant", time_constant, memory == LAG), ("width", width, memory == PATH)):
+    for own_name, value, needed in (("time_constant", time_constant, memory == LAG), ("width", width, memory == PATH)):
         if needed != (value > 0.0):
             raise InputError(
-                f"term {name}: {figure} = {value:g} with memory = {memory!r}; a {LAG} needs its time_constant and a "
+                f"term {name}: {own_name} = {value:g} with memory = {memory!r}; a {LAG} needs its time_constant and a "
                 f"{PATH} its width, above zero, and no other has one"
             )
     reach, largest = 1e3 * float(np.max(np.abs(at))), 1e6 * max(float(np.max(np.abs(w))), 1e-30)
@@ -187,7 +187,9 @@ def _balance(port: str, variable: str, memory: str, count: int) -> Any:
     place, argument = PORTS[port], VARIABLES[variable]
 
     def balance(s: Situation, p: Any, state: tuple) -> tuple[Ports, tuple]:
-        u, rates, direction = argument.of(s.state, s.coil_current), (), 1.0
+        u: Any = argument.of(s.state, s.coil_current)
+        rates: tuple = ()
+        direction: Any = 1.0
         if memory == LAG:
             (lagged,) = state
             rates = ((u - lagged) / p.time_constant,)

@@ -1,0 +1,61 @@
+"""What is hidden in a session is found: the plant is not the model, and the diagnosis sees only the folder."""
+
+import numpy as np
+import pytest
+from hidden_plant import draw, truth, write_session
+
+import valvesim as vs
+from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY
+
+
+def diagnosed(folder, seed, kind, name=None, strength=1.0):
+    case = draw(seed, kind, name=name)
+    write_session(case, folder, strength)
+    return vs.diagnose(folder), truth(case, strength)
+
+
+@pytest.mark.parametrize("seed", [0, 6])
+def test_nothing_is_found_where_nothing_is_hidden(tmp_path, seed):
+    found, _ = diagnosed(tmp_path, seed, "none")
+    assert found.verdict == NO_DISCREPANCY and not found.causes and not found.gain_claimed
+    assert found.detection_limits and found.noise and all(noise.verified for noise in found.noise)
+    limits = {limit.label: limit for limit in found.detection_limits}
+    assert 0.0 < limits["spool_coulomb_friction"].amplitude < 1.0  # N: what this session would have shown
+
+
+def test_a_biased_sensor_is_named_with_its_bias(tmp_path):
+    found, hidden = diagnosed(tmp_path, 9, "sensor", "sensor_bias")
+    (figures,) = hidden["parameters"].values()
+    assert found.verdict == CAUSE and found.causes == ("sensor_bias",)
+    assert figures["channel"].replace("_", " ") in found.location.replace("_", " ")
+    (bias,) = [e for e in found.parameters if e.name == "bias"]
+    assert bias.value == pytest.approx(figures["bias"], rel=0.1) and bias.low < figures["bias"] < bias.high
+
+
+def test_a_figure_beyond_its_tolerance_is_in_the_answer_with_what_cannot_be_told_from_it(tmp_path):
+    found, hidden = diagnosed(tmp_path, 10, "parameter", "feedback_rod_stiffness")
+    assert found.verdict in (CAUSE, AMBIGUOUS)
+    assert set(hidden["causes"]) <= {name for answer in found.candidates if answer.in_set for name in answer.names}
+
+
+def test_the_same_session_gives_the_same_answer(tmp_path):
+    case = draw(6, "none")
+    write_session(case, tmp_path)
+    stages: list[tuple[str, float]] = []
+    first = vs.diagnose(tmp_path, progress=lambda stage, share: stages.append((stage, share)))
+    assert first.to_dict() == vs.diagnose(tmp_path).to_dict()
+    shares = [share for _, share in stages]
+    assert shares == sorted(shares) and shares[0] == 0.0 and len({stage for stage, _ in stages}) >= 3
+
+
+def test_records_of_another_valve_are_said_to_be_that_before_anything_is_named(tmp_path):
+    case = draw(6, "none")
+    write_session(case, tmp_path)
+    for path in tmp_path.glob("*.csv"):
+        header, *rows = path.read_text().splitlines()
+        table = np.array([[float(v) for v in row.split(",")] for row in rows])
+        table[:, [k for k, name in enumerate(header.split(",")) if name.split()[0] in case.channels]] *= -1.0
+        np.savetxt(path, table, "%.10g", ",", header=header, comments="")
+    found = vs.diagnose(tmp_path)
+    assert found.verdict == "unknown" and not found.causes and not found.parameters
+    assert "cannot come near these records" in found.summary

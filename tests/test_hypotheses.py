@@ -1,0 +1,370 @@
+"""What may be wrong with a valve: base parameters, candidates, and what each shows against true runs."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from test_prediction import UNIVERSE, bench_of, nominal, small_session
+
+from valvesim.catalogue import CATALOGUE
+from valvesim.effects import Effect, Parameter, Ports
+from valvesim.errors import InputError
+from valvesim.hypotheses import (
+    FAST,
+    SENSOR_BIAS,
+    SENSOR_DELAY,
+    SENSOR_GAIN,
+    SHAPES,
+    Base,
+    BaseParameter,
+    Candidate,
+    SmallError,
+    base_of,
+    candidate_columns,
+    candidates_of,
+    measured,
+    neighbours,
+    parameter_columns,
+    view,
+)
+from valvesim.parameters import Valve
+from valvesim.units import quantities
+
+CHANNELS = ("spool_position", "armature_angle", "nozzle_pressure_1", "load_flow", "internal_leakage")
+SENSOR_EFFECTS = tuple(effect.name for effect in CATALOGUE.values() if effect.reading is not None)
+
+
+@pytest.fixture(scope="module")
+def base() -> Base:
+    return base_of(small_session())
+
+
+@pytest.fixture(scope="module")
+def candidates(base):
+    return candidates_of(small_session(), base)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return view(bench_of("fast"), nominal())
+
+
+def by_name(base):
+    return {p.name: p for p in base.parameters}
+
+
+def candidate(candidates, key):
+    (found,) = (c for c in candidates if c.key == key)
+    return found
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+# ---------------------------------------------------------------- the base
+
+
+def test_the_base_has_exactly_the_quantities_with_a_tolerance(base):
+    uncertain = [name for name, declared in quantities(Valve).items() if declared.metadata["tolerance"] > 0.0]
+    assert len(uncertain) > 30
+    assert [p.name for p in base.parameters if p.sensor is None] == uncertain
+    assert base.variant == nominal()
+
+
+def test_a_tolerance_is_two_standard_deviations(base):
+    rod = by_name(base)["feedback_rod_stiffness"]
+    assert (rod.nominal, rod.unit) == (2780.0, "N/m") and rod.deviation == pytest.approx(0.02 * 2780.0 / 2.0)
+    assert rod.bounds == quantities(Valve)["feedback_rod_stiffness"].metadata["bounds"]
+    offset = by_name(base)["null_gap_difference"]  # nominally zero: its tolerance is in m, not a share
+    assert offset.nominal == 0.0 and offset.deviation == pytest.approx(3e-7 / 2.0)
+
+
+def test_a_share_is_one_of_the_sessions_own_valve():
+    valve = replace(small_session().valve, null_gap=3e-5, polarization_mmf_slope=-1.0)
+    found = by_name(base_of(replace(small_session(), valve=valve)))
+    assert found["null_gap"].deviation == pytest.approx(0.02 * 3e-5 / 2.0)
+    assert found["polarization_mmf_slope"].deviation == pytest.approx(0.05 / 2.0)  # a negative value has a width too
+
+
+def test_a_session_overrides_tolerances():
+    stated = {"feedback_rod_stiffness": 139.0, "null_gap": 0.0, "rated_current": 1e-4}
+    found = by_name(base_of(replace(small_session(), tolerances=stated)))
+    assert found["feedback_rod_stiffness"].deviation == pytest.approx(139.0 / 2.0)
+    assert "null_gap" not in found  # exactly known
+    assert found["rated_current"].deviation == pytest.approx(1e-4 / 2.0)
+
+
+def test_every_sensor_may_be_off_a_little(base):
+    assert set(measured(small_session())) == set(CHANNELS)
+    sensors = {p.name: p for p in base.parameters if p.sensor is not None}
+    kinds = ("sensor_bias", "sensor_gain", "sensor_delay")
+    assert set(sensors) == {f"{kind}@{channel}" for kind in kinds for channel in CHANNELS}
+    records = small_session().records
+    span = max(np.ptp(record.values["spool_position"]) for record in records)
+    bias = sensors["sensor_bias@spool_position"]
+    assert bias.deviation == pytest.approx(SENSOR_BIAS * span / 2.0) and bias.unit == "m"
+    assert sensors["sensor_gain@load_flow"].deviation == pytest.approx(SENSOR_GAIN / 2.0)
+    delay = sensors["sensor_delay@armature_angle"]
+    assert delay.deviation == pytest.approx(SENSOR_DELAY / 2.0) and delay.bounds[0] == -delay.bounds[1] < 0.0
+    assert all(p.nominal == 0.0 and isinstance(p.sensor, SmallError) for p in sensors.values())
+
+
+def test_the_nominal_point_is_the_sessions_valve(base):
+    assert base.at(np.zeros(len(base.parameters))) == base.variant
+
+
+def test_a_point_moves_each_parameter_by_its_deviations(base):
+    point = np.zeros(len(base.parameters))
+    names = [p.name for p in base.parameters]
+    point[names.index("null_gap")], point[names.index("sensor_gain@load_flow")] = 2.0, -1.0
+    variant = base.at(point)
+    assert variant.valve.null_gap == pytest.approx(3.5e-5 * 1.02)
+    assert replace(variant.valve, null_gap=3.5e-5) == base.variant.valve
+    (sensor,) = variant.effects
+    assert sensor.effect.channel == "load_flow" and sensor.numbers[0] == pytest.approx(-SENSOR_GAIN / 2.0)
+
+
+def test_a_point_stays_within_the_bounds(base):
+    alone = ("null_gap", "flux_share", "spool_damping", "sensor_gain@load_flow", "sensor_delay@load_flow")
+    for far, side in ((-1e9, 0), (1e9, 1)):
+        variant = base.at(np.array([far if p.name in alone else 0.0 for p in base.parameters]))
+        for name in alone[:3]:
+            assert getattr(variant.valve, name) == by_name(base)[name].bounds[side]
+        assert [active.numbers[0] for active in variant.effects] == [by_name(base)[n].bounds[side] for n in alone[3:]]
+
+
+def test_known_effects_of_the_session_stay_in_the_base():
+    known = (CATALOGUE["spool_coulomb_friction"](friction_force=2.0),)
+    base = base_of(replace(small_session(), effects=known))
+    assert base.at(np.zeros(len(base.parameters))).effects == known
+
+
+# ---------------------------------------------------------------- candidates
+
+
+def test_every_effect_of_the_catalogue_is_looked_for_once_on_each_side_and_sensor(candidates):
+    families = {c.family for c in candidates if c.parameter is None}
+    expected = set()
+    for effect in CATALOGUE.values():
+        if effect.reading is not None:
+            expected |= {f"{effect.name}@{channel}" for channel in CHANNELS}
+        elif effect.name in ("fixed_orifice_clogging", "nozzle_erosion"):
+            expected |= {f"{effect.name}[side=1]", f"{effect.name}[side=2]"}
+        else:
+            expected.add(effect.name)
+    assert families == expected
+    counts = Counter(c.family for c in candidates)
+    for name, shapes in SHAPES.items():
+        for shape, values in shapes.items():
+            assert all(counts[f] == (1 if shape == "side" else len(values)) for f in counts if f.startswith(name))
+    assert {f for f, count in counts.items() if count > 1} == {"eddy_current_lag", "magnetic_hysteresis"}
+
+
+def test_every_base_parameter_of_the_valve_is_a_candidate(candidates, base):
+    names = {c.name for c in candidates if c.parameter is not None}
+    assert names == {f"parameter:{p.name}" for p in base.parameters if p.sensor is None}
+
+
+def test_keys_are_unique(candidates):
+    keys = [c.key for c in candidates]
+    assert len(set(keys)) == len(keys)
+    assert "magnetic_hysteresis[turning_current=0.001]" in keys and "sensor_gain@load_flow" in keys
+
+
+def test_what_is_known_already_is_not_looked_for_and_a_users_effect_is():
+    own = Effect(
+        name="side_load", doc="", location="spool force balance", signature="",
+        parameters=(
+            Parameter(name="force", unit="N", doc="", default=0.0, bounds=(-50.0, 50.0), neutral=0.0, typical=5.0),
+        ),
+        balance=lambda situation, p, memory: (Ports(spool_force=p.force), ()),
+    )  # fmt: skip
+    known = (CATALOGUE["spool_coulomb_friction"](friction_force=2.0),)
+    session = replace(small_session(), effects=known, user_effects=(own,))
+    names = {c.name for c in candidates_of(session, base_of(session))}
+    assert "side_load" in names and "spool_coulomb_friction" not in names
+    assert names >= set(SENSOR_EFFECTS)
+
+
+def test_only_amplitudes_that_make_sense_are_looked_for(candidates):
+    assert candidate(candidates, "spool_coulomb_friction").one_sided
+    assert not candidate(candidates, "null_gap_asymmetry").one_sided
+    assert not candidate(candidates, "oil_viscosity_grade").one_sided  # neutral at 1, thinner or thicker
+    assert not candidate(candidates, "parameter:null_gap").one_sided
+    assert candidate(candidates, "oil_viscosity_grade").typical == pytest.approx(1.5)
+    assert candidate(candidates, "oil_viscosity_grade").limits == pytest.approx((-0.8, 4.0))
+
+
+def test_every_candidate_has_a_size_a_unit_and_a_place(candidates):
+    for c in candidates:
+        low, high = c.limits
+        assert c.typical > 0.0 and low < high and low <= 0.0 <= high, c.key
+        assert c.location() and isinstance(c.unit, str), c.key
+    assert candidate(candidates, "sensor_bias@load_flow").location() == "sensor of load_flow"
+    assert candidate(candidates, "parameter:null_gap").location() == "valve parameter"
+    assert candidate(candidates, "spool_lap").location() == "main stage"
+    assert candidate(candidates, "parameter:null_gap").unit == "m"
+
+
+def test_an_effect_is_added_within_its_bounds(candidates):
+    for c in (c for c in candidates if c.effect is not None):
+        for far, side in ((-1e12, 0), (1e12, 1)):
+            (active,) = c.add_to(nominal(), far).effects
+            for p, number in zip(active.effect.parameters, active.numbers, strict=True):
+                assert p.bounds[0] <= number <= p.bounds[1], c.key
+            assert getattr(active.values, c.effect.amplitude.name) == c.effect.amplitude.bounds[side], c.key
+
+
+def test_a_parameter_is_added_within_its_bounds_or_refused_by_the_valve(candidates):
+    """The valve refuses what its bounds allow one by one but not together, such as a nozzle closed on one side."""
+    refused = set()
+    for c in (c for c in candidates if c.parameter is not None):
+        for far, side in ((-1e12, 0), (1e12, 1)):
+            try:
+                assert getattr(c.add_to(nominal(), far).valve, c.parameter.name) == c.parameter.bounds[side], c.key
+            except InputError as error:
+                assert "must be smaller than twice" in str(error), c.key
+                refused.add(c.parameter.name)
+    assert refused <= {name for name in quantities(Valve) if name.endswith("_difference")}
+
+
+def test_a_candidate_is_added_at_neutral_plus_its_excess_with_its_shapes(candidates):
+    grade = candidate(candidates, "oil_viscosity_grade").add_to(nominal(), 0.5).effects[0]
+    assert grade.values.viscosity_factor == pytest.approx(1.5)
+    loop = candidate(candidates, "magnetic_hysteresis[turning_current=0.004]")
+    values = loop.add_to(nominal(), 1e-4).effects[0].values
+    assert (values.coercive_current, values.turning_current) == pytest.approx((1e-4, 4e-3))
+    assert loop.add_to(nominal(), 1e-4, turning_current=5e-3).effects[0].values.turning_current == pytest.approx(5e-3)
+    rod = candidate(candidates, "parameter:feedback_rod_stiffness").add_to(nominal(), -100.0)
+    assert rod.valve.feedback_rod_stiffness == pytest.approx(2680.0) and rod.effects == ()
+
+
+def test_shapes_that_can_be_fitted_leave_out_the_amplitude_and_the_side(candidates):
+    shapes = {c.key: [p.name for p in c.shapes()] for c in candidates}
+    assert shapes["spool_coulomb_friction"] == ["presliding_distance"]
+    assert shapes["nozzle_erosion[side=2]"] == [] and shapes["parameter:null_gap"] == []
+
+
+def test_a_parameter_is_no_effect_and_a_candidate_is_one_of_both(candidates):
+    with pytest.raises(InputError, match="parameter:null_gap is a parameter, not an effect"):
+        candidate(candidates, "parameter:null_gap").active(1e-6)
+    with pytest.raises(InputError, match="candidate nothing is neither"):
+        _ = Candidate("nothing").typical
+
+
+# ---------------------------------------------------------------- what each shows
+
+
+def test_neighbours_are_one_deviation_off_in_one_parameter(base):
+    beside = neighbours(base, nominal())
+    plant = [p for p in base.parameters if p.sensor is None]
+    assert len(beside) == len(plant)
+    for p, variant in zip(plant, beside, strict=True):
+        assert getattr(variant.valve, p.name) == pytest.approx(p.nominal + p.deviation)
+        assert replace(variant.valve, **{p.name: p.nominal}) == nominal().valve
+
+
+def test_columns_of_base_parameters_are_differences_of_true_runs(base, seen):
+    """To first order, so at a tenth of their deviations; those that act within a step of the grid are run."""
+    names = ("nozzle_arm", "null_gap_difference", "port_flow_coefficient", *FAST)
+    nearer = tuple(replace(p, deviation=p.deviation / 10.0) for p in base.parameters if p.name in names)
+    assert len(nearer) == len(names)
+    some = Base(base.variant, nearer)
+    beside = neighbours(some, nominal())
+    columns = parameter_columns(seen, some, beside)
+    assert columns["spool_position"].shape == (len(seen.bench.record.time), len(names))
+    for k, (p, variant) in enumerate(zip(some.parameters, beside, strict=True)):
+        truth = seen.by_run(variant)
+        shown = [ch for ch in CHANNELS if p.name in FAST or rms(truth[ch]) > 1e-4 * np.ptp(seen.readings[ch])]
+        assert shown, p.name
+        for channel in shown:
+            error = rms(columns[channel][:, k] - truth[channel])
+            assert error <= (1e-9 if p.name in FAST else 0.03) * rms(truth[channel]), (p.name, channel)
+
+
+def test_columns_of_sensors_are_what_their_errors_do_on_their_channel(base, seen):
+    some = Base(base.variant, tuple(p for p in base.parameters if p.sensor is not None))
+    columns = parameter_columns(seen, some, [])
+    at = {p.name: k for k, p in enumerate(some.parameters)}
+    spool, bias = columns["spool_position"], by_name(base)["sensor_bias@spool_position"].deviation
+    assert spool[:, at["sensor_bias@spool_position"]] == pytest.approx(bias, rel=1e-6)
+    gain = spool[:, at["sensor_gain@spool_position"]]
+    assert gain == pytest.approx(SENSOR_GAIN / 2.0 * seen.readings["spool_position"], rel=1e-6, abs=1e-15)
+    time = seen.bench.record.time
+    slope = CubicSpline(time, seen.readings["spool_position"])(time[2:-2], 1)
+    late = spool[2:-2, at["sensor_delay@spool_position"]]
+    assert rms(late + SENSOR_DELAY / 2.0 * slope) < 0.03 * rms(late)
+    assert not spool[:, at["sensor_gain@load_flow"]].any()
+
+
+def test_answers_to_a_candidate_with_memory_are_near_true_runs(candidates, seen):
+    loops = [c for c in candidates if c.name == "magnetic_hysteresis"]
+    size = 0.05 * loops[0].typical
+    changed = [c.add_to(nominal(), size) for c in loops]
+    columns = candidate_columns(seen, loops, changed)
+    for k, variant in enumerate(changed):
+        truth = seen.by_run(variant)
+        for channel in ("spool_position", "armature_angle", "load_flow"):
+            assert rms(truth[channel]) > 1e-4 * np.ptp(seen.readings[channel])
+            assert rms(columns[channel][:, k] - truth[channel]) < 0.15 * rms(truth[channel]), channel
+
+
+def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_runs(candidates, seen):
+    keys = ("spool_edge_wear", "nozzle_erosion[side=2]", "parameter:spool_area", "sensor_lag@spool_position",
+            "thermal_lag", "sensor_temperature_drift@load_flow")  # fmt: skip
+    some = [candidate(candidates, key) for key in keys]
+    changed = [c.add_to(nominal(), 0.01 * c.typical) for c in some]
+    columns = candidate_columns(seen, some, changed)
+    for k, (c, variant) in enumerate(zip(some, changed, strict=True)):
+        truth = seen.by_run(variant)
+        shown = [ch for ch in CHANNELS if rms(truth[ch]) > 2e-5 * np.ptp(seen.readings[ch])]
+        assert shown, c.key
+        for channel in shown:
+            assert rms(columns[channel][:, k] - truth[channel]) < 0.05 * rms(truth[channel]), (c.key, channel)
+
+
+def test_a_sensor_that_the_record_lacks_shows_nothing(seen):
+    absent = Candidate("sensor_bias", CATALOGUE["sensor_bias"].on("nozzle_pressure_2"))
+    for columns in candidate_columns(seen, [absent], [absent.add_to(nominal(), 1e5)]).values():
+        assert not columns.any()
+
+
+def test_a_fault_of_a_sensor_changes_what_it_shows_of_others(seen):
+    """By as much as the fault says: a sensor that reads 1.3 times too much shows 1.3 times as much."""
+    gain = CATALOGUE["sensor_gain"].on("spool_position")(gain_error=0.3)
+    stiffer = Candidate("p", parameter=BaseParameter("spool_area", "m^2", 1.68e-5, 1e-8, (1e-6, 1e-3)))
+    faulty = view(bench_of("fast"), nominal().with_effect(gain))
+    plain, scaled = (
+        own.by_answer([stiffer.add_to(own.variant, 1e-8)])["spool_position"] for own in (seen, faulty)
+    )  # fmt: skip
+    assert scaled == pytest.approx(1.3 * plain, abs=0.02 * np.abs(plain).max())
+
+
+def test_a_fault_that_bends_readings_acts_by_its_slope_at_what_is_read(seen):
+    """A user's sensor v (1 + k v) shows a change of v as (1 + 2 k v) times as much, wherever it is read."""
+    bent = Effect(
+        name="bent_sensor", doc="", location="sensor", signature="", channel="spool_position",
+        parameters=(Parameter(name="k", unit="1/m", doc="", default=0.0, bounds=(0.0, 1e5), neutral=0.0, typical=1e3),),
+        reading=lambda r, p: r.values * (1.0 + p.k * r.values),
+    )  # fmt: skip
+    faulty = view(bench_of("fast"), nominal().with_effect(bent(k=3e3)))
+    area = Candidate("p", parameter=BaseParameter("spool_area", "m^2", 1.68e-5, 1e-8, (1e-6, 1e-3)))
+    plain, shown = (own.by_answer([area.add_to(own.variant, 1e-9)])["spool_position"][:, 0] for own in (seen, faulty))
+    slope = 1.0 + 6e3 * seen.readings["spool_position"]
+    assert np.ptp(slope) > 1.0
+    assert shown == pytest.approx(slope * plain, abs=0.02 * np.abs(plain).max())
+
+
+def test_the_residual_is_measured_minus_predicted(seen):
+    for channel, left in seen.residual().items():
+        assert left == pytest.approx(seen.bench.record.values[channel] - seen.readings[channel], abs=0.0)
+        if channel != "load_flow":  # the record has no lag, its sensor states one
+            assert rms(left) < 1e-3 * np.ptp(seen.readings[channel]), channel
+    assert rms(seen.residual()["load_flow"]) > 1e-2 * np.ptp(seen.readings["load_flow"])
+
+
+def test_effects_of_the_universe_are_catalogue_effects_with_memory():
+    assert all(effect.memory and CATALOGUE[effect.name] is effect for effect in UNIVERSE)

@@ -1,0 +1,143 @@
+"""The next test: inside the valve's limits, and only where it tells two hypotheses apart."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from valvesim import next_test
+from valvesim.errors import SolveError
+from valvesim.fluid import MIL_PRF_5606
+from valvesim.next_test import LEAST, _power, design, library
+from valvesim.parameters import Valve
+from valvesim.prediction import Variant, prepare
+from valvesim.scenario import Thermal
+from valvesim.session import Record, Sensor, Session
+from valvesim.study import BaseFit, Extra, Fit, evaluate, first_noise, prepare_study
+from valvesim.study import _seen as seen  # the base, seen from where it is: no fit is needed here
+
+NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
+LABELS = ("spool_coulomb_friction", "spool_lap")
+
+
+def session_of(voltage=False, oil=40.0, network=None, duration=0.1):
+    """A session with one record of a small sine, as the nominal valve would have given it."""
+    t = np.linspace(0.0, duration, int(duration * 1000) + 1)
+    command = {"voltage": 0.6 * np.sin(60 * t)} if voltage else {"current": 1e-3 * np.sin(60 * t)}
+    values = {**command, "oil_temperature": np.full(len(t), oil), **{name: np.zeros(len(t)) for name in NOISE}}
+    record = Record("sine", t, values, {name: np.ones(len(t), dtype=bool) for name in NOISE})
+    sensors = {name: Sensor(name, "", noise=noise) for name, noise in NOISE.items()}
+    session = Session(Path(), "made", 1, Valve(), MIL_PRF_5606, Thermal(network=network), (), (), {}, sensors,
+                      (record,), ())  # fmt: skip
+    bench = prepare(session, record, ())
+    variant, rng = Variant(session.valve), np.random.default_rng(1)
+    read = bench.readings(bench.run(variant), variant)
+    noisy = {name: column + rng.normal(0.0, NOISE[name], len(t)) for name, column in read.items()}
+    return replace(session, records=(replace(record, values={**values, **noisy}),))
+
+
+def base_of(session):
+    study = prepare_study(session)
+    study = replace(study, noise=first_noise(study))
+    fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
+    views, columns = seen(study, fit.variant(study.base))
+    return BaseFit(study, fit, tuple(views), study.stack(columns))
+
+
+def fit_of(base, name, share):
+    candidate = next(c for c in base.study.candidates if c.name == name)
+    shapes = tuple((p.name, p.default) for p in candidate.shapes())
+    return evaluate(base.study, base.fit.point, (Extra(candidate, share * candidate.typical, shapes),))
+
+
+@pytest.fixture(scope="module")
+def base():
+    return base_of(session_of())
+
+
+@pytest.fixture(scope="module")
+def fits(base):
+    return fit_of(base, LABELS[0], 0.5), fit_of(base, LABELS[1], 0.5)
+
+
+@pytest.fixture(scope="module")
+def found(base, fits):
+    return design(base, *fits, LABELS)
+
+
+def test_two_effects_that_differ_elsewhere_are_told_apart(found):
+    assert found.power >= 0.95 and found.separates == LABELS
+    assert found.power == pytest.approx(_power(found.distance))
+    assert found.description and found.duration <= 8.0
+    assert found.description not in found.alternatives
+
+
+def test_the_inputs_are_the_whole_test_inside_the_limits(base, found):
+    inputs, valve = found.inputs, base.study.session.valve
+    assert set(inputs) == {"time", "current", "oil_temperature", "supply_pressure", "load_pressure"}
+    assert len({len(column) for column in inputs.values()}) == 1
+    assert inputs["time"][0] == 0.0 and inputs["time"][-1] == pytest.approx(found.duration)
+    assert np.diff(inputs["time"]) == pytest.approx(1e-3)
+    assert np.abs(inputs["current"]).max() <= valve.rated_current
+    assert found.settings["supply_pressure"] == f"{inputs['supply_pressure'][0] / 1e5:.0f} bar"
+
+
+def test_a_hypothesis_is_not_told_from_itself(base, fits):
+    assert design(base, fits[0], fits[0], (LABELS[0],) * 2) is None
+
+
+def test_what_a_refit_can_make_up_does_not_count(base, fits):
+    candidate = fits[0].extras[0].candidate
+    other = fit_of(base, LABELS[0], 0.5 + 1e-3)
+    plain = Fit(base.fit.point, (), base.fit.deviance, base.fit.readings, base.fit.residual)
+    assert candidate.name == LABELS[0]
+    assert design(base, fits[0], other, LABELS) is None  # one effect at two amplitudes that the session cannot tell
+    assert design(base, fits[0], plain, LABELS) is not None  # but the effect itself is told from none at all
+
+
+def test_a_test_that_cannot_be_run_is_left_out(base, fits, monkeypatch):
+    def fails(bench, variant):
+        raise SolveError("no")
+
+    monkeypatch.setattr("valvesim.prediction.Bench.run", fails)
+    assert design(base, *fits, LABELS) is None
+
+
+@pytest.mark.parametrize("oil", [-20.0, 5.0, 40.0, 85.0, 120.0])
+def test_every_test_of_the_library_keeps_within_bounds(oil):
+    session = session_of_records(oil)
+    for trial in library(session):
+        assert np.abs(trial.shape).max() <= 1.0
+        assert 0.0 < trial.supply <= session.valve.supply_pressure and abs(trial.load) < trial.supply
+        assert min(oil, 0.0) <= trial.oil.min() and trial.oil.max() <= max(oil, 90.0)
+        assert abs(trial.oil - oil).max() <= 10.0
+        assert trial.shape[0] == pytest.approx(0.0, abs=0.05) and trial.shape[-1] == pytest.approx(0.0, abs=0.05)
+
+
+def session_of_records(oil, network=None):
+    t = np.linspace(0.0, 0.1, 101)
+    record = Record("a", t, {"current": t, "oil_temperature": np.full(101, oil)}, {})
+    return Session(Path(), "made", 1, Valve(), MIL_PRF_5606, Thermal(network=network), (), (), {}, {}, (record,), ())
+
+
+def test_the_oil_warms_up_only_where_a_network_follows_it():
+    def ramps(network):
+        return [trial for trial in library(session_of_records(40.0, network)) if np.ptp(trial.oil) > 0.0]
+
+    assert not ramps(None) and len(ramps(Thermal().network)) == 1
+
+
+def test_a_session_driven_by_voltage_gets_a_voltage():
+    session = session_of_records(40.0)
+    driven = replace(session.records[0], values={"voltage": session.records[0].values["current"]})
+    session = replace(session, records=(driven,))
+    values = next_test._values(session, library(session)[0])
+    assert "current" not in values
+    assert np.abs(values["voltage"]).max() <= session.valve.rated_current * session.valve.coil_resistance
+
+
+def test_the_power_rises_with_the_distance():
+    powers = [_power(d) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
+    assert powers == sorted(powers) and powers[0] == 0.0 and powers[2] == pytest.approx(0.5, abs=0.01)
+    assert powers[1] < LEAST and powers[-1] > 0.99

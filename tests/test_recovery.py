@@ -1,0 +1,215 @@
+"""Terms that no catalogue entry has: found, estimated inside the simulation, and given a formula where one holds up."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from valvesim.errors import InputError
+from valvesim.fluid import MIL_PRF_5606
+from valvesim.model import Model
+from valvesim.parameters import Valve
+from valvesim.prediction import Variant, prepare
+from valvesim.recovery import _formulas, _Problem, _sentence, recover
+from valvesim.scenario import Thermal
+from valvesim.scene import look
+from valvesim.session import Record, Sensor, Session
+from valvesim.study import fit_base, prepare_study, residual_of
+from valvesim.terms import LAG, NONE, PATH, PORTS, VARIABLES, Family, families, term_effect
+
+CHANNELS = {"spool_position": 2e-6, "armature_angle": 8e-6, "load_flow": 2e-6}  # with their noise
+KNOTS = np.linspace(-3e-4, 3e-4, 11)
+CUBIC = -3e11  # N/m^3
+TOLERANCES = dict.fromkeys(("spool_area", "feedback_rod_stiffness", "null_gap"), 0.0)
+
+
+def session_of(*actives, duration=0.5, seed=1):
+    """A session that a valve with these effects would have given: three records, two of them repeats."""
+    t = np.linspace(0.0, duration, int(duration * 1000) + 1)
+    chirp = 6e-3 * np.sin(2 * np.pi * (2.0 * t + 25.0 * t**2))
+    ramp = 7e-3 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * 2.0 * t))
+    usable = {name: np.ones(len(t), dtype=bool) for name in CHANNELS}
+    rng = np.random.default_rng(seed)
+
+    def record(name, current, repeats=None):
+        values = {"current": current, "oil_temperature": np.full(len(t), 40.0),
+                  "supply_pressure": np.full(len(t), 21e6), "load_pressure": np.zeros(len(t))}  # fmt: skip
+        return Record(name, t, {**values, **{c: np.zeros(len(t)) for c in CHANNELS}}, usable, repeats=repeats)
+
+    records = [record("chirp", chirp, "a"), record("again", chirp, "a"), record("ramp", ramp)]
+    sensors = {name: Sensor(name, "", noise=noise) for name, noise in CHANNELS.items()}
+    session = Session(Path(), "made", 1, Valve(), MIL_PRF_5606, Thermal(network=None), (), (), {}, sensors,
+                      tuple(records), ())  # fmt: skip
+    variant, measured = Variant(session.valve, actives), []
+    for one in records:
+        bench = prepare(session, one, ())
+        read = bench.readings(bench.run(variant), variant)
+        noisy = {name: read[name] + rng.normal(0.0, CHANNELS[name], len(t)) for name in CHANNELS}
+        measured.append(replace(one, values={**one.values, **noisy}))
+    return replace(session, records=tuple(measured))
+
+
+def cubic():
+    return term_effect("spool_force", "spool_position", KNOTS, CUBIC * KNOTS**3, name="hidden")(
+        share=1.0, **{f"value_{k + 1}": v for k, v in enumerate(CUBIC * KNOTS**3)}
+    )
+
+
+@pytest.fixture(scope="module")
+def base():
+    return fit_base(prepare_study(session_of(cubic())))
+
+
+@pytest.fixture(scope="module")
+def found(base):
+    return recover(base, look(base, base.fit))
+
+
+# ---------------------------------------------------------------- the whole
+
+
+def test_a_hidden_cubic_spring_is_recovered_where_it_acts(found):
+    assert (found.term.port, found.term.variable, found.term.memory) == ("spool_force", "spool_position", NONE)
+    at, value = np.array(found.term.at), np.array(found.term.value)
+    true = CUBIC * at**3
+    assert np.linalg.norm(value - true) < 0.1 * np.linalg.norm(true)
+    assert np.all(np.array(found.term.deviation) > 0.0) and len(found.term.deviation) == len(at)
+
+
+def test_its_formula_is_offered_with_its_units_and_error(found):
+    assert "x^3 N, x = spool_position in m" in found.term.formula
+    assert float(found.term.formula.split()[0]) == pytest.approx(CUBIC, rel=0.1)
+    assert 0.0 <= found.term.formula_error <= 0.1
+
+
+def test_the_fit_explains_the_records_and_is_what_its_variant_reads(base, found):
+    rows = len(base.fit.residual)
+    assert found.deviance < base.fit.deviance - 100.0 and found.deviance < 1.3 * rows
+    assert found.variant.effects[-1] == found.active and found.point.shape == base.fit.point.shape
+    for bench, read in zip(base.study.benches, found.readings, strict=True):
+        again = bench.readings(bench.run(found.variant), found.variant)
+        assert all(np.array_equal(again[name], read[name]) for name in read)
+    residual = base.study.stack(
+        [residual_of(b.record, r) for b, r in zip(base.study.benches, found.readings, strict=True)]
+    )
+    assert found.deviance >= float(residual[:, 0] @ residual[:, 0]) + float(found.point @ found.point)
+
+
+def test_nothing_is_recovered_where_nothing_is_hidden():
+    plain = fit_base(prepare_study(session_of()))
+    assert recover(plain, look(plain, plain.fit)) is None
+
+
+def test_nothing_is_recovered_from_a_scene_without_families(base):
+    assert recover(base, look(base, base.fit, with_families=False)) is None
+
+
+# ---------------------------------------------------------------- formulas
+
+
+def problem(memory=NONE, **figures):
+    family = Family(PORTS["spool_force"], VARIABLES["spool_position"], memory, **figures)
+    return _Problem(None, family, KNOTS, np.ones(len(KNOTS)), 1.0)
+
+
+@pytest.mark.parametrize(
+    "true, text",
+    [
+        (lambda x: 2e7 * x * x, "2e+07 x^2"),
+        (lambda x: -3e11 * x**3, "-3e+11 x^3"),
+        (lambda x: 4e7 * x * np.abs(x), "4e+07 x |x|"),
+        (lambda x: 5e3 * np.abs(x), "5e+03 |x|"),
+        (lambda x: 1.5 * np.tanh(x / 6e-5), "tanh(x/"),
+        (lambda x: 0.7 * np.sin(2 * np.pi * x / 2.49e-4 + 0.5), "sin(2 pi x/0.000249 +0.5"),
+        (lambda x: 2e7 * x * x + 3e3 * x, "2e+07 x^2 + 3e+03 x"),
+    ],
+)
+def test_a_formula_is_found_by_its_shape(true, text):
+    values = true(KNOTS)
+    C = (0.01 * np.abs(values).max()) ** 2 * np.eye(len(KNOTS))
+    best = _formulas(problem(), values, C, 12.0)[0]
+    assert text in best.write(best.coefficients)
+    assert best.F @ best.coefficients == pytest.approx(values, abs=0.05 * np.abs(values).max())
+
+
+def test_what_the_base_could_make_up_is_not_held_against_a_formula():
+    u = KNOTS / KNOTS[-1]
+    values = 2.0 * u**2 + 0.5 * u  # the slope is uncertain by far more than itself
+    C = 1e-4 * np.eye(len(u)) + np.outer(u, u)
+    best = _formulas(problem(), values, C, 12.0)[0]
+    assert best.write(best.coefficients).endswith("x^2")
+
+
+def test_a_formula_is_told_with_its_memory():
+    assert "lagged by 10 ms" in _sentence(problem(LAG, time_constant=5e-3), "2 x", np.log(2.0))
+    assert "turns over 2e-05 m" in _sentence(problem(PATH, width=1e-5), "2", np.log(2.0))
+
+
+# ---------------------------------------------------------------- the effect behind a term
+
+
+def evaluated(effect, position, memory=()):
+    from valvesim.channels import State
+    from valvesim.effects import Situation
+
+    state = State(0.0, 0.0, 1e6, 1e6, position, 0.1)
+    active = effect(share=1.0)
+    situation = Situation(state, None, 0.0, 0.0, 0.0, 0.0, 0.0, None)
+    return effect.balance(situation, active.values, memory)
+
+
+def test_a_term_is_straight_between_its_knots_and_constant_beyond():
+    effect = term_effect("spool_force", "spool_position", (-1.0, 0.0, 2.0), (5.0, 1.0, 3.0))
+    for x, w in ((-9.0, 5.0), (-0.5, 3.0), (0.0, 1.0), (1.0, 2.0), (7.0, 3.0)):
+        assert evaluated(effect, x)[0].spool_force == pytest.approx(w)
+
+
+def test_a_lag_reads_its_memory_and_follows_the_variable():
+    effect = term_effect("spool_force", "spool_position", (0.0, 1.0), (0.0, 2.0), memory=LAG, time_constant=0.5)
+    ports, rates = evaluated(effect, 1.0, (0.25,))
+    assert ports.spool_force == pytest.approx(0.5) and rates == pytest.approx((1.5,))
+
+
+def test_a_path_multiplies_by_its_direction_and_turns_it_with_the_speed():
+    effect = term_effect("spool_force", "spool_position", (0.0, 1.0), (2.0, 2.0), memory=PATH, width=0.01)
+    ports, rates = evaluated(effect, 0.5, (-0.5,))
+    assert ports.spool_force == pytest.approx(-1.0) and rates[0] > 0.0
+
+
+def test_terms_that_differ_in_figures_alone_are_one_function():
+    one = term_effect("spool_force", "spool_position", (0.0, 1.0), (0.0, 2.0), memory=LAG, time_constant=0.5)
+    other = term_effect("spool_force", "spool_position", (0.0, 3.0), (1.0, 5.0), memory=LAG, time_constant=0.1)
+    assert one.balance is other.balance
+    assert one.balance is not term_effect("spool_force", "current", (0.0, 1.0), (0.0, 2.0)).balance
+
+
+@pytest.mark.parametrize("family", families(), ids=lambda f: f.label)
+def test_every_family_can_be_an_effect_of_the_model(family):
+    effect = term_effect(
+        family.port.name, family.variable.name, (0.0, 1.0), (0.0, 1.0), memory=family.memory,
+        time_constant=family.time_constant, width=family.width,
+    )  # fmt: skip
+    assert len(Model(effects=(effect,)).state_channels) == len(Model().state_channels) + (family.memory != NONE)
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"port": "spool_forse"}, "spool_force"),
+        ({"variable": "spool_positon"}, "spool_position"),
+        ({"memory": "lagg"}, "lag"),
+        ({"knots": (0.0,), "values": (1.0,)}, "at least two knots"),
+        ({"knots": (1.0, 0.0)}, "rising"),
+        ({"knots": (0.0, 1.0, 2.0)}, "3 knots"),
+        ({"values": (0.0, np.nan)}, "nan"),
+        ({"memory": LAG}, "time_constant"),
+        ({"memory": PATH}, "width"),
+        ({"time_constant": 0.1}, "time_constant = 0.1"),
+        ({"memory": PATH, "width": 1.0, "variable": "current"}, "the path of current"),
+    ],
+)
+def test_a_term_that_makes_no_sense_is_refused(change, words):
+    given = {"port": "spool_force", "variable": "spool_position", "knots": (0.0, 1.0), "values": (0.0, 1.0), **change}
+    with pytest.raises(InputError, match=words):
+        term_effect(**given)

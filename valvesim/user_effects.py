@@ -1,0 +1,72 @@
+"""A user's own effects: Python files that declare them at their top level, run as they are."""
+
+from __future__ import annotations
+
+import traceback
+import types
+from collections.abc import Sequence
+from pathlib import Path
+
+from .catalogue import CATALOGUE
+from .effects import Effect
+from .errors import InputError
+
+
+def load_effects(path: str | Path) -> tuple[Effect, ...]:
+    """The effects that a Python file declares at its top level, in their order.
+
+    Raises InputError for a file that fails to run (with its line), holds no `Effect`, or has a name of the catalogue.
+    """
+    path = Path(path)
+    module = types.ModuleType(path.stem)
+    module.__file__ = str(path)
+    try:
+        # executed, not imported: an import would leave its bytecode in the user's folder
+        exec(compile(path.read_text(encoding="utf-8-sig"), str(path), "exec"), vars(module))
+    except FileNotFoundError as error:
+        if not path.exists():
+            raise InputError(f"{path}: no such file") from None
+        raise _failed(path, error) from error
+    except (Exception, SystemExit) as error:  # a user's file may raise anything
+        raise _failed(path, error) from error
+    own = list({id(v): v for v in vars(module).values() if isinstance(v, Effect)}.values())
+    own = [effect for effect in own if effect is not CATALOGUE.get(effect.name)]  # what it took from there to build on
+    if not own:
+        raise InputError(f"{path}: declares no effect; expected `name = valvesim.Effect(...)` at its top level")
+    for k, effect in enumerate(own):
+        if effect.name in CATALOGUE:
+            raise InputError(f"{path}: effect {effect.name!r} is in the catalogue already; give yours another name")
+        if effect.name in (other.name for other in own[:k]):
+            raise InputError(f"{path}: two effects are called {effect.name!r}")
+        try:
+            _ = effect.amplitude
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+    return tuple(own)
+
+
+def load_effects_files(folder: Path, files: Sequence[str | Path]) -> tuple[Effect, ...]:
+    """The effects of several files, given relative to `folder` or absolute.
+
+    Raises InputError as `load_effects` does, and where two files declare one name.
+    """
+    effects: dict[str, Effect] = {}
+    for file in files:
+        try:
+            own = load_effects(folder / file)
+        except InputError as error:
+            raise InputError(f"effects_files: {error}") from None
+        for effect in own:
+            if effect.name in effects:
+                where = f"effects_files: {str(file)!r}"
+                raise InputError(f"{where} declares {effect.name!r}, which another file did already")
+            effects[effect.name] = effect
+    return tuple(effects.values())
+
+
+def _failed(path: Path, error: BaseException) -> InputError:
+    """The error for a user's file that failed to run, with the last of its own lines that was reached."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        lines.append(error.lineno)
+    return InputError(f"{path}{f', line {lines[-1]}' if lines else ''}: fails with {type(error).__name__}: {error}")
