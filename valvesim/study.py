@@ -38,7 +38,8 @@ SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its d
 BASE_STEPS, STEPS = 20, 10
 ABSURD = 1e30  # deviance
 LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
-SETTLED = 0.3  # fall of the deviance that is not worth a step
+SETTLED = 0.3  # fall of the deviance that is not worth a step of the base ...
+ENOUGH = 1.0  # ... nor of a candidate's refit: the answer set goes by several
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +332,7 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
         occam = _occam(H, p, names)
         metric = np.array([1.0] * p + [e.candidate.typical**-2 if not shape else 1.0 for e, shape in names])
         promised = float(gradient @ np.linalg.lstsq(H, gradient, rcond=1e-13)[0])
-        if k == steps or promised < SETTLED:
+        if k == steps or promised < ENOUGH:
             break
         new = None
         for _ in range(6):
@@ -354,7 +355,7 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
             stale += 1
             views, columns = _seen(study, fit.variant(study.base))
             J = study.stack(columns)
-        elif new is None or gained < SETTLED:
+        elif new is None or gained < ENOUGH:
             break
     return replace(fit, occam=occam)
 
