@@ -30,6 +30,9 @@ def test_a_biased_sensor_is_named_with_its_bias(tmp_path):
     assert figures["channel"].replace("_", " ") in found.location.replace("_", " ")
     (bias,) = [e for e in found.parameters if e.name == "bias"]
     assert bias.value == pytest.approx(figures["bias"], rel=0.1) and bias.low < figures["bias"] < bias.high
+    assert found.gain_claimed  # against the model inside its tolerances, which such a bias is far beyond
+    assert all(gain.after < gain.before and gain.after < 1.1 for gain in found.gain)
+    assert max(found.errors["record_2"], key=found.errors["record_2"].get) == "load_flow"  # where it goes wrong
 
 
 def test_a_figure_beyond_its_tolerance_is_in_the_answer_with_what_cannot_be_told_from_it(tmp_path):

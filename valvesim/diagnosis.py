@@ -39,7 +39,7 @@ from .prediction import Variant, prepare
 from .recovery import recover
 from .scene import NOISE_ERROR, Scene, look, own_step
 from .session import Record, Session, load_session
-from .study import BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit, residual_of
+from .study import BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit, residual_of, within_tolerance
 
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 SINGLES, PAIRS = 5, 3  # how many are refitted
@@ -284,14 +284,16 @@ def _answer(
             0, "the base model cannot come near these records: are they of this valve, with these units and signs?"
         )
     named = best if verdict in (CAUSE, AMBIGUOUS) else None
-    variant, readings, point = base.fit.variant(study.base), base.fit.readings, base.fit.point
+    unextended = base.fit.variant(study.base)
+    variant, readings, point = unextended, base.fit.readings, base.fit.point
     if named is not None:
         variant, readings, point = chosen.variant(study.base), chosen.readings, chosen.point
     elif verdict == UNKNOWN and not _hopeless(base, chosen) and (recovered := recover(base, scene)) is not None:
         term, variant, readings, point = recovered.term, recovered.variant, recovered.readings, recovered.point
     causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
     estimates = _estimates(base, final) if named is not None else ()
-    gain, claimed, traces = _gain(base, variant, readings)
+    before = base.fit if variant is unextended else within_tolerance(base)
+    gain, claimed, traces = _gain(base, before, variant, readings)
     return Diagnosis(
         title=session.title,
         verdict=verdict,
@@ -313,7 +315,7 @@ def _answer(
         ),
         scores=_scores(scene),
         alarm_level=level,
-        errors=_errors(base),
+        errors=_errors(study, before),
         notes=tuple(notes),
         traces=traces,
         extended_scenario=scenario_text(session, variant),
@@ -518,14 +520,14 @@ def _scores(scene: Scene, most: int = 15) -> tuple[Score, ...]:
     return tuple(Score(label=label, z=value) for label, value in ranked[:most])
 
 
-def _errors(base: BaseFit) -> dict[str, dict[str, float]]:
+def _errors(study: Study, before: Fit) -> dict[str, dict[str, float]]:
     table: dict[str, dict[str, float]] = {}
-    for bench, read in zip(base.study.benches, base.fit.readings, strict=True):
+    for bench, read in zip(study.benches, before.readings, strict=True):
         record = bench.record
         table[record.name] = {}
         for name in record.outputs:
             left = (record.values[name] - read[name])[record.usable[name]]
-            deviation = base.study.noise[name, record.rate].deviation
+            deviation = study.noise[name, record.rate].deviation
             table[record.name][name] = float(np.sqrt(np.mean(left**2)) / deviation)
     return table
 
@@ -534,14 +536,14 @@ def _errors(base: BaseFit) -> dict[str, dict[str, float]]:
 
 
 def _gain(
-    base: BaseFit, extended: Variant, readings: Sequence[dict[str, np.ndarray]]
+    base: BaseFit, before: Fit, extended: Variant, readings: Sequence[dict[str, np.ndarray]]
 ) -> tuple[tuple[Gain, ...], bool, tuple[Trace, ...]]:
     """Errors of base and extended model on the locked records, opened here and once; and traces of all records."""
     study, session = base.study, base.study.session
     universe = study.benches[0].universe
-    variants = (base.fit.variant(study.base), extended)
+    variants = (before.variant(study.base), extended)
     gains, traces, pooled = [], [], []
-    for bench, *reads in zip(study.benches, base.fit.readings, readings, strict=True):
+    for bench, *reads in zip(study.benches, before.readings, readings, strict=True):
         traces += _traces(study, bench.record, reads)
     for record in session.locked:
         bench = prepare(session, record, universe)
@@ -560,10 +562,10 @@ def _gain(
         change = squares[:, 1] - squares[:, 0]
         pooled.append(change)
         low, high = _block_interval(change, session.seed)
-        before, after = np.sqrt(squares.mean(axis=0))
+        error, extended_error = np.sqrt(squares.mean(axis=0))
         gains.append(
-            Gain(record=record.name, before=float(before), after=float(after), floor=1.0, change=float(change.mean()),
-                 low=low, high=high, claimed=high < 0.0)
+            Gain(record=record.name, before=float(error), after=float(extended_error), floor=1.0,
+                 change=float(change.mean()), low=low, high=high, claimed=high < 0.0)
         )  # fmt: skip
     claimed = bool(pooled) and _block_interval(np.concatenate(pooled), session.seed)[1] < 0.0
     return tuple(gains), claimed, tuple(traces)

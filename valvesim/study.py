@@ -37,6 +37,7 @@ SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhe
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
 BASE_STEPS, STEPS = 20, 10
 ABSURD = 1e30  # deviance
+TOLERANCE = 2.0  # prior deviations at which a tolerance ends
 LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
 SETTLED = 0.3  # fall of the deviance that is not worth a step of the base ...
 ENOUGH = 1.0  # ... nor of a candidate's refit: the answer set goes by several
@@ -304,6 +305,23 @@ def _shorter(study: Study, fit: Fit, trial: Callable, shares: Sequence[float] = 
         if new.deviance < fit.deviance:
             return new
     return None
+
+
+def within_tolerance(base: BaseFit) -> Fit:
+    """The base fit with no parameter beyond its tolerance: what the model can do without an extension."""
+    point, J = base.fit.point.copy(), base.J
+    H = J.T @ J + np.eye(len(point))
+    held = np.zeros(len(point), dtype=bool)
+    for _ in range(len(point)):
+        beyond = ~held & (np.abs(point) > TOLERANCE)
+        if not beyond.any():
+            break
+        held |= beyond
+        shift = np.where(held, np.clip(base.fit.point, -TOLERANCE, TOLERANCE) - base.fit.point, 0.0)
+        gradient = J.T @ base.fit.residual - base.fit.point - H @ shift
+        shift[~held] = np.linalg.solve(H[np.ix_(~held, ~held)], gradient[~held])
+        point = base.fit.point + shift
+    return base.fit if not held.any() else evaluate(base.study, point, ())
 
 
 def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None, steps: int = STEPS) -> Fit:
