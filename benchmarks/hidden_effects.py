@@ -232,7 +232,7 @@ def ruler(case: Case, quiet: Records, folder: Path) -> Ruler:
     write(case, quiet, folder)
     study = prepare_study(replace(load_session(folder), valve=case.valve))
     meters = {meter.channel: meter for meter in case.meters}
-    noise = {(c, b.record.rate): _true_noise(meters[c]) for b in study.benches for c in b.record.outputs}
+    noise = {(c, b.record.pace): _true_noise(meters[c]) for b in study.benches for c in b.record.outputs}
     study = replace(study, noise=noise)
     return Ruler(study, quiet, *_seen_from(study, np.zeros(len(study.base.parameters))))
 

@@ -368,3 +368,17 @@ def test_the_residual_is_measured_minus_predicted(seen):
 
 def test_effects_of_the_universe_are_catalogue_effects_with_memory():
     assert all(effect.memory and CATALOGUE[effect.name] is effect for effect in UNIVERSE)
+
+
+def test_in_slow_records_no_lag_shorter_than_a_sample_is_typical():
+    session = small_session()
+    chirp = tuple(record for record in session.records if record.rate > 900.0)
+    slow = tuple(replace(record, time=record.time * 1000.0) for record in chirp)
+    fast, paced = (
+        {c.family: c for c in candidates_of(each, base_of(each))}
+        for each in (replace(session, records=chirp), replace(session, records=slow))
+    )
+    (family,) = [name for name in fast if name.startswith("sensor_lag@")][:1]
+    step = 1.0 / min(record.rate for record in slow)
+    assert fast[family].typical == pytest.approx(1e-3) and paced[family].typical == pytest.approx(step)
+    assert paced[family.replace("lag", "bias")].typical == fast[family.replace("lag", "bias")].typical

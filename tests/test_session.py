@@ -680,3 +680,9 @@ def test_a_curved_oil_temperature_is_followed(session):
 def test_a_record_can_be_made_by_hand():
     record = Record("r", TIME, {"current": WAVE, "spool_position": WAVE}, {"spool_position": WAVE > 0})
     assert record.test == "r" and record.moves() and record.moves("current") and record.role == "train"
+
+
+def test_records_of_nearly_one_rate_have_one_pace():
+    time = np.arange(101.0)
+    records = [Record(name="a", time=time / rate, values={}, usable={}) for rate in (5.0368005, 5.0368002, 5.2)]
+    assert [record.pace for record in records] == [5.037, 5.037, 5.2]

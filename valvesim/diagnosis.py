@@ -372,7 +372,7 @@ def _hopeless(base: BaseFit, fit: Fit) -> bool:
     for bench, read in zip(base.study.benches, fit.readings, strict=True):
         for name, column in read.items():
             measured = bench.record.values[name]
-            noise = base.study.noise[name, bench.record.rate].deviation
+            noise = base.study.noise[name, bench.record.pace].deviation
             signal = float(np.std(measured))
             if signal > 5.0 * noise:
                 shares.append(float(np.sqrt(np.mean((measured - column) ** 2))) / signal)
@@ -527,7 +527,7 @@ def _errors(study: Study, before: Fit) -> dict[str, dict[str, float]]:
         table[record.name] = {}
         for name in record.outputs:
             left = (record.values[name] - read[name])[record.usable[name]]
-            deviation = study.noise[name, record.rate].deviation
+            deviation = study.noise[name, record.pace].deviation
             table[record.name][name] = float(np.sqrt(np.mean(left**2)) / deviation)
     return table
 
@@ -551,7 +551,7 @@ def _gain(
         traces += _traces(study, record, reads)
         white = []
         for name in record.outputs:
-            key = _nearest_noise(study, name, record.rate)
+            key = _nearest_noise(study, name, record.pace)
             if key is None:
                 continue
             columns = np.column_stack([residual_of(record, read)[name][:, 0] for read in reads])
@@ -591,7 +591,7 @@ def _block_interval(change: np.ndarray, seed: int, draws: int = 1000) -> tuple[f
 def _traces(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]) -> list[Trace]:
     found = []
     for name in record.outputs:
-        key = _nearest_noise(study, name, record.rate)
+        key = _nearest_noise(study, name, record.pace)
         found.append(
             Trace(record=record.name, channel=name, unit=UNITS[name], role=record.role, time=record.time,
                   measured=record.values[name], base=reads[0][name], extended=reads[1][name],

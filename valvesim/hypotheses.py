@@ -208,7 +208,7 @@ def candidates_of(session: Session, base: Base) -> tuple[Candidate, ...]:
     found = []
     for effect in (*CATALOGUE.values(), *session.user_effects):
         if effect.reading is not None:
-            found += [Candidate(effect.name, effect.on(channel)) for channel in measured(session)]
+            found += [Candidate(effect.name, _paced(effect.on(channel), session)) for channel in measured(session)]
             continue
         if effect.name in known:
             continue
@@ -219,6 +219,16 @@ def candidates_of(session: Session, base: Base) -> tuple[Candidate, ...]:
         found += [Candidate(effect.name, effect, fixed) for fixed in combinations]
     found += [Candidate(f"parameter:{p.name}", parameter=p) for p in base.parameters if p.sensor is None]
     return tuple(found)
+
+
+def _paced(effect: Effect, session: Session) -> Effect:
+    """A sensor's effect whose amplitude is a time: no shorter one is typical than a sample of the slowest record."""
+    amplitude = effect.amplitude
+    if amplitude.unit != "s" or amplitude.typical is None:
+        return effect
+    slowest = max(1.0 / record.rate for record in session.records)
+    paced = replace(amplitude, typical=min(max(amplitude.typical, slowest), amplitude.bounds[1]))
+    return replace(effect, parameters=tuple(paced if p is amplitude else p for p in effect.parameters))
 
 
 # ---------------------------------------------------------------- what each shows

@@ -99,6 +99,11 @@ class Record:
         return (len(self.time) - 1) / self.duration
 
     @property
+    def pace(self) -> float:
+        """The rate to four digits: records of one pace share their noise, whatever their clocks' last digits."""
+        return float(f"{self.rate:.4g}")
+
+    @property
     def command(self) -> str:
         """The column that drives the valve: `voltage` where there is one, else `current`."""
         return "voltage" if "voltage" in self.values else "current"

@@ -64,7 +64,7 @@ class Study:
         record = bench.record
         white = []
         for name in record.outputs:
-            noise = self.noise[name, record.rate]
+            noise = self.noise[name, record.pace]
             white.append(noise.whiten(columns[name], record.usable[name])[:: self.stride])
         return white
 
@@ -101,12 +101,12 @@ def find_noise(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> dict[
     """The noise of each channel at each rate: from repeats where there are any, else from what the model leaves."""
     session, found = study.session, {}
     records = [bench.record for bench in study.benches]
-    keys = dict.fromkeys((name, record.rate) for record in records for name in record.outputs)
+    keys = dict.fromkeys((name, record.pace) for record in records for name in record.outputs)
     for name, rate in keys:
         own = [
             (record, record.values[name] - read[name])
             for record, read in zip(records, readings, strict=True)
-            if name in record.outputs and record.rate == rate
+            if name in record.outputs and record.pace == rate
         ]
         sensor = session.sensors.get(name)
         resolution = sensor.resolution if sensor is not None else 0.0
@@ -121,7 +121,7 @@ def find_noise(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> dict[
             coarse = [
                 rounding(read[name], noise.deviation, resolution, session.seed)
                 for record, read in zip(records, readings, strict=True)
-                if name in record.outputs and record.rate == rate
+                if name in record.outputs and record.pace == rate
             ]
             noise = fit_noise(coarse, verified=verified, source=noise.source + ", resolution", floor=floor)
         found[name, rate] = noise
@@ -162,7 +162,7 @@ def first_noise(study: Study) -> dict[tuple[str, float], Noise]:
             floor = max(
                 (sensor.resolution if sensor else 0.0) / np.sqrt(12.0), 2e-3 * float(np.ptp(record.values[name]))
             )
-            found[name, record.rate] = Noise(max(size, floor, 1e-30), (), False, "first guess")
+            found[name, record.pace] = Noise(max(size, floor, 1e-30), (), False, "first guess")
     return found
 
 
