@@ -47,6 +47,7 @@ PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be 
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
 LEFT_SHARE = 0.03  # of what the best explains may stay behind as a free term, for the same reason
+WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
 UNKNOWN_PRICE = 6.0  # the same for a cause that nobody has listed
 HOPELESS = 0.35  # share of the signal that stays unexplained where the records are not of this valve
@@ -140,8 +141,8 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
         fit = refit(base, start)
         if np.isfinite(fit.deviance):
             found.append(Explained(fit, _evidence(fit)))
-    found = _settled(found)
-    return sorted(found, key=lambda one: one.evidence)
+    worth = [one for one in _settled(found) if base.fit.deviance - one.fit.deviance > WORTH * level**2]
+    return sorted(worth, key=lambda one: one.evidence)
 
 
 def _settled(found: Sequence[Explained]) -> list[Explained]:
