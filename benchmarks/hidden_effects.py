@@ -46,14 +46,14 @@ from hidden_report import write_report  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 from valvesim import diagnosis as engine  # noqa: E402
-from valvesim.answer import Diagnosis, Term  # noqa: E402
+from valvesim.answer import Diagnosis, Term, plain_json  # noqa: E402
 from valvesim.catalogue import CATALOGUE  # noqa: E402
-from valvesim.hypotheses import Candidate, View, neighbours, parameter_columns, view  # noqa: E402
+from valvesim.hypotheses import Candidate, View  # noqa: E402
 from valvesim.noise import Noise  # noqa: E402
 from valvesim.prediction import prepare  # noqa: E402
 from valvesim.scene import Scene, look  # noqa: E402
 from valvesim.session import Session, load_session  # noqa: E402
-from valvesim.study import BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit  # noqa: E402
+from valvesim.study import BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit, see  # noqa: E402
 from valvesim.units import quantities  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results" / "hidden_effects.jsonl"
@@ -239,10 +239,8 @@ def ruler(case: Case, quiet: Records, folder: Path) -> Ruler:
 
 def _seen_from(study: Study, point: np.ndarray) -> tuple[tuple[View, ...], np.ndarray]:
     """(views, J) of the training records from a point of the base parameters."""
-    variant = study.base.at(point)
-    beside = neighbours(study.base, variant)
-    views = tuple(view(bench, variant) for bench in study.benches)
-    return views, study.stack([parameter_columns(seen, study.base, beside) for seen in views])
+    views, columns = see(study, study.base.at(point))
+    return tuple(views), study.stack(columns)
 
 
 def _true_noise(meter: hidden_plant.Meter) -> Noise:
@@ -520,7 +518,7 @@ def run_case(spec: Spec, with_baselines: bool) -> dict[str, Any]:
             at = [f for f in frames if f.filename.startswith(str(ROOT)) and ".venv" not in f.filename][-1]
             row["message"] = f"{type(error).__name__} in {Path(at.filename).name}:{at.lineno}: {error}"[:600]
     row["total"] = time.perf_counter() - begin
-    return _plain(row)
+    return plain_json(row)
 
 
 def _of_case(case: Case) -> dict[str, Any]:
@@ -592,21 +590,6 @@ def _oracle(case: Case, base: BaseFit, extras: tuple[Extra, ...], fits: Sequence
     point = [(case.unit.get(p.name, p.nominal) - p.nominal) / p.deviation for p in base.study.base.parameters]
     tried.append(refit(base, extras, np.array(point), steps=ORACLE_STEPS))
     return min(tried, key=lambda fit: fit.deviance)
-
-
-def _plain(value: Any) -> Any:
-    """As JSON knows it; what is not finite becomes null."""
-    if isinstance(value, dict):
-        return {str(key): _plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(each) for each in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value
 
 
 # ---------------------------------------------------------------- all of them

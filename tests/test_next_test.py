@@ -42,7 +42,7 @@ def base_of(session):
     study = replace(study, noise=first_noise(study))
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
     views, columns = seen(study, fit.variant(study.base))
-    return BaseFit(study, fit, tuple(views), study.stack(columns))
+    return BaseFit(study, fit, tuple(views), tuple(columns), study.stack(columns))
 
 
 def fit_of(base, name, share):

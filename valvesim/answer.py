@@ -187,7 +187,7 @@ class Diagnosis:
         names = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
         table = {name: getattr(self, name) for name in names}
         table["extended_scenario"] = "extended.toml"
-        plain = _plain(table)
+        plain = plain_json(table)
         if plain["next_test"] is not None:
             del plain["next_test"]["inputs"]
         return plain
@@ -202,14 +202,14 @@ class Diagnosis:
         return write_atomically(Path(path), write)
 
 
-def _plain(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """Dataclasses, tuples and numbers of numpy as JSON knows them; what is not finite becomes null."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {f.name: plain_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, dict):
-        return {str(key): _plain(each) for key, each in value.items()}
+        return {str(key): plain_json(each) for key, each in value.items()}
     if isinstance(value, (tuple, list, np.ndarray)):
-        return [_plain(each) for each in value]
+        return [plain_json(each) for each in value]
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, (int, np.integer)):

@@ -362,7 +362,7 @@ _ANSWER = (
 def _write_diagnosis(found: Any, folder: Path) -> list[Path]:
     from .report_diagnosis import write_report
 
-    texts = {"extended.toml": found.extended_scenario, **getattr(found, "extended_effects", {})}
+    texts = {"extended.toml": found.extended_scenario, **found.extended_effects}
     if found.next_test is not None and found.next_test.inputs:
         texts["next_test.csv"] = _columns_text(found.next_test.inputs)
     for name, text in texts.items():

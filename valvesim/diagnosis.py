@@ -39,7 +39,7 @@ from .prediction import Variant, prepare
 from .recovery import recover
 from .scene import NOISE_ERROR, Scene, look, own_step
 from .session import Record, Session, load_session
-from .study import BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit, residual_of, within_tolerance
+from .study import SHAPE_STEP, BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit, residual_of, within_tolerance
 
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 SINGLES, PAIRS = 5, 3  # how many are refitted
@@ -94,7 +94,7 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
         if found:
             tell(STAGES[4], 0.75)
             final = look(base, found[0].fit)
-            found, final = _with_more(base, scene, final, found)
+            found, final = _with_more(base, final, found)
             quiet = _quiet(base, final)
     tell(STAGES[5], 0.9)
     return _answer(base, scene, final, found, alarm, quiet, level)
@@ -134,7 +134,7 @@ def _worst_family(scene: Scene) -> float:
 
 def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], None]) -> list[Explained]:
     """Hypotheses of one and of two candidates, refitted, best evidence first."""
-    starts = _starts(scene, level)
+    starts = _starts(scene)
     found = []
     for k, start in enumerate(starts):
         tell(k / len(starts))
@@ -165,10 +165,9 @@ def _evidence(fit: Fit) -> float:
     return float(fit.deviance + fit.occam + price)
 
 
-def _starts(scene: Scene, level: float) -> list[tuple[Extra, ...]]:
+def _starts(scene: Scene) -> list[tuple[Extra, ...]]:
     """Where to start refits: the best single candidates, and the best pairs where two explain much more than one."""
     z, projected = scene.z(), scene.projected
-    q = len(scene.candidates)
     fall = z**2
     order = [int(k) for k in np.argsort(-fall, kind="stable") if fall[k] > 0.0]
     if not order:
@@ -185,16 +184,8 @@ def _starts(scene: Scene, level: float) -> list[tuple[Extra, ...]]:
         (_extra(scene, k, projected.score[k] / projected.overlap[k, k]),) for k in singles[:SINGLES]
     ]
     pairs = []
-    visible = [k for k in range(q) if scene.visible()[k]]
-    for i, j in combinations(visible, 2):
-        if (
-            scene.candidates[i].name == scene.candidates[j].name
-            and scene.candidates[i].effect is not None
-            and (
-                not scene.candidates[i].effect.channel  # type: ignore[union-attr]
-                or scene.candidates[i].effect.channel == scene.candidates[j].effect.channel  # type: ignore[union-attr]
-            )
-        ):
+    for i, j in combinations(map(int, np.flatnonzero(scene.visible())), 2):
+        if scene.candidates[i].excludes(scene.candidates[j]):
             continue
         both = projected.overlap[np.ix_([i, j], [i, j])]
         if abs(both[0, 1]) > 0.97 * np.sqrt(both[0, 0] * both[1, 1]):
@@ -224,7 +215,7 @@ def _extra(scene: Scene, k: int, amount: float) -> Extra:
     return Extra(candidate, float(np.clip(amount * scene.sizes[k], 0.9 * low, 0.9 * high)), shapes)
 
 
-def _with_more(base: BaseFit, scene: Scene, final: Scene, found: list[Explained]) -> tuple[list[Explained], Scene]:
+def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[list[Explained], Scene]:
     """The found with a further effect each time one shows in what the best leaves: up to three in all."""
     while len(final.fit.extras) < 3:
         z, level = final.z(), final.level(ALARM)
@@ -271,15 +262,16 @@ def _answer(
     study, session = base.study, base.study.session
     best = found[0] if found else None
     chosen = best.fit if best is not None else base.fit
-    answers, in_set = _answer_set(base, final, found, quiet)
-    verdict = _verdict(base, alarm, quiet, found, in_set)
+    answers, in_set = _answer_set(base, found, quiet)
+    verdict = _verdict(alarm, quiet, found, in_set)
+    hopeless = _hopeless(base, chosen)
     term: Term | None = None
     notes = list(session.notes)
     if any(not noise.verified for noise in study.noise.values()):
         notes.append(
             "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
         )
-    if _hopeless(base, chosen):
+    if hopeless:
         verdict, in_set = UNKNOWN, []
         notes.insert(
             0, "the base model cannot come near these records: are they of this valve, with these units and signs?"
@@ -289,7 +281,7 @@ def _answer(
     variant, readings, point = unextended, base.fit.readings, base.fit.point
     if named is not None:
         variant, readings, point = chosen.variant(study.base), chosen.readings, chosen.point
-    elif verdict == UNKNOWN and not _hopeless(base, chosen) and (recovered := recover(base, scene)) is not None:
+    elif verdict == UNKNOWN and not hopeless and (recovered := recover(base, scene)) is not None:
         term, variant, readings, point = recovered.term, recovered.variant, recovered.readings, recovered.point
     causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
     estimates = _estimates(base, final) if named is not None else ()
@@ -329,7 +321,7 @@ UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *SIGNAL_CHA
 
 
 def _answer_set(
-    base: BaseFit, final: Scene, found: Sequence[Explained], quiet: bool
+    base: BaseFit, found: Sequence[Explained], quiet: bool
 ) -> tuple[list[CandidateAnswer], list[Explained]]:
     """All hypotheses with their probabilities, and those that explain the data nearly as well as the best does."""
     if not found:
@@ -359,7 +351,7 @@ def _answer_set(
     return [a for a in ranked if a.probability > 1e-3], in_set
 
 
-def _verdict(base: BaseFit, alarm: bool, quiet: bool, found: Sequence[Explained], in_set: Sequence[Explained]) -> str:
+def _verdict(alarm: bool, quiet: bool, found: Sequence[Explained], in_set: Sequence[Explained]) -> str:
     if not alarm:
         return NO_DISCREPANCY
     if not found or not quiet:
@@ -387,9 +379,8 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
     own = [1 + p + k for k in final.own]
     at = [*range(1, 1 + p), *own]
     H = total[np.ix_(at, at)].copy()
-    kinds = [(extra, shape) for extra in fit.extras for shape in ("", *(name for name, _ in extra.shapes))]
-    for k, (_, shape) in enumerate(kinds):
-        H[p + k, p + k] += np.log(1.1) ** 2 if shape else 0.0
+    for k, (_, shape) in enumerate(fit.kinds):
+        H[p + k, p + k] += np.log(SHAPE_STEP) ** 2 if shape else 0.0
     H[np.arange(p), np.arange(p)] += 1.0
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     C = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
@@ -403,7 +394,7 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
 
     names = [parameter.name for parameter in base.study.base.parameters]
     found = []
-    for k, (extra, shape) in enumerate(kinds):
+    for k, (extra, shape) in enumerate(fit.kinds):
         candidate = extra.candidate
         if candidate.effect is None:
             j = names.index(candidate.name.removeprefix("parameter:"))
@@ -423,7 +414,7 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
         if shape:
             declared = next(q for q in effect.parameters if q.name == shape)
             value = dict(extra.shapes)[shape]
-            spread = np.log(1.1) * deviation_of(np.eye(len(at))[p + k])
+            spread = np.log(SHAPE_STEP) * deviation_of(np.eye(len(at))[p + k])
             low, high = value * np.exp(-1.96 * spread), value * np.exp(1.96 * spread)
         else:
             declared = effect.amplitude

@@ -142,6 +142,14 @@ class Candidate:
             return False
         return self.effect.amplitude.bounds[0] >= (self.effect.amplitude.neutral or 0.0)
 
+    def excludes(self, other: Candidate) -> bool:
+        """True for another shape or side of the same effect: its name may stand in a model only once."""
+        return (
+            self.effect is not None
+            and other.effect is not None
+            and (self.effect.name, self.effect.channel) == (other.effect.name, other.effect.channel)
+        )
+
     @property
     def unit(self) -> str:
         """Of the amplitude."""

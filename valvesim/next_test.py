@@ -22,9 +22,9 @@ from .errors import InputError, SolveError
 from .hypotheses import measured, neighbours, parameter_columns, view
 from .noise import Noise
 from .prediction import Bench, Variant, prepare
-from .scene import SHAPE_STEP, own_steps
+from .scene import own_steps
 from .session import Record, Session
-from .study import SHAPE_DEVIATION, BaseFit, Fit, Study, each
+from .study import SHAPE_DEVIATION, SHAPE_STEP, BaseFit, Fit, Study, each, predict
 
 RATE = 1000.0  # Hz
 ENOUGH, LEAST = 0.95, 0.3  # power that a test should have, and below which none is offered
@@ -241,9 +241,7 @@ def _known(base: BaseFit, fit: Fit) -> np.ndarray:
     study = base.study
     columns = [base.J]
     for _, moved in own_steps(fit):
-        variant = moved.variant(study.base)
-        reads = each(lambda bench, variant=variant: bench.readings(bench.run(variant), variant), study.benches)
-        pairs = zip(reads, fit.readings, strict=True)
+        pairs = zip(predict(study, moved.variant(study.base)), fit.readings, strict=True)
         columns.append(study.stack([{name: (new[name] - old[name])[:, None] for name in new} for new, old in pairs]))
     A = np.column_stack(columns)
     return A.T @ A + np.diag(np.concatenate([np.ones(base.J.shape[1]), _shape_prior(fit)]))
@@ -251,8 +249,7 @@ def _known(base: BaseFit, fit: Fit) -> np.ndarray:
 
 def _shape_prior(fit: Fit) -> np.ndarray:
     """The prior's precision on each step of `own_steps`: none on an excess, that of its logarithm on a shape."""
-    kinds = [shape for extra in fit.extras for shape in ("", *(name for name, _ in extra.shapes))]
-    return np.array([(np.log(SHAPE_STEP) / SHAPE_DEVIATION) ** 2 if shape else 0.0 for shape in kinds])
+    return np.array([(np.log(SHAPE_STEP) / SHAPE_DEVIATION) ** 2 if shape else 0.0 for _, shape in fit.kinds])
 
 
 def _judge(

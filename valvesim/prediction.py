@@ -48,7 +48,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Course:
-    """A variant's run on the grid of its bench: states (n, n_x), coefficients (n, n_c) flat, of `model`, in SI.
+    """A variant's run on the grid of its bench: states (n, n_x) of `model`, in SI; its flat coefficients (n or 1, n_c).
 
     `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there.
     """
@@ -93,7 +93,7 @@ class Bench:
         path, flat, model = self._coefficients(variant)
         compiled = compile_model(model)
         fine = _integrate(self, compiled, path, flat, self.switched_off(model, variant.effects))
-        along = between(self.times, path.times, flat).T
+        along = flat if len(path.times) == 1 else between(self.times, path.times, flat).T
         temperatures = {name: between(self.times, path.times, _column(value, path))[0] for name, value in _parts(path)}
         oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
         states = np.ascontiguousarray(fine[:: self.finer])

@@ -19,10 +19,10 @@ import numpy as np
 from .answer import Term
 from .effects import ActiveEffect
 from .errors import InputError, SolveError
-from .hypotheses import View, neighbours, parameter_columns, view
+from .hypotheses import View
 from .prediction import Variant
 from .scene import Scene, argument
-from .study import BaseFit, Study, each, residual_of
+from .study import BaseFit, Study, each, predict, see, whitened_residual
 from .terms import LAG, NONE, PATH, Family, hats, term_effect
 
 NAME = "recovered_term"
@@ -116,15 +116,14 @@ class _Problem:
     def evaluate(self, point: np.ndarray, values: np.ndarray, figure: float) -> _State:
         """By running every training record. Raises SolveError, InputError where that fails."""
         study, variant = self.study, self.variant(point, values, figure)
-        readings = each(lambda bench: bench.readings(bench.run(variant), variant), study.benches)
-        pairs = zip(study.benches, readings, strict=True)
-        residual = study.stack([residual_of(bench.record, read) for bench, read in pairs])[:, 0]
+        readings = predict(study, variant)
+        residual = whitened_residual(study, readings)
         deviance = float(
             residual @ residual + point @ point + values @ self.penalty() @ values + (figure / MEMORY_DEVIATION) ** 2
         )
         if not np.isfinite(deviance):
             raise SolveError("the readings of this term are beyond all sense")
-        return _State(point, values, figure, deviance, tuple(readings), residual)
+        return _State(point, values, figure, deviance, readings, residual)
 
 
 def recover(base: BaseFit, scene: Scene) -> Recovered | None:
@@ -221,11 +220,8 @@ def _estimate(base: BaseFit, family: Family, below: float) -> tuple[_Problem, _S
 
 def _seen_from(problem: _Problem, state: _State) -> tuple[np.ndarray, np.ndarray]:
     """The answers J (rows, p) and V (rows, k [+ 1]) from where a state is."""
-    study, variant = problem.study, problem.variant(state.point, state.values, state.figure)
-    views = tuple(each(lambda bench: view(bench, variant), study.benches))
-    beside = neighbours(study.base, variant)
-    J = study.stack(each(lambda seen: parameter_columns(seen, study.base, beside), views))
-    return J, _columns(problem, views, state)
+    views, columns = see(problem.study, problem.variant(state.point, state.values, state.figure))
+    return problem.study.stack(columns), _columns(problem, views, state)
 
 
 def _columns(problem: _Problem, views: Sequence[View], state: _State | None) -> np.ndarray:

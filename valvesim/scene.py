@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .evidence import Gram, Projected, alarm_level, block_statistic, project
-from .hypotheses import Candidate, View, candidate_columns, neighbours, parameter_columns, view
+from .hypotheses import Candidate, View, candidate_columns
 from .sensitivity import relax
-from .study import BaseFit, Extra, Fit, Study, each, gram_of
+from .study import SHAPE_STEP, BaseFit, Extra, Fit, Study, each, gram_of, see
 from .terms import LAG, PATH, Family, families, hats, term_effect
 
 KNOTS = 6  # of each family's function while it is looked for
 REACH = 10.0  # a candidate must show at this multiple of its typical amplitude, or the session is blind to it
-SHAPE_STEP = 1.1
 NOISE_ERROR = 0.06  # relative error of a noise's variance that a pair of short repeats may make
 DIRECT = ("load_flow", "internal_leakage")
 
@@ -37,12 +36,7 @@ class Scene:
     families: tuple[Family, ...]
     blocks: tuple[tuple[int, ...], ...]
     own: tuple[int, ...]
-    everything: Projected
-
-    @property
-    def projected(self) -> Projected:
-        """Candidates (first) and families, with the extras free."""
-        return self.everything.without(self.own)
+    projected: Projected
 
     @property
     def dispersion(self) -> float:
@@ -97,16 +91,14 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     """Look at what a fit leaves, from where it is."""
     study = base.study
     variant = fit.variant(study.base)
-    if fit is base.fit:
-        views = base.views
-    else:
-        views = tuple(each(lambda bench: view(bench, variant), study.benches))
-    taken = {extra.candidate.family for extra in fit.extras}
-    candidates = tuple(c for c in study.candidates if c.family not in taken and not _acts_already(c, fit.extras))
-    beside = neighbours(study.base, variant)
+    views, J = (base.views, base.columns) if fit is base.fit else see(study, variant)
+    taken = [extra.candidate for extra in fit.extras]
+    families_taken = {candidate.family for candidate in taken}
+    candidates = tuple(
+        c for c in study.candidates if c.family not in families_taken and not any(map(c.excludes, taken))
+    )
     sizes = np.array([_size(c) for c in candidates])
     changed = [c.add_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
-    J = each(lambda seen: parameter_columns(seen, study.base, beside), views)
     S = each(lambda seen: candidate_columns(seen, candidates, changed), views)
     searched = families() if with_families else ()
     spans = _spans(views, searched)
@@ -118,20 +110,9 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     q, f = len(candidates), len(searched) * KNOTS
     count = len(steps)
     blocks = tuple(tuple(range(q + k * KNOTS, q + (k + 1) * KNOTS)) for k in range(len(searched)))
-    everything = project(gram, 0, q + f + count)
-    return Scene(
-        study, fit, views, gram, candidates, sizes, searched, blocks, tuple(range(q + f, q + f + count)), everything
-    )
-
-
-def _acts_already(candidate: Candidate, extras: Sequence[Extra]) -> bool:
-    """True for another shape or side of an effect that the fit has: its name may stand in a model only once."""
-    return candidate.effect is not None and any(
-        extra.candidate.effect is not None
-        and extra.candidate.effect.name == candidate.effect.name
-        and extra.candidate.effect.channel == candidate.effect.channel
-        for extra in extras
-    )
+    freed = tuple(range(q + f, q + f + count))
+    projected = project(gram, 0, q + f + count).without(freed)
+    return Scene(study, fit, tuple(views), gram, candidates, sizes, searched, blocks, freed, projected)
 
 
 def _size(candidate: Candidate) -> float:

@@ -34,6 +34,7 @@ from .session import Record, Session
 
 MOST_ROWS = 300_000  # whitened rows that are kept: of longer sessions every second, third ... one
 SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
+SHAPE_STEP = 1.1  # by which a shape parameter is moved to see what it shows
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
 BASE_STEPS, STEPS = 20, 10
 ABSURD = 1e30  # deviance
@@ -192,6 +193,11 @@ class Fit:
     residual: np.ndarray
     occam: float = 0.0
 
+    @property
+    def kinds(self) -> tuple[tuple[Extra, str], ...]:
+        """What is fitted of the extras, in order: each extra's excess (""), then each of its shapes by name."""
+        return tuple((extra, shape) for extra in self.extras for shape in ("", *(name for name, _ in extra.shapes)))
+
     def variant(self, base: Base) -> Variant:
         """The valve and effects of this fit."""
         variant = base.at(self.point)
@@ -202,9 +208,24 @@ class Fit:
 
 def evaluate(study: Study, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit:
     """The fit at a point, by running every training record. Raises SolveError, InputError where it cannot be run."""
-    variant = Fit(point, extras, 0.0, (), np.zeros(0)).variant(study.base)
-    readings = each(lambda bench: bench.readings(bench.run(variant), variant), study.benches)
-    residual = study.stack([residual_of(b.record, r) for b, r in zip(study.benches, readings, strict=True)])[:, 0]
+    return _weighed(study, point, extras, predict(study, Fit(point, extras, 0.0, (), np.zeros(0)).variant(study.base)))
+
+
+def predict(study: Study, variant: Variant) -> tuple[dict[str, np.ndarray], ...]:
+    """What each training record's sensors would read of a variant, by running it."""
+    return tuple(each(lambda bench: bench.readings(bench.run(variant), variant), study.benches))
+
+
+def whitened_residual(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
+    """(rows,) of all training records."""
+    return study.stack([residual_of(b.record, r) for b, r in zip(study.benches, readings, strict=True)])[:, 0]
+
+
+def _weighed(
+    study: Study, point: np.ndarray, extras: tuple[Extra, ...], readings: tuple[dict[str, np.ndarray], ...]
+) -> Fit:
+    """The fit at a point whose readings are known, by the study's noise."""
+    residual = whitened_residual(study, readings)
     shape_prior = sum(
         (np.log(value / default) / SHAPE_DEVIATION) ** 2
         for extra in extras
@@ -213,7 +234,7 @@ def evaluate(study: Study, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit:
     deviance = float(residual @ residual + point @ point + shape_prior)
     if not deviance < ABSURD:
         raise SolveError("the readings of this variant are beyond all sense")
-    return Fit(point, extras, deviance, tuple(readings), residual)
+    return Fit(point, extras, deviance, readings, residual)
 
 
 def _against_default(extra: Extra) -> list[tuple[float, float]]:
@@ -224,11 +245,15 @@ def _against_default(extra: Extra) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True, eq=False)
 class BaseFit:
-    """The base model at its best, seen from there: `J` whitened answers to the base parameters (rows, p)."""
+    """The base model at its best, seen from there: `columns` are its answers to the base parameters, see `see`.
+
+    `J` (rows, p) are the same, whitened.
+    """
 
     study: Study
     fit: Fit
     views: tuple[View, ...]
+    columns: tuple[dict[str, np.ndarray], ...]
     J: np.ndarray
 
 
@@ -239,12 +264,12 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
     fit = evaluate(study, point, ())
     if _repeated(study):
         study = replace(study, noise=find_noise(study, fit.readings))
-    fit, views, columns = _settle(study, evaluate(study, point, ()), tell)
+    fit, views, columns = _settle(study, _weighed(study, point, (), fit.readings), tell)
     if not _repeated(study):  # the noise is what the best fit leaves: again with its colour
         for _ in range(2):
             study = replace(study, noise=find_noise(study, fit.readings))
-            fit, views, columns = _settle(study, evaluate(study, fit.point, ()), tell)
-    return BaseFit(study, fit, tuple(views), study.stack(columns))
+            fit, views, columns = _settle(study, _weighed(study, fit.point, (), fit.readings), tell)
+    return BaseFit(study, fit, tuple(views), tuple(columns), study.stack(columns))
 
 
 def _settle(
@@ -252,7 +277,7 @@ def _settle(
 ) -> tuple[Fit, list[View], list[dict[str, np.ndarray]]]:
     """Levenberg-Marquardt in the base parameters, damped in the metric of their prior; the answers at its end too."""
     damping = 0.0
-    views, columns = _seen(study, study.base.at(fit.point))
+    views, columns = see(study, study.base.at(fit.point))
     J, seen_from = study.stack(columns), fit.point
     for k in range(BASE_STEPS):
         H = J.T @ J + np.eye(J.shape[1])
@@ -263,7 +288,7 @@ def _settle(
         for _ in range(8):
             step = np.linalg.solve(H + damping * np.eye(len(gradient)), gradient)
             if np.max(np.abs(step)) <= LONGEST_STEP:
-                new = _shorter(study, fit, lambda _, step=step: (fit.point + step, ()), (1.0,))  # noqa: B023
+                new = _lower(study, fit, fit.point + step, ())
                 if new is not None:
                     break
             damping = max(10.0 * damping, 1.0)
@@ -277,10 +302,10 @@ def _settle(
         damping = 0.0 if damping <= 1.0 or good else damping / 10.0
         far = float(np.max(np.abs(fit.point - seen_from)))
         if (not good and far > 0.2) or (gained > 50.0 and far > 0.7):  # the answers were taken far from here
-            views, columns = _seen(study, study.base.at(fit.point))
+            views, columns = see(study, study.base.at(fit.point))
             J, seen_from = study.stack(columns), fit.point
     if np.any(fit.point != seen_from):
-        views, columns = _seen(study, study.base.at(fit.point))
+        views, columns = see(study, study.base.at(fit.point))
     return fit, views, columns
 
 
@@ -289,22 +314,20 @@ def _repeated(study: Study) -> bool:
     return len(labels) > len(set(labels))
 
 
-def _seen(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.ndarray]]]:
+def see(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.ndarray]]]:
+    """Each training record seen from a variant, and its answers (n_samples, p) to the base parameters by channel."""
     views = each(lambda bench: view(bench, variant), study.benches)
     beside = neighbours(study.base, variant)
     return views, each(lambda seen: parameter_columns(seen, study.base, beside), views)
 
 
-def _shorter(study: Study, fit: Fit, trial: Callable, shares: Sequence[float] = (1.0, 0.4, 0.1)) -> Fit | None:
-    """The first of shorter and shorter steps whose deviance is lower; None where none is."""
-    for share in shares:
-        try:
-            new = evaluate(study, *trial(share))
-        except (SolveError, InputError):  # a figure that no valve can have: a shorter step
-            continue
-        if new.deviance < fit.deviance:
-            return new
-    return None
+def _lower(study: Study, fit: Fit, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit | None:
+    """The fit at a point if its deviance is lower than a fit's; else, or where no valve can have its figures, None."""
+    try:
+        new = evaluate(study, point, extras)
+    except (SolveError, InputError):
+        return None
+    return new if new.deviance < fit.deviance else None
 
 
 def within_tolerance(base: BaseFit) -> Fit:
@@ -356,11 +379,7 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
         for _ in range(6):
             step = _solve(H + damping * np.diag(metric), gradient)
             if np.max(np.abs(step[:p])) <= LONGEST_STEP:
-                new = _shorter(
-                    study, fit, lambda share, fit=fit, step=step, names=names: (  # noqa: B023
-                        fit.point + share * step[:p], _moved(fit, names, share * step[p:])
-                    ), (1.0,),
-                )  # fmt: skip
+                new = _lower(study, fit, fit.point + step[:p], _moved(fit, names, step[p:]))
                 if new is not None:
                     break
             damping = max(10.0 * damping, 0.1)
@@ -371,7 +390,7 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
             if stale == 3:
                 break
             stale += 1
-            views, columns = _seen(study, fit.variant(study.base))
+            views, columns = see(study, fit.variant(study.base))
             J = study.stack(columns)
         elif new is None or gained < ENOUGH:
             break
@@ -470,7 +489,7 @@ def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list
         for shape, value in extra.shapes:
             names.append((extra, shape))
             candidates.append(extra.candidate)
-            moved = {**dict(extra.shapes), shape: value * 1.1}
+            moved = {**dict(extra.shapes), shape: value * SHAPE_STEP}
             if taken:
                 other = replace(extra, shapes=tuple(moved.items()))
                 changed.append(replace(fit, extras=_replaced(fit, extra, other)).variant(study.base))
@@ -485,7 +504,7 @@ def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list
             own = k
             out[:, k] = columns[:, k] / by
         else:
-            out[:, k] = (columns[:, k] - (0.0 if taken else columns[:, own])) / np.log(1.1)
+            out[:, k] = (columns[:, k] - (0.0 if taken else columns[:, own])) / np.log(SHAPE_STEP)
     if not taken and len(fit.extras) == 1 and abs(fit.extras[0].excess) > 0.05 * fit.extras[0].candidate.typical:
         # what the fit has really gained by its one effect, over what the linear equations say of the base
         moved = base.fit.residual - base.J @ (fit.point - base.fit.point) - fit.residual
