@@ -14,8 +14,7 @@ from valvesim.parameters import Valve
 from valvesim.prediction import Variant, prepare
 from valvesim.scenario import Thermal
 from valvesim.session import Record, Sensor, Session
-from valvesim.study import BaseFit, Extra, Fit, evaluate, first_noise, prepare_study
-from valvesim.study import _seen as seen  # the base, seen from where it is: no fit is needed here
+from valvesim.study import BaseFit, Extra, Fit, evaluate, first_noise, prepare_study, see
 
 NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
 LABELS = ("spool_coulomb_friction", "spool_lap")
@@ -41,7 +40,7 @@ def base_of(session):
     study = prepare_study(session)
     study = replace(study, noise=first_noise(study))
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
-    views, columns = seen(study, fit.variant(study.base))
+    views, columns = see(study, fit.variant(study.base))
     return BaseFit(study, fit, tuple(views), tuple(columns), study.stack(columns))
 
 
