@@ -65,7 +65,7 @@ PARAMETER_TARGETS = (8.0, 15.0, 40.0, 15.0)
 OUTSIDE_TARGETS = (8.0, 15.0, 40.0, 40.0)
 PAIR_TARGET, WEAKER = 20.0, 6.0  # d' of both together, and of the weaker alone
 NONE_CASES, PAIR_CASES, POOR_CASES = 200, 50, 32
-ORACLE_STEPS = 2
+ORACLE_LOOKS = 1
 STRONGEST = 20.0  # times the strength as drawn
 MOST_OFFSET = 0.35  # of a parameter, relative: beyond it is another valve
 INSIDE = 0.95  # share of the catalogue's bounds that a hidden amplitude keeps to
@@ -588,7 +588,7 @@ def _oracle(case: Case, base: BaseFit, extras: tuple[Extra, ...], fits: Sequence
     own = sorted(extra.candidate.family for extra in extras)
     tried = [base.fit, *(f for f in fits if sorted(e.candidate.family for e in f.extras) == own)]
     point = [(case.unit.get(p.name, p.nominal) - p.nominal) / p.deviation for p in base.study.base.parameters]
-    tried.append(refit(base, extras, np.array(point), steps=ORACLE_STEPS))
+    tried.append(refit(base, extras, np.array(point), looks=ORACLE_LOOKS))
     return min(tried, key=lambda fit: fit.deviance)
 
 

@@ -304,7 +304,7 @@ def test_answers_to_a_candidate_with_memory_are_near_true_runs(candidates, seen)
     loops = [c for c in candidates if c.name == "magnetic_hysteresis"]
     size = 0.05 * loops[0].typical
     changed = [c.add_to(nominal(), size) for c in loops]
-    columns = candidate_columns(seen, loops, changed)
+    columns = candidate_columns(seen, loops, changed, Base(nominal(), ()), {})
     for k, variant in enumerate(changed):
         truth = seen.by_run(variant)
         for channel in ("spool_position", "armature_angle", "load_flow"):
@@ -312,12 +312,14 @@ def test_answers_to_a_candidate_with_memory_are_near_true_runs(candidates, seen)
             assert rms(columns[channel][:, k] - truth[channel]) < 0.15 * rms(truth[channel]), channel
 
 
-def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_runs(candidates, seen):
+def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_runs(base, candidates, seen):
     keys = ("spool_edge_wear", "nozzle_erosion[side=2]", "parameter:spool_area", "sensor_lag@spool_position",
             "thermal_lag", "sensor_temperature_drift@load_flow")  # fmt: skip
     some = [candidate(candidates, key) for key in keys]
     changed = [c.add_to(nominal(), 0.01 * c.typical) for c in some]
-    columns = candidate_columns(seen, some, changed)
+    own = Base(base.variant, tuple(p for p in base.parameters if p.name == "spool_area"))
+    known = parameter_columns(seen, own, neighbours(own, nominal()))
+    columns = candidate_columns(seen, some, changed, own, known)
     for k, (c, variant) in enumerate(zip(some, changed, strict=True)):
         truth = seen.by_run(variant)
         shown = [ch for ch in CHANNELS if rms(truth[ch]) > 2e-5 * np.ptp(seen.readings[ch])]
@@ -328,7 +330,7 @@ def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_r
 
 def test_a_sensor_that_the_record_lacks_shows_nothing(seen):
     absent = Candidate("sensor_bias", CATALOGUE["sensor_bias"].on("nozzle_pressure_2"))
-    for columns in candidate_columns(seen, [absent], [absent.add_to(nominal(), 1e5)]).values():
+    for columns in candidate_columns(seen, [absent], [absent.add_to(nominal(), 1e5)], Base(nominal(), ()), {}).values():
         assert not columns.any()
 
 

@@ -39,7 +39,19 @@ from .prediction import Variant, prepare
 from .recovery import recover
 from .scene import NOISE_ERROR, Scene, look, own_step
 from .session import Record, Session, load_session
-from .study import SHAPE_STEP, BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit, residual_of, within_tolerance
+from .study import (
+    ENOUGH,
+    SHAPE_STEP,
+    BaseFit,
+    Extra,
+    Fit,
+    Study,
+    fit_base,
+    prepare_study,
+    refit,
+    residual_of,
+    within_tolerance,
+)
 
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 SINGLES, PAIRS = 5, 3  # how many are refitted
@@ -162,7 +174,7 @@ def _evidence(fit: Fit) -> float:
         + (e.excess / (5.0 * e.candidate.typical)) ** 2
         for e in fit.extras
     )  # fmt: skip
-    return float(fit.deviance + fit.occam + price)
+    return float(fit.deviance - min(fit.promised, 2.0 * ENOUGH) + fit.occam + price)
 
 
 def _starts(scene: Scene) -> list[tuple[Extra, ...]]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .catalogue import CATALOGUE
-from .channels import STATE_CHANNELS, State
+from .channels import STATE_CHANNELS, Signals, State
 from .effects import ActiveEffect, Effect
 from .errors import InputError
 from .model import Model
@@ -29,6 +29,8 @@ SENSOR_BIAS, SENSOR_GAIN = 2e-3, 4e-3  # tolerances that every sensor has: share
 SENSOR_DELAY = 1e-4  # and s of its electronics and the logger's clock
 FAST = ("armature_inertia", "chamber_volume", "spool_mass")  # these act within a step of the grid: they are run
 LARGEST = 1.5e8  # bytes of forcings that are solved for at once
+AT_ONCE = 65_536  # values of one quantity along a course for a batch of valves: they stay in the cache
+SIGNAL_NAMES = Signals._fields
 SHAPES: dict[str, dict[str, tuple[float, ...]]] = {  # shape parameters at which an effect is looked for
     "fixed_orifice_clogging": {"side": (1.0, 2.0)},
     "nozzle_erosion": {"side": (1.0, 2.0)},
@@ -277,11 +279,7 @@ class View:
         out = {name: np.empty((samples, len(variants))) for name in self.readings}
         chunk = max(int(LARGEST / self.linear.A[:, 0].nbytes), 1)
         for start in range(0, len(variants), chunk):
-            changes = [self.forcing(variant) for variant in variants[start : start + chunk]]
-            direct = {
-                name: np.column_stack([part[name] for _, part in changes]) for name in changes[0][1]
-            }  # fmt: skip
-            moved = self.by_forcing(np.stack([g for g, _ in changes], axis=2), direct)
+            moved = self.by_forcing(*self._forcings(variants[start : start + chunk]))
             for name, columns in moved.items():
                 out[name][:, start : start + chunk] = columns
         return out
@@ -297,7 +295,7 @@ class View:
                 continue
             faults = tuple(a for a in self.variant.effects if not isinstance(a.effect, SmallError))
             variant = replace(self.variant, effects=faults)
-            own = own[:: self.bench.finer]
+            own = own[:: self.bench.finer]  # coarse for the sensor's corners: they are in both and cancel
             base = self.bench.sensed({name: own}, self.course, variant)[name]
             out[name] = self.bench.sensed({name: own[:, None] + moved}, self.course, variant)[name] - base[:, None]
         return out
@@ -312,8 +310,30 @@ class View:
         current = states[len(STATE_CHANNELS)] if memory else self.bench.inputs[:, 0]
         return np.asarray(variable.of(State(*states[: len(STATE_CHANNELS)]), current))
 
+    def _forcings(self, variants: Sequence[Variant]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """`forcing` of several variants, (n, s, k) and (n, k) by signal; those of other valves go together."""
+        n, k = len(self.bench.times), len(variants)
+        alike = [j for j, variant in enumerate(variants) if variant.effects == self.variant.effects]
+        g = np.empty((n, len(self.linear.scale), k))
+        direct = {name: np.empty((n, k)) for name in self.at_valve if name in SIGNAL_NAMES}
+        size = max(AT_ONCE // n, 1)
+        for group in [
+            *(alike[start : start + size] for start in range(0, len(alike), size)),
+            *([j] for j in range(k) if j not in alike),
+        ]:
+            first = variants[group[0]]
+            batch = first if len(group) == 1 else replace(first, valve=_batch([variants[j].valve for j in group]))
+            rates, signals = self.forcing(batch)
+            g[:, :, group] = rates.reshape(n, -1, len(group))
+            for name, part in signals.items():
+                direct[name][:, group] = part.reshape(n, -1)
+        return g, direct
+
     def forcing(self, variant: Variant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """(scaled rates (n, s), direct parts by signal) that a variant adds along this course."""
+        """(scaled rates (n, s), direct parts (n,) by signal) that a variant adds along this course.
+
+        A variant whose valve is a batch (batch, 1) adds (n, s, batch) and (n, batch).
+        """
         n, inputs = len(self.bench.times), tuple(self.bench.inputs.T)
         own = {effect.name for effect in self.model.effects}
         more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
@@ -322,14 +342,23 @@ class View:
         states = [self.course.states[:, k] for k in self.linear.active]
         for active in more:
             states += self._remembered(active, tuple(states), along)
-        rates, signals = model.evaluate(tuple(states), inputs, along)
-        g = np.stack([np.broadcast_to(new - old, (n,)) for new, old in zip(rates, self.rates, strict=False)], axis=1)
+        dimensions = along[0].ndim
+
+        def column(values: Any) -> np.ndarray:
+            """(n,), or (n, 1) beside a batch."""
+            return np.asarray(values).reshape(-1, *(1,) * (dimensions - 1))
+
+        rates, signals = model.evaluate(tuple(map(column, states)), tuple(map(column, inputs)), along)
+        shape = (n, *np.broadcast_shapes(*(part.shape[1:] for part in along)))
+        g = np.empty((n, len(self.rates), *shape[1:]))
+        for k, (new, old) in enumerate(zip(rates, self.rates, strict=False)):
+            g[:, k] = (new - column(old)) / self.linear.scale[k]
         direct = {
-            name: np.broadcast_to(getattr(signals, name) - getattr(self.signals, name), (n,))
+            name: np.broadcast_to(getattr(signals, name) - column(getattr(self.signals, name)), shape)
             for name in self.at_valve
-            if hasattr(signals, name)
+            if name in SIGNAL_NAMES
         }
-        return g / self.linear.scale, direct
+        return g, direct
 
     def _remembered(self, active: ActiveEffect, states: tuple, along: tuple) -> list[np.ndarray]:
         """The memories (n,) of an effect along the course: each linear in itself, so exact for a course that rests.
@@ -359,6 +388,16 @@ class View:
         return memories
 
 
+def _batch(valves: Sequence[Valve]) -> Valve:
+    """One valve whose quantities are (k, 1) where those of the valves differ."""
+    first, differing = valves[0], dict[str, Any]()
+    for name in quantities(Valve):
+        values = [getattr(valve, name) for valve in valves]
+        if any(value != values[0] for value in values):
+            differing[name] = np.array(values)[:, None]
+    return replace(first, **differing)
+
+
 def view(bench: Bench, variant: Variant) -> View:
     """A record seen from a variant."""
     course = bench.run(variant)
@@ -381,12 +420,22 @@ def neighbours(base: Base, variant: Variant) -> list[Variant]:
     ]
 
 
-def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -> dict[str, np.ndarray]:
-    """Answers (n_samples, p) to one prior standard deviation of each base parameter, see `neighbours`."""
+def parameter_columns(
+    seen: View, base: Base, neighbouring: Sequence[Variant], before: dict[str, np.ndarray] | None = None
+) -> dict[str, np.ndarray]:
+    """Answers (n_samples, p) to one prior standard deviation of each base parameter, see `neighbours`.
+
+    Answers of `FAST` parameters hardly change from one point to another: they are those seen `before`, if any.
+    """
     plant = [p for p in base.parameters if p.sensor is None]
     slow = [k for k, p in enumerate(plant) if p.name not in FAST]
     moved = seen.by_answer([neighbouring[k] for k in slow])
-    run = {p.name: seen.by_run(variant) for p, variant in zip(plant, neighbouring, strict=True) if p.name in FAST}
+    run: dict[str, dict[str, np.ndarray]] = {}
+    for j, p in enumerate(base.parameters):
+        if p.name in FAST and before is not None:
+            run[p.name] = {name: columns[:, j] for name, columns in before.items()}
+        elif p.name in FAST:
+            run[p.name] = seen.by_run(neighbouring[plant.index(p)])
     out = {}
     for name, read in seen.readings.items():
         answered = dict(zip((plant[k].name for k in slow), moved[name].T, strict=True))
@@ -415,13 +464,26 @@ def _sensor_slope(seen: View, parameter: BaseParameter, channel: str) -> np.ndar
     return (high - low) / (2.0 * step)
 
 
-def candidate_columns(seen: View, candidates: Sequence[Candidate], changed: Sequence[Variant]) -> dict[str, np.ndarray]:
-    """Answers (n_samples, q) to each candidate, whose variant at its size is `changed`."""
+def candidate_columns(
+    seen: View,
+    candidates: Sequence[Candidate],
+    changed: Sequence[Variant],
+    base: Base,
+    known: dict[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """Answers (n_samples, q) to each candidate, whose variant at its size is `changed`.
+
+    A parameter beyond its tolerance shows what it shows within it: its share of the `known` `parameter_columns`.
+    """
     out = {name: np.zeros((len(seen.bench.record.time), len(candidates))) for name in seen.readings}
     quick = []
     for k, (candidate, variant) in enumerate(zip(candidates, changed, strict=True)):
-        effect = candidate.effect
-        if effect is None or effect.reading is None:
+        effect, p = candidate.effect, candidate.parameter
+        if p is not None:
+            share = (getattr(variant.valve, p.name) - getattr(seen.variant.valve, p.name)) / p.deviation
+            for name in out:
+                out[name][:, k] = share * known[name][:, base.parameters.index(p)]
+        elif effect is None or effect.reading is None:
             quick.append(k)
         elif effect.channel in out:
             name = effect.channel

@@ -91,7 +91,7 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     """Look at what a fit leaves, from where it is."""
     study = base.study
     variant = fit.variant(study.base)
-    views, J = (base.views, base.columns) if fit is base.fit else see(study, variant)
+    views, J = (base.views, base.columns) if fit is base.fit else see(study, variant, base.columns)
     taken = [extra.candidate for extra in fit.extras]
     families_taken = {candidate.family for candidate in taken}
     candidates = tuple(
@@ -99,13 +99,14 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     )
     sizes = np.array([_size(c) for c in candidates])
     changed = [c.add_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
-    S = each(lambda seen: candidate_columns(seen, candidates, changed), views)
+    S = each(lambda seen, known: candidate_columns(seen, candidates, changed, study.base, known), views, J)
     searched = families() if with_families else ()
     spans = _spans(views, searched)
     T = each(lambda seen: family_columns(seen, searched, spans), views)
     steps = own_steps(fit)
     moved = [other.variant(study.base) for _, other in steps]
-    own = each(lambda seen: candidate_columns(seen, [c for c, _ in steps], moved), views)
+    extras = [candidate for candidate, _ in steps]
+    own = each(lambda seen, known: candidate_columns(seen, extras, moved, study.base, known), views, J)
     gram = gram_of(study, views, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point, ())
     q, f = len(candidates), len(searched) * KNOTS
     count = len(steps)

@@ -30,32 +30,60 @@ FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0])
 def propagators(A, h, E, early, late):
     """Fill E, early and late (n-1, s, s) of the steps between the matrices A (n, s, s); compiled as it stands."""
     n, s = A.shape[0], A.shape[1]
-    eye = np.eye(s)
+    S, P, phi, late_phi, T = np.empty((s, s)), np.empty((s, s)), np.empty((s, s)), np.empty((s, s)), np.empty((s, s))
     for k in range(n - 1):
-        M = 0.5 * h * (A[k] + A[k + 1])
         norm = 0.0
         for i in range(s):
             row = 0.0
             for j in range(s):
-                row += abs(M[i, j])
+                S[i, j] = 0.5 * h * (A[k, i, j] + A[k + 1, i, j])
+                row += abs(S[i, j])
             norm = max(norm, row)
         halvings = 0
         while norm > 0.25:
             norm *= 0.5
             halvings += 1
-        S = M * 0.5**halvings
-        late_phi = eye / 5040.0  # Horner's scheme of phi2 = sum S^k/(k+2)!
-        for j in range(6, 1, -1):
-            late_phi = S @ late_phi + eye / FACTORIALS[j]
-        phi = S @ late_phi + eye
-        P = S @ phi + eye
+        shrink = 0.5**halvings
+        for i in range(s):
+            for j in range(s):
+                S[i, j] *= shrink
+                late_phi[i, j] = 0.0
+            late_phi[i, i] = 1.0 / 5040.0
+        for power in range(6, 1, -1):  # Horner's scheme of phi2 = sum S^k/(k+2)!
+            product(S, late_phi, T, 1.0 / FACTORIALS[power])
+            late_phi, T = T, late_phi
+        product(S, late_phi, phi, 1.0)
+        product(S, phi, P, 1.0)
         for _ in range(halvings):  # doubling: no inverse is taken, so that a memory which rests does no harm
-            late_phi = 0.25 * (phi @ phi + 2.0 * late_phi)
-            phi = 0.5 * (P @ phi + phi)
-            P = P @ P
-        E[k] = P
-        early[k] = h * (phi - late_phi)
-        late[k] = h * late_phi
+            product(phi, phi, T, 0.0)
+            for i in range(s):
+                for j in range(s):
+                    late_phi[i, j] = 0.25 * (T[i, j] + 2.0 * late_phi[i, j])
+            product(P, phi, T, 0.0)
+            for i in range(s):
+                for j in range(s):
+                    phi[i, j] = 0.5 * (T[i, j] + phi[i, j])
+            product(P, P, T, 0.0)
+            P, T = T, P
+        for i in range(s):
+            for j in range(s):
+                E[k, i, j] = P[i, j]
+                early[k, i, j] = h * (phi[i, j] - late_phi[i, j])
+                late[k, i, j] = h * late_phi[i, j]
+
+
+def product(X, Y, out, diagonal):
+    """Fill out = X Y + diagonal I: for so few states a loop is faster than a library's call."""
+    s = X.shape[0]
+    for i in range(s):
+        for j in range(s):
+            out[i, j] = 0.0
+        for k in range(s):
+            x = X[i, k]
+            if x != 0.0:
+                for j in range(s):
+                    out[i, j] += x * Y[k, j]
+        out[i, i] += diagonal
 
 
 def march(E, early, late, g, d):
@@ -84,7 +112,9 @@ def relax(a: np.ndarray, b: np.ndarray, step: float) -> np.ndarray:
 @functools.cache
 def _machine() -> tuple[Any, Any, Any]:
     from numba import njit
+    from numba.extending import register_jitable
 
+    register_jitable(product)
     options: Any = {"cache": True, "nogil": True, "error_model": "numpy"}
     return njit(**options)(propagators), njit(**options)(march), njit(**options)(follow)
 

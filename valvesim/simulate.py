@@ -368,7 +368,13 @@ def between(times: np.ndarray, at: np.ndarray, columns: np.ndarray) -> np.ndarra
     """Straight lines between knots for columns (m, n_columns), as (n_columns, n_t); after a jump the later value."""
     if len(at) == 1:
         return np.repeat(columns.T, len(times), axis=1)
+    k, share = brackets(times, at)
+    return np.array([column[k] + share * (column[k + 1] - column[k]) for column in columns.T])
+
+
+def brackets(times: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For each time the knot (n_t,) that it follows, of two or more, and the share (n_t,) of the way to the next."""
     k = np.clip(np.searchsorted(at, times, side="right") - 1, 0, len(at) - 2)
     width = at[k + 1] - at[k]
     share = np.clip(np.divide(times - at[k], width, out=np.ones_like(times), where=width > 0.0), 0.0, 1.0)
-    return np.array([column[k] + share * (column[k + 1] - column[k]) for column in columns.T])
+    return k, share

@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -36,12 +37,15 @@ MOST_ROWS = 300_000  # whitened rows that are kept: of longer sessions every sec
 SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
 SHAPE_STEP = 1.1  # by which a shape parameter is moved to see what it shows
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
-BASE_STEPS, STEPS = 20, 10
+BASE_LOOKS, LOOKS = 12, 4  # how often the answers may be taken anew: in the base fit, in a refit
+STEPS, FAILURES = 20, 2  # with the same answers: all, and those that bring much less than they promise
+UPHILL = 5.0  # times the promise by which one step may lead up
+LEARNED = 30.0  # deviance that a step must change for the answers to learn from it: below is the solver's noise
 ABSURD = 1e30  # deviance
 TOLERANCE = 2.0  # prior deviations at which a tolerance ends
 LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
-SETTLED = 0.3  # fall of the deviance that is not worth a step of the base ...
-ENOUGH = 1.0  # ... nor of a candidate's refit: the answer set goes by several
+SETTLED = 2.0  # fall of the deviance that is not worth a step of the base ...
+ENOUGH = 2.0  # ... nor of a candidate's refit: the answer set goes by several, and the rest is reckoned with
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,19 +188,29 @@ class Extra:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A point of the base parameters with extras, its deviance and the readings that it predicts."""
+    """A point of the base parameters with extras, its deviance and the readings that it predicts.
+
+    `promised` is by how much the linear equations would still lower the deviance, `occam` the price of the freedom.
+    """
 
     point: np.ndarray
     extras: tuple[Extra, ...]
     deviance: float
     readings: tuple[dict[str, np.ndarray], ...]
     residual: np.ndarray
+    promised: float = 0.0
     occam: float = 0.0
 
     @property
     def kinds(self) -> tuple[tuple[Extra, str], ...]:
         """What is fitted of the extras, in order: each extra's excess (""), then each of its shapes by name."""
         return tuple((extra, shape) for extra in self.extras for shape in ("", *(name for name, _ in extra.shapes)))
+
+    @property
+    def place(self) -> np.ndarray:
+        """What is fitted as one vector: the base point, then `kinds`, shapes as logarithms."""
+        own = [np.log(dict(extra.shapes)[shape]) if shape else extra.excess for extra, shape in self.kinds]
+        return np.array([*self.point, *own])
 
     def variant(self, base: Base) -> Variant:
         """The valve and effects of this fit."""
@@ -260,53 +274,82 @@ class BaseFit:
 def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -> BaseFit:
     """Fit the base parameters, and find the noise on the way. Raises SolveError where the valve cannot be run."""
     study = replace(study, noise=first_noise(study))
-    point = np.zeros(len(study.base.parameters))
-    fit = evaluate(study, point, ())
+    fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
     if _repeated(study):
         study = replace(study, noise=find_noise(study, fit.readings))
-    fit, views, columns = _settle(study, _weighed(study, point, (), fit.readings), tell)
-    if not _repeated(study):  # the noise is what the best fit leaves: again with its colour
-        for _ in range(2):
-            study = replace(study, noise=find_noise(study, fit.readings))
-            fit, views, columns = _settle(study, _weighed(study, fit.point, (), fit.readings), tell)
+        base = _settle(study, fit, None, tell)
+    else:
+        base = _settle(study, fit, None, tell)
+        for _ in range(2):  # the noise is what the best fit leaves: again with its colour
+            base = _settle(replace(study, noise=find_noise(study, base.fit.readings)), base.fit, base, tell)
+    return base
+
+
+def _settle(study: Study, fit: Fit, before: BaseFit | None, tell: Callable[[float], None]) -> BaseFit:
+    """The base fitted under a study's noise, from a fit; `before` is what has been seen from there, if it has been."""
+    fit = _weighed(study, fit.point, (), fit.readings)
+    views, columns = see(study, study.base.at(fit.point)) if before is None else (before.views, before.columns)
+    for look in range(BASE_LOOKS):
+        tell(look / BASE_LOOKS)
+        seen_from, J = fit, study.stack(columns)
+        fit, _ = _descend(study, fit, J, SETTLED)
+        if fit.deviance == seen_from.deviance:
+            break
+        views, columns = see(study, study.base.at(fit.point), columns)
+        if seen_from.deviance - fit.deviance < SETTLED:
+            break
     return BaseFit(study, fit, tuple(views), tuple(columns), study.stack(columns))
 
 
-def _settle(
-    study: Study, fit: Fit, tell: Callable[[float], None]
-) -> tuple[Fit, list[View], list[dict[str, np.ndarray]]]:
-    """Levenberg-Marquardt in the base parameters, damped in the metric of their prior; the answers at its end too."""
-    damping = 0.0
-    views, columns = see(study, study.base.at(fit.point))
-    J, seen_from = study.stack(columns), fit.point
-    for k in range(BASE_STEPS):
-        H = J.T @ J + np.eye(J.shape[1])
-        gradient = J.T @ fit.residual - fit.point
-        new, promised = None, float(gradient @ np.linalg.solve(H, gradient))
-        if promised < SETTLED:
-            break
-        for _ in range(8):
-            step = np.linalg.solve(H + damping * np.eye(len(gradient)), gradient)
-            if np.max(np.abs(step)) <= LONGEST_STEP:
-                new = _lower(study, fit, fit.point + step, ())
-                if new is not None:
-                    break
-            damping = max(10.0 * damping, 1.0)
-        if new is None:
-            break
-        tell((k + 1) / BASE_STEPS)
-        gained = fit.deviance - new.deviance
-        fit, good = new, gained > 0.75 * promised
-        if gained < SETTLED and damping == 0.0:
-            break
-        damping = 0.0 if damping <= 1.0 or good else damping / 10.0
-        far = float(np.max(np.abs(fit.point - seen_from)))
-        if (not good and far > 0.2) or (gained > 50.0 and far > 0.7):  # the answers were taken far from here
-            views, columns = see(study, study.base.at(fit.point))
-            J, seen_from = study.stack(columns), fit.point
-    if np.any(fit.point != seen_from):
-        views, columns = see(study, study.base.at(fit.point))
-    return fit, views, columns
+def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
+    """Levenberg-Marquardt, damped in the metric of the priors, until little is promised or promises are not kept.
+
+    The answers (rows, p and extras) learn from each step what it has changed (Broyden), and are given back.
+    """
+    metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.kinds])
+    damping, failures, start, best, uphill = 0.0, 0, fit, fit, False
+    for _ in range(STEPS):
+        H, gradient = _normal(fit, answers)
+        promised = max(float(gradient @ _solve(H, gradient)), 0.0)
+        if fit is best:
+            best = fit = replace(fit, promised=promised)
+            stale = best.deviance < start.deviance and (failures > 0 or _far(start, best))
+            if promised < enough or stale or failures == FAILURES:
+                break
+        step, held = _solve(H + damping * np.diag(metric), gradient), damping
+        while np.max(np.abs(step[: len(fit.point)])) > LONGEST_STEP:
+            held = max(2.0 * held, 0.01)
+            step = _solve(H + held * np.diag(metric), gradient)
+        try:
+            new = evaluate(study, fit.point + step[: len(fit.point)], _moved(fit, step[len(fit.point) :]))
+        except (SolveError, InputError):  # no valve can have these figures
+            fit, damping, failures, uphill = best, max(10.0 * damping, 0.1), failures + 1, False
+            continue
+        moved, changed = new.place - fit.place, fit.residual - new.residual
+        if (length := float(moved @ (metric * moved))) > 0.0 and float(changed @ changed) > LEARNED:
+            answers = answers + np.outer((changed - answers @ moved) / length, metric * moved)
+        gained = best.deviance - new.deviance
+        if gained > 0.0:
+            failures = 0 if gained > 0.5 * best.promised else failures + 1
+            damping = 0.0 if damping <= 0.1 or gained > 0.5 * best.promised else damping / 10.0
+            best, fit, uphill = new, new, False
+        elif not uphill and failures == 0 and -gained < UPHILL * best.promised:
+            fit, uphill = new, True  # a bent valley: the next step may lead back into it, further down
+        else:
+            fit, damping, failures, uphill = best, max(10.0 * damping, 0.1), failures + 1, False
+    return best, answers
+
+
+def _promise(fit: Fit, answers: np.ndarray) -> float:
+    """By how much the linear equations would lower a fit's deviance."""
+    H, gradient = _normal(fit, answers)
+    return float(gradient @ _solve(H, gradient))
+
+
+def _far(start: Fit, fit: Fit) -> bool:
+    """Whether the answers taken at `start` are of a valve too far from where the fit is now."""
+    far = float(np.max(np.abs(fit.point - start.point)))
+    return start.deviance - fit.deviance > 50.0 and far > 0.7
 
 
 def _repeated(study: Study) -> bool:
@@ -314,20 +357,17 @@ def _repeated(study: Study) -> bool:
     return len(labels) > len(set(labels))
 
 
-def see(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.ndarray]]]:
-    """Each training record seen from a variant, and its answers (n_samples, p) to the base parameters by channel."""
+def see(
+    study: Study, variant: Variant, before: Sequence[dict[str, np.ndarray]] | None = None
+) -> tuple[list[View], list[dict[str, np.ndarray]]]:
+    """Each training record seen from a variant, and its answers (n_samples, p) to the base parameters by channel.
+
+    `before` are the answers from another variant, see `parameter_columns`.
+    """
     views = each(lambda bench: view(bench, variant), study.benches)
     beside = neighbours(study.base, variant)
-    return views, each(lambda seen: parameter_columns(seen, study.base, beside), views)
-
-
-def _lower(study: Study, fit: Fit, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit | None:
-    """The fit at a point if its deviance is lower than a fit's; else, or where no valve can have its figures, None."""
-    try:
-        new = evaluate(study, point, extras)
-    except (SolveError, InputError):
-        return None
-    return new if new.deviance < fit.deviance else None
+    known: list[Any] = list(before) if before is not None else [None] * len(views)
+    return views, each(lambda seen, own: parameter_columns(seen, study.base, beside, own), views, known)
 
 
 def within_tolerance(base: BaseFit) -> Fit:
@@ -347,64 +387,44 @@ def within_tolerance(base: BaseFit) -> Fit:
     return base.fit if not held.any() else evaluate(base.study, point, ())
 
 
-def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None, steps: int = STEPS) -> Fit:
-    """The base with candidates, all fitted together, from `start`. Columns follow the amplitudes as they move."""
-    study, J = base.study, base.J
-    p = J.shape[1]
-    extras = tuple(start)
-    point = base.fit.point if point is None else point
-    fit = None
+def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None, looks: int = LOOKS) -> Fit:
+    """The base with candidates, all fitted together, from `start`; its deviance is infinite where that cannot be run.
+
+    The answers are those of the base first; where they no longer hold, they are taken anew from the fit itself.
+    """
+    study, fit = base.study, None
     for shrink in (1.0, 0.3, 0.1):
         try:
             extras = tuple(replace(e, excess=e.excess * shrink) for e in start)
-            fit = evaluate(study, point, extras)
+            fit = evaluate(study, base.fit.point if point is None else point, extras)
             break
         except (SolveError, InputError):
             continue
     if fit is None:
         return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
-    if (leap := _leap(base, tuple(start))) is not None and leap.deviance < fit.deviance:
-        fit = leap
-    damping, stale, occam = 0.0, 0, 0.0
-    views: Sequence[View] = base.views
-    for k in range(steps + 1):
-        names, S = _extra_columns(base, views, fit)
-        H, gradient = _normal(fit, np.column_stack([J, S]), names)
-        occam = _occam(H, p, names)
-        metric = np.array([1.0] * p + [e.candidate.typical**-2 if not shape else 1.0 for e, shape in names])
-        promised = float(gradient @ np.linalg.lstsq(H, gradient, rcond=1e-13)[0])
-        if k == steps or promised < ENOUGH:
+    fit, answers = min(
+        ((at, np.column_stack([base.J, _extra_columns(base, base.views, base.columns, at)]))
+         for at in (fit, _leap(base, tuple(start))) if at is not None),
+        key=lambda pair: pair[0].deviance - 0.5 * _promise(*pair),  # promises are half kept
+    )  # fmt: skip
+    for look in range(looks):
+        new, answers = _descend(study, fit, answers, ENOUGH)
+        stuck, fit = look > 0 and new.deviance > fit.deviance - ENOUGH, new
+        if fit.promised < ENOUGH or stuck or look == looks - 1:
             break
-        new = None
-        for _ in range(6):
-            step = _solve(H + damping * np.diag(metric), gradient)
-            if np.max(np.abs(step[:p])) <= LONGEST_STEP:
-                new = _lower(study, fit, fit.point + step[:p], _moved(fit, names, step[p:]))
-                if new is not None:
-                    break
-            damping = max(10.0 * damping, 0.1)
-        gained = 0.0 if new is None else fit.deviance - new.deviance
-        fit = fit if new is None else new
-        damping = 0.0 if damping <= 0.1 or gained > 0.5 * promised else damping / 10.0
-        if gained < 0.5 * promised and promised > 10.0:  # the answers were taken too far from here
-            if stale == 3:
-                break
-            stale += 1
-            views, columns = see(study, fit.variant(study.base))
-            J = study.stack(columns)
-        elif new is None or gained < ENOUGH:
-            break
-    return replace(fit, occam=occam)
+        views, columns = see(study, fit.variant(study.base), base.columns)
+        answers = np.column_stack([study.stack(columns), _extra_columns(base, views, columns, fit)])
+    return replace(fit, occam=_occam(_normal(fit, answers)[0], fit))
 
 
 def _leap(base: BaseFit, start: tuple[Extra, ...]) -> Fit | None:
     """Where the linear equations put everything at once: a base parameter stretched by the cause goes back at once."""
     study, p = base.study, base.J.shape[1]
     absent = replace(base.fit, extras=start)  # its residual is that without the extras
-    names, S = _extra_columns(base, base.views, absent)
-    own = [k for k, (_, shape) in enumerate(names) if not shape]
-    columns = np.column_stack([base.J, S[:, own]])
-    H, gradient = _normal(base.fit, columns, [names[k] for k in own])
+    S = _extra_columns(base, base.views, base.columns, absent)
+    own = [k for k, (_, shape) in enumerate(absent.kinds) if not shape]
+    plain = replace(base.fit, extras=tuple(replace(e, shapes=()) for e in start))
+    H, gradient = _normal(plain, np.column_stack([base.J, S[:, own]]))
     step = _solve(H, gradient)
     extras = tuple(
         replace(e, excess=float(np.clip(a, *_inside(e.candidate)))) for e, a in zip(start, step[p:], strict=True)
@@ -426,14 +446,14 @@ def _solve(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(H / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
 
 
-def _normal(fit: Fit, columns: np.ndarray, names: Sequence[tuple[Extra, str]]) -> tuple[np.ndarray, np.ndarray]:
+def _normal(fit: Fit, answers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(H, gradient) of base parameters, then of extras, with their priors."""
     p = len(fit.point)
-    H = columns.T @ columns
-    prior = np.array([1.0] * p + [0.0 if not shape else SHAPE_DEVIATION**-2 for _, shape in names])
-    gradient = columns.T @ fit.residual
+    H = answers.T @ answers
+    prior = np.array([1.0] * p + [0.0 if not shape else SHAPE_DEVIATION**-2 for _, shape in fit.kinds])
+    gradient = answers.T @ fit.residual
     gradient[:p] -= fit.point
-    for at, (extra, shape) in enumerate(names):
+    for at, (extra, shape) in enumerate(fit.kinds):
         if shape:
             value, default = dict(zip((n for n, _ in extra.shapes), _against_default(extra), strict=True))[shape]
             gradient[p + at] -= np.log(value / default) / SHAPE_DEVIATION**2
@@ -441,23 +461,22 @@ def _normal(fit: Fit, columns: np.ndarray, names: Sequence[tuple[Extra, str]]) -
     return H, gradient
 
 
-def _occam(H: np.ndarray, p: int, names: Sequence[tuple[Extra, str]]) -> float:
+def _occam(H: np.ndarray, fit: Fit) -> float:
     """Occam factor: ln det of the extras' posterior precision in units of their priors, base parameters out."""
-    if not names:
-        return 0.0
-    scale = np.array([3.0 * e.candidate.typical if not shape else SHAPE_DEVIATION for e, shape in names])
+    p, kinds = len(fit.point), fit.kinds
+    scale = np.array([3.0 * e.candidate.typical if not shape else SHAPE_DEVIATION for e, shape in kinds])
     left = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
-    amplitude = np.array([1.0 if not shape else 0.0 for _, shape in names])
+    amplitude = np.array([1.0 if not shape else 0.0 for _, shape in kinds])
     scaled = left * np.outer(scale, scale) + np.diag(amplitude)
     sign, value = np.linalg.slogdet(scaled)
     return float(value) if sign > 0 else 0.0
 
 
-def _moved(fit: Fit, names: Sequence[tuple[Extra, str]], step: np.ndarray) -> tuple[Extra, ...]:
+def _moved(fit: Fit, step: np.ndarray) -> tuple[Extra, ...]:
     """The extras after a step of amplitudes and of logarithms of shapes, held inside their limits."""
     excesses = {id(extra): extra.excess for extra in fit.extras}
     shapes = {id(extra): dict(extra.shapes) for extra in fit.extras}
-    for (extra, shape), by in zip(names, step, strict=True):
+    for (extra, shape), by in zip(fit.kinds, step, strict=True):
         if shape:
             bounds = next(p.bounds for p in extra.candidate.shapes() if p.name == shape)
             value = shapes[id(extra)][shape] * np.exp(np.clip(by, -1.5, 1.5))
@@ -467,16 +486,19 @@ def _moved(fit: Fit, names: Sequence[tuple[Extra, str]], step: np.ndarray) -> tu
     return tuple(replace(e, excess=excesses[id(e)], shapes=tuple(shapes[id(e)].items())) for e in fit.extras)
 
 
-def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list[tuple[Extra, str]], np.ndarray]:
-    """Whitened answers to the excess of each extra and to the logarithm of each of its shapes, with what each is."""
+def _extra_columns(
+    base: BaseFit, views: Sequence[View], known: Sequence[dict[str, np.ndarray]], fit: Fit
+) -> np.ndarray:
+    """Whitened answers (rows, kinds) to the excess of each extra and to the logarithm of each of its shapes.
+
+    `known` are the answers to the base parameters from these views.
+    """
     study = base.study
     origin = fit.variant(study.base) if views is not base.views else views[0].variant
     taken = views is not base.views  # seen from the fit itself: what is there already is moved, not added
-    names: list[tuple[Extra, str]] = []
     candidates, changed, divide = [], [], []
     for extra in fit.extras:
         size = extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 1e-3 * extra.candidate.typical
-        names.append((extra, ""))
         candidates.append(extra.candidate)
         if taken:
             step = 0.05 * size
@@ -487,7 +509,6 @@ def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list
             changed.append(extra.candidate.add_to(origin, size, **dict(extra.shapes)))
             divide.append(size)
         for shape, value in extra.shapes:
-            names.append((extra, shape))
             candidates.append(extra.candidate)
             moved = {**dict(extra.shapes), shape: value * SHAPE_STEP}
             if taken:
@@ -496,7 +517,9 @@ def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list
             else:
                 changed.append(extra.candidate.add_to(origin, size, **moved))
             divide.append(0.0)
-    columns = study.stack(each(lambda seen: candidate_columns(seen, candidates, changed), views))
+    columns = study.stack(
+        each(lambda seen, own: candidate_columns(seen, candidates, changed, study.base, own), views, known)
+    )
     out = np.empty_like(columns)
     own = 0
     for k, by in enumerate(divide):
@@ -511,7 +534,7 @@ def _extra_columns(base: BaseFit, views: Sequence[View], fit: Fit) -> tuple[list
         secant = moved / fit.extras[0].excess
         if float(secant @ out[:, 0]) > 0.25 * float(out[:, 0] @ out[:, 0]):
             out[:, 0] = secant
-    return names, out
+    return out
 
 
 def _replaced(fit: Fit, old: Extra, new: Extra) -> tuple[Extra, ...]:
