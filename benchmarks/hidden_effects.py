@@ -41,12 +41,22 @@ sys.path.insert(0, str(ROOT / "tests"))
 import hidden_plant  # noqa: E402
 import numpy as np  # noqa: E402
 from hidden_baselines import baselines  # noqa: E402
-from hidden_plant import EFFECTS, OUTSIDE, PARAMETERS, SENSOR_FAULTS, Case, draw, responses, write_session  # noqa: E402
+from hidden_plant import (  # noqa: E402
+    EFFECTS,
+    OUTSIDE,
+    PARAMETERS,
+    SENSOR_FAULTS,
+    Case,
+    Run,
+    draw,
+    responses,
+    write_session,
+)
 from hidden_report import write_report  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 from valvesim import diagnosis as engine  # noqa: E402
-from valvesim.answer import Diagnosis, Term, plain_json  # noqa: E402
+from valvesim.answer import Diagnosis, NextTest, Term, plain_json  # noqa: E402
 from valvesim.catalogue import CATALOGUE  # noqa: E402
 from valvesim.hypotheses import Candidate, View  # noqa: E402
 from valvesim.noise import Noise  # noqa: E402
@@ -509,6 +519,8 @@ def run_case(spec: Spec, with_baselines: bool) -> dict[str, Any]:
             row |= _of_diagnosis(tuned.case, found)
             row["outcome"] = "done"
             row |= _errors(tuned, found, caught, load_session(folder), row)
+            if found.next_test is not None:
+                row["after_next_test"] = _after_next_test(tuned, found.next_test, Path(place) / "longer")
             if with_baselines:
                 start = time.perf_counter()
                 row["baselines"] = baselines(caught.base, caught.scene, caught.fits, found)
@@ -519,6 +531,25 @@ def run_case(spec: Spec, with_baselines: bool) -> dict[str, Any]:
             row["message"] = f"{type(error).__name__} in {Path(at.filename).name}:{at.lineno}: {error}"[:600]
     row["total"] = time.perf_counter() - begin
     return plain_json(row)
+
+
+def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> dict[str, Any]:
+    """What the diagnosis says once the test that it has asked for has been made on the plant."""
+    inputs = test.inputs
+    run = Run(
+        name="next_test", shape="designed", rate=1.0 / float(inputs["time"][1]), command=inputs[tuned.case.drive],
+        oil=inputs["oil_temperature"], supply=float(inputs["supply_pressure"][0]),
+        load=float(inputs["load_pressure"][0]),
+    )  # fmt: skip
+    records = [*tuned.records, *responses(replace(tuned.case, runs=(run,)))]
+    write(replace(tuned.case, runs=(*tuned.case.runs, run)), records, folder)
+    found = engine.diagnose(folder)
+    in_set = [one.label for one in found.candidates if one.in_set]
+    return {
+        "verdict": found.verdict,
+        "in_set": in_set,
+        "resolved": found.verdict == "cause" or len(set(test.separates) & set(in_set)) < 2,
+    }
 
 
 def _of_case(case: Case) -> dict[str, Any]:

@@ -260,6 +260,8 @@ def _goals(done: Sequence[Row], failed: Sequence[Row]) -> str:
     )
     tests = [row for row in done if row["verdict"] == "ambiguous"]
     offered = [row["next_test"]["power"] for row in tests if row["next_test"]]
+    made = [row for row in tests if row.get("after_next_test")]
+    resolved = share(made, lambda row: row["after_next_test"]["resolved"])
     lines = [
         ("false alarms on empty sessions", "at most 2 %", false, _at_most(false, 0.02)),
         (f"right cause first, d' >= {STRONG:g}, one hidden", "95 %", first, _at_least(first, 0.95)),
@@ -288,10 +290,10 @@ def _goals(done: Sequence[Row], failed: Sequence[Row]) -> str:
         (
             "designed next test resolves the pair",
             "85 %",
-            f"offered in {len(offered)} of {len(tests)} ambiguous; predicted power, median {np.median(offered):.2f}"
+            f"{resolved}; offered in {len(offered)} of {len(tests)} ambiguous, predicted power {np.mean(offered):.2f}"
             if offered
             else f"offered in 0 of {len(tests)} ambiguous",
-            "predicted only",
+            _at_least(resolved, 0.85),
         ),
         (
             "time of a session of four records of 1 s, s",
@@ -628,12 +630,14 @@ def _next_tests(done: Sequence[Row]) -> str:
             " / ".join(row["next_test"]["separates"]),
             row["next_test"]["description"],
             f"{row['next_test']['power']:.2f}",
+            ", ".join(row.get("after_next_test", {}).get("in_set", ())),
         )
         for row in rows
     ]
-    return "## Next tests\n\nProposed where causes could not be told apart, with the predicted power.\n\n" + table(
-        ("case", "to tell apart", "test", "power"), lines
-    )
+    return (
+        "## Next tests\n\nProposed where causes could not be told apart, with the predicted power, and what was left "
+        "in the answer set once the test had been made on the plant.\n\n"
+    ) + table(("case", "to tell apart", "test", "power", "left"), lines)
 
 
 def _times(done: Sequence[Row]) -> str:

@@ -12,7 +12,9 @@ from valvesim.catalogue import CATALOGUE
 from valvesim.effects import Effect, Parameter, Ports
 from valvesim.errors import InputError
 from valvesim.hypotheses import (
+    FAR,
     FAST,
+    NEAR,
     SENSOR_BIAS,
     SENSOR_DELAY,
     SENSOR_GAIN,
@@ -258,31 +260,34 @@ def test_a_parameter_is_no_effect_and_a_candidate_is_one_of_both(candidates):
 # ---------------------------------------------------------------- what each shows
 
 
-def test_neighbours_are_one_deviation_off_in_one_parameter(base):
+def test_neighbours_are_a_little_off_in_one_parameter(base):
     beside = neighbours(base, nominal())
     plant = [p for p in base.parameters if p.sensor is None]
     assert len(beside) == len(plant)
     for p, variant in zip(plant, beside, strict=True):
-        assert getattr(variant.valve, p.name) == pytest.approx(p.nominal + p.deviation)
+        assert getattr(variant.valve, p.name) == pytest.approx(p.nominal + (FAR if p.name in FAST else NEAR) * p.deviation)
         assert replace(variant.valve, **{p.name: p.nominal}) == nominal().valve
 
 
 def test_columns_of_base_parameters_are_differences_of_true_runs(base, seen):
     """To first order, so at a tenth of their deviations; those that act within a step of the grid are run."""
-    names = ("nozzle_arm", "null_gap_difference", "port_flow_coefficient", *FAST)
-    nearer = tuple(replace(p, deviation=p.deviation / 10.0) for p in base.parameters if p.name in names)
-    assert len(nearer) == len(names)
-    some = Base(base.variant, nearer)
-    beside = neighbours(some, nominal())
-    columns = parameter_columns(seen, some, beside)
+    names = ("nozzle_arm", "null_gap_difference", "port_flow_coefficient", "chamber_volume", *FAST)
+    some = Base(base.variant, tuple(p for p in base.parameters if p.name in names))
+    assert len(some.parameters) == len(names)
+    columns = parameter_columns(seen, some, neighbours(some, nominal()))
     assert columns["spool_position"].shape == (len(seen.bench.record.time), len(names))
-    for k, (p, variant) in enumerate(zip(some.parameters, beside, strict=True)):
-        truth = seen.by_run(variant)
-        shown = [ch for ch in CHANNELS if p.name in FAST or rms(truth[ch]) > 1e-4 * np.ptp(seen.readings[ch])]
-        assert shown, p.name
+    for k, p in enumerate(some.parameters):
+        valve = nominal().valve
+        high, low = (
+            seen.by_run(replace(nominal(), valve=replace(valve, **{p.name: getattr(valve, p.name) + by * p.deviation})))
+            for by in (0.1, -0.1)
+        )
+        truth = {channel: (high[channel] - low[channel]) / 0.2 for channel in CHANNELS}
+        shown = [ch for ch in CHANNELS if p.name in FAST or rms(truth[ch]) > 1e-3 * np.ptp(seen.readings[ch])]
         for channel in shown:
             error = rms(columns[channel][:, k] - truth[channel])
-            assert error <= (1e-9 if p.name in FAST else 0.03) * rms(truth[channel]), (p.name, channel)
+            assert error <= (0.1 if p.name in FAST else 0.03) * rms(truth[channel]), (p.name, channel)
+        assert shown or p.name == "chamber_volume"
 
 
 def test_columns_of_sensors_are_what_their_errors_do_on_their_channel(base, seen):

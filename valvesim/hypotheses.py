@@ -27,7 +27,9 @@ from .units import quantities
 
 SENSOR_BIAS, SENSOR_GAIN = 2e-3, 4e-3  # tolerances that every sensor has: shares of its channel's span, and of gain,
 SENSOR_DELAY = 1e-4  # and s of its electronics and the logger's clock
-FAST = ("armature_inertia", "chamber_volume", "spool_mass")  # these act within a step of the grid: they are run
+NEAR = 0.01  # prior deviations by which a parameter is moved: where many trade off, answers must hold to a thousandth
+FAST = ("armature_inertia",)  # it acts within a step of the grid: it is run, moved by more
+FAR = 0.3
 LARGEST = 1.5e8  # bytes of forcings that are solved for at once
 AT_ONCE = 65_536  # values of one quantity along a course for a batch of valves: they stay in the cache
 SIGNAL_NAMES = Signals._fields
@@ -411,38 +413,33 @@ def view(bench: Bench, variant: Variant) -> View:
 
 
 def neighbours(base: Base, variant: Variant) -> list[Variant]:
-    """The variant with each base parameter of the valve one prior standard deviation further."""
+    """The variant with each base parameter of the valve moved by a little, see `_step`."""
     valve = variant.valve
     return [
-        replace(variant, valve=replace(valve, **{p.name: getattr(valve, p.name) + p.deviation}))
+        replace(variant, valve=replace(valve, **{p.name: getattr(valve, p.name) + _step(p) * p.deviation}))
         for p in base.parameters
         if p.sensor is None
     ]
 
 
-def parameter_columns(
-    seen: View, base: Base, neighbouring: Sequence[Variant], before: dict[str, np.ndarray] | None = None
-) -> dict[str, np.ndarray]:
-    """Answers (n_samples, p) to one prior standard deviation of each base parameter, see `neighbours`.
+def _step(parameter: BaseParameter) -> float:
+    """By how many prior standard deviations a parameter is moved to see what it shows."""
+    return FAR if parameter.name in FAST else NEAR
 
-    Answers of `FAST` parameters hardly change from one point to another: they are those seen `before`, if any.
-    """
+
+def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -> dict[str, np.ndarray]:
+    """Answers (n_samples, p) to one prior standard deviation of each base parameter, see `neighbours`."""
     plant = [p for p in base.parameters if p.sensor is None]
     slow = [k for k, p in enumerate(plant) if p.name not in FAST]
     moved = seen.by_answer([neighbouring[k] for k in slow])
-    run: dict[str, dict[str, np.ndarray]] = {}
-    for j, p in enumerate(base.parameters):
-        if p.name in FAST and before is not None:
-            run[p.name] = {name: columns[:, j] for name, columns in before.items()}
-        elif p.name in FAST:
-            run[p.name] = seen.by_run(neighbouring[plant.index(p)])
+    run = {p.name: seen.by_run(variant) for p, variant in zip(plant, neighbouring, strict=True) if p.name in FAST}
     out = {}
     for name, read in seen.readings.items():
         answered = dict(zip((plant[k].name for k in slow), moved[name].T, strict=True))
         columns = []
         for p in base.parameters:
             if p.sensor is None:
-                columns.append(run[p.name][name] if p.name in run else answered[p.name])
+                columns.append((run[p.name][name] if p.name in run else answered[p.name]) / _step(p))
             elif p.sensor.channel != name:
                 columns.append(np.zeros_like(read))
             else:

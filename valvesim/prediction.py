@@ -26,7 +26,7 @@ from .simulate import between, brackets, temperature_knots
 from .static import solve_rest
 from .thermal import TemperaturePath
 
-FINEST = 5e-4  # s: a course is kept at this spacing or finer where the record is fast enough to need it
+FINEST = 2.5e-4  # s: a course is kept at this spacing or finer where the record is fast enough to need it
 SLOW = 5e-3  # s: a record sampled more slowly than this is quasi-static between its samples, and kept as it is
 TOLERANCE = 3e-4  # errs by 1e-6 of the span: the samples of the inputs keep the steps short
 MAX_STEPS = 50_000_000

@@ -91,7 +91,7 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     """Look at what a fit leaves, from where it is."""
     study = base.study
     variant = fit.variant(study.base)
-    views, J = (base.views, base.columns) if fit is base.fit else see(study, variant, base.columns)
+    views, J = (base.views, base.columns) if fit is base.fit else see(study, variant)
     taken = [extra.candidate for extra in fit.extras]
     families_taken = {candidate.family for candidate in taken}
     candidates = tuple(

@@ -11,7 +11,6 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -38,8 +37,8 @@ SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhe
 SHAPE_STEP = 1.1  # by which a shape parameter is moved to see what it shows
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
 BASE_LOOKS, LOOKS = 12, 4  # how often the answers may be taken anew: in the base fit, in a refit
-STEPS, FAILURES = 20, 2  # with the same answers: all, and those that bring much less than they promise
-UPHILL = 5.0  # times the promise by which one step may lead up
+STEPS, FAILURES = 20, 4  # with the same answers: all, and those that bring much less than they promise
+FAR_OFF, ROUGH, ROBUST_LOOKS = 3.0, 0.1, 8  # times the median misfit; share of the deviance not worth a look; looks
 LEARNED = 30.0  # deviance that a step must change for the answers to learn from it: below is the solver's noise
 ABSURD = 1e30  # deviance
 TOLERANCE = 2.0  # prior deviations at which a tolerance ends
@@ -57,6 +56,7 @@ class Study:
     candidates: tuple[Candidate, ...]
     benches: tuple[Bench, ...]
     noise: dict[tuple[str, float], Noise] = field(default_factory=dict)
+    weights: np.ndarray | None = None  # (rows,) of all whitened rows, where not all count in full
 
     @property
     def stride(self) -> int:
@@ -75,9 +75,10 @@ class Study:
 
     def stack(self, columns: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
         """Whitened columns of all training records, (rows, k)."""
-        return np.concatenate(
+        rows = np.concatenate(
             [one for bench, each in zip(self.benches, columns, strict=True) for one in self.whiten(bench, each)]
         )
+        return rows if self.weights is None else rows * self.weights[:, None]
 
 
 def each(function: Callable, *over: Sequence) -> list:
@@ -275,30 +276,55 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
     """Fit the base parameters, and find the noise on the way. Raises SolveError where the valve cannot be run."""
     study = replace(study, noise=first_noise(study))
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
-    if _repeated(study):
+    repeated = _repeated(study)
+    if repeated:
         study = replace(study, noise=find_noise(study, fit.readings))
-        base = _settle(study, fit, None, tell)
-    else:
-        base = _settle(study, fit, None, tell)
-        for _ in range(2):  # the noise is what the best fit leaves: again with its colour
-            base = _settle(replace(study, noise=find_noise(study, base.fit.readings)), base.fit, base, tell)
+    base = _settle(_approach(study, fit, tell), tell)
+    for _ in range(0 if repeated else 2):  # the noise is what the best fit leaves: again with its colour
+        base = _settle(replace(base, study=replace(study, noise=find_noise(study, base.fit.readings))), tell)
     return base
 
 
-def _settle(study: Study, fit: Fit, before: BaseFit | None, tell: Callable[[float], None]) -> BaseFit:
-    """The base fitted under a study's noise, from a fit; `before` is what has been seen from there, if it has been."""
-    fit = _weighed(study, fit.point, (), fit.readings)
-    views, columns = see(study, study.base.at(fit.point)) if before is None else (before.views, before.columns)
-    for look in range(BASE_LOOKS):
-        tell(look / BASE_LOOKS)
-        seen_from, J = fit, study.stack(columns)
-        fit, _ = _descend(study, fit, J, SETTLED)
-        if fit.deviance == seen_from.deviance:
-            break
-        views, columns = see(study, study.base.at(fit.point), columns)
-        if seen_from.deviance - fit.deviance < SETTLED:
-            break
+def _seen_at(study: Study, fit: Fit) -> BaseFit:
+    views, columns = see(study, study.base.at(fit.point))
     return BaseFit(study, fit, tuple(views), tuple(columns), study.stack(columns))
+
+
+def _approach(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
+    """From afar: samples that are far off count less, for as long as that lowers the deviance by a good part.
+
+    A leakage peak in the wrong place does not tell which way it should move; the rest of the record does.
+    """
+    base = _seen_at(study, fit)
+    for look in range(ROBUST_LOOKS):
+        tell(0.5 * look / ROBUST_LOOKS)
+        pairs = zip(study.benches, base.fit.readings, strict=True)
+        white = [r for bench, read in pairs for r in study.whiten(bench, residual_of(bench.record, read))]
+        shares = [r[:, 0] / (FAR_OFF * max(float(np.median(np.abs(r))), 1.0)) for r in white]
+        robust = replace(study, weights=1.0 / np.sqrt(1.0 + np.concatenate(shares) ** 2))
+        start = _weighed(robust, base.fit.point, (), base.fit.readings)
+        near, _ = _descend(robust, start, robust.stack(base.columns), ROUGH * start.deviance)
+        if near.deviance > (1.0 - ROUGH) * start.deviance:
+            break
+        base = _seen_at(study, near)
+    return base
+
+
+def _settle(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
+    """The base fitted under its study's noise, from where it is."""
+    study = base.study
+    fit = _weighed(study, base.fit.point, (), base.fit.readings)
+    base = replace(base, fit=fit, J=study.stack(base.columns))
+    for look in range(BASE_LOOKS):
+        tell(0.5 + 0.5 * look / BASE_LOOKS)
+        fit, _ = _descend(study, base.fit, base.J, SETTLED)
+        if fit.deviance == base.fit.deviance:
+            break
+        gained = base.fit.deviance - fit.deviance
+        base = _seen_at(study, fit)
+        if gained < SETTLED:
+            break
+    return base
 
 
 def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
@@ -333,7 +359,7 @@ def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tupl
             failures = 0 if gained > 0.5 * best.promised else failures + 1
             damping = 0.0 if damping <= 0.1 or gained > 0.5 * best.promised else damping / 10.0
             best, fit, uphill = new, new, False
-        elif not uphill and failures == 0 and -gained < UPHILL * best.promised:
+        elif not uphill and failures == 0:
             fit, uphill = new, True  # a bent valley: the next step may lead back into it, further down
         else:
             fit, damping, failures, uphill = best, max(10.0 * damping, 0.1), failures + 1, False
@@ -357,17 +383,11 @@ def _repeated(study: Study) -> bool:
     return len(labels) > len(set(labels))
 
 
-def see(
-    study: Study, variant: Variant, before: Sequence[dict[str, np.ndarray]] | None = None
-) -> tuple[list[View], list[dict[str, np.ndarray]]]:
-    """Each training record seen from a variant, and its answers (n_samples, p) to the base parameters by channel.
-
-    `before` are the answers from another variant, see `parameter_columns`.
-    """
+def see(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.ndarray]]]:
+    """Each training record seen from a variant, and its answers (n_samples, p) to the base parameters by channel."""
     views = each(lambda bench: view(bench, variant), study.benches)
     beside = neighbours(study.base, variant)
-    known: list[Any] = list(before) if before is not None else [None] * len(views)
-    return views, each(lambda seen, own: parameter_columns(seen, study.base, beside, own), views, known)
+    return views, each(lambda seen: parameter_columns(seen, study.base, beside), views)
 
 
 def within_tolerance(base: BaseFit) -> Fit:
@@ -412,7 +432,7 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
         stuck, fit = look > 0 and new.deviance > fit.deviance - ENOUGH, new
         if fit.promised < ENOUGH or stuck or look == looks - 1:
             break
-        views, columns = see(study, fit.variant(study.base), base.columns)
+        views, columns = see(study, fit.variant(study.base))
         answers = np.column_stack([study.stack(columns), _extra_columns(base, views, columns, fit)])
     return replace(fit, occam=_occam(_normal(fit, answers)[0], fit))
 
