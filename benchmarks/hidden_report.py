@@ -19,15 +19,7 @@ from valvesim.catalogue import CATALOGUE, MOTOR, PILOT, SENSORS, SPOOL, SUPPLY
 
 Row = dict[str, Any]
 
-SAME = {
-    "parameter:spring_tube_stiffness": "flexure_stiffness_loss",
-    "parameter:polarization_mmf": "magnet_demagnetization",
-    "parameter:coil_turns": "coil_turns_loss",
-    "parameter:coil_resistance": "coil_resistance_drift",
-    "parameter:null_gap_difference": "null_gap_asymmetry",
-    "parameter:land_overlap": "spool_lap",
-    "parameter:null_opening": "spool_edge_wear",
-}
+SAME = {f"parameter:{effect.figure}": effect.name for effect in CATALOGUE.values() if effect.figure}
 """Answer -> the hidden effect that is the same hypothesis by definition: naming it is right."""
 
 STRONG = 8.0  # d' from which the right cause must come first

@@ -265,7 +265,8 @@ def test_neighbours_are_a_little_off_in_one_parameter(base):
     plant = [p for p in base.parameters if p.sensor is None]
     assert len(beside) == len(plant)
     for p, variant in zip(plant, beside, strict=True):
-        assert getattr(variant.valve, p.name) == pytest.approx(p.nominal + (FAR if p.name in FAST else NEAR) * p.deviation)
+        step = FAR if p.name in FAST else NEAR
+        assert getattr(variant.valve, p.name) == pytest.approx(p.nominal + step * p.deviation)
         assert replace(variant.valve, **{p.name: p.nominal}) == nominal().valve
 
 
@@ -280,14 +281,14 @@ def test_columns_of_base_parameters_are_differences_of_true_runs(base, seen):
         valve = nominal().valve
         high, low = (
             seen.by_run(replace(nominal(), valve=replace(valve, **{p.name: getattr(valve, p.name) + by * p.deviation})))
-            for by in (0.1, -0.1)
+            for by in (FAR, -FAR)
         )
-        truth = {channel: (high[channel] - low[channel]) / 0.2 for channel in CHANNELS}
-        shown = [ch for ch in CHANNELS if p.name in FAST or rms(truth[ch]) > 1e-3 * np.ptp(seen.readings[ch])]
+        truth = {channel: (high[channel] - low[channel]) / (2.0 * FAR) for channel in CHANNELS}
+        shown = [ch for ch in CHANNELS if rms(truth[ch]) > 1e-5 * np.ptp(seen.readings[ch])]
+        assert shown, p.name
         for channel in shown:
             error = rms(columns[channel][:, k] - truth[channel])
-            assert error <= (0.1 if p.name in FAST else 0.03) * rms(truth[channel]), (p.name, channel)
-        assert shown or p.name == "chamber_volume"
+            assert error <= (0.2 if p.name == "chamber_volume" else 0.05) * rms(truth[channel]), (p.name, channel)
 
 
 def test_columns_of_sensors_are_what_their_errors_do_on_their_channel(base, seen):

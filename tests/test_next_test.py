@@ -89,7 +89,7 @@ def test_a_hypothesis_is_not_told_from_itself(base, fits):
 def test_what_a_refit_can_make_up_does_not_count(base, fits):
     candidate = fits[0].extras[0].candidate
     other = fit_of(base, LABELS[0], 0.5 + 1e-3)
-    plain = Fit(base.fit.point, (), base.fit.deviance, base.fit.readings, base.fit.residual)
+    plain = Fit(base.fit.point, (), base.fit.deviance, base.fit.readings, base.fit.residual, base.fit.rows)
     assert candidate.name == LABELS[0]
     assert design(base, fits[0], other, LABELS) is None  # one effect at two amplitudes that the session cannot tell
     assert design(base, fits[0], plain, LABELS) is not None  # but the effect itself is told from none at all

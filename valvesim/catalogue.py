@@ -97,6 +97,7 @@ MOTOR = (
         signature="gain lost for good, with the negative magnetic spring; no return at 20 °C",
         parameters=(_amplitude("loss", "1", "irreversible loss IL", (0.0, 0.9), 0.05),),
         coefficients=_demagnetization,
+        figure="polarization_mmf",
     ),
     Effect(
         name="magnetic_hysteresis",
@@ -128,6 +129,7 @@ MOTOR = (
         signature="torque constant lost without the magnetic spring; at held voltage more current, faster",
         parameters=(_amplitude("loss", "1", "share s of the turns that is shorted", (0.0, 0.5), 0.05),),
         coefficients=_turns_loss,
+        figure="coil_turns",
     ),
     Effect(
         name="eddy_current_lag",
@@ -148,6 +150,7 @@ MOTOR = (
         signature="current at held voltage off in proportion, corner of the coil moved; nothing over current",
         parameters=(_amplitude("share", "1", "share s of the resistance, signed", (-0.5, 1.0), 0.1),),
         coefficients=_resistance_drift,
+        figure="coil_resistance",
     ),
     Effect(
         name="flexure_stiffness_loss",
@@ -156,6 +159,7 @@ MOTOR = (
         signature="armature natural frequency down, gain up a little; no loop, null unchanged",
         parameters=(_amplitude("loss", "1", "share s of the stiffness", (0.0, 0.5), 0.05),),
         coefficients=_flexure_loss,
+        figure="spring_tube_stiffness",
     ),
 )
 
@@ -236,6 +240,7 @@ PILOT = (
         signature="null shift that keeps the flow of the pilot stage",
         parameters=(_amplitude("difference", "m", "d, gap 1 less gap 2, signed", (-2e-5, 2e-5), 2e-6),),
         coefficients=_asymmetry,
+        figure="null_gap_difference",
     ),
     Effect(
         name="thermal_gradient_null_drift",
@@ -426,6 +431,7 @@ SPOOL = (
         signature="more leakage at null, flow gain and pressure gain softer there; spool and pilot unchanged",
         parameters=(_amplitude("rounding", "m", "d, added to the null opening", (0.0, 5e-5), 5e-6),),
         coefficients=_edge_wear,
+        figure="null_opening",
     ),
     Effect(
         name="spool_lap",
@@ -434,6 +440,7 @@ SPOOL = (
         signature="dead band (u > 0) or double gain and leakage (u < 0) of the load flow about null; spool unchanged",
         parameters=(_amplitude("overlap", "m", "u at each land, signed", (-5e-5, 5e-5), 5e-6),),
         coefficients=_lap,
+        figure="land_overlap",
     ),
 )
 

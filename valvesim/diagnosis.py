@@ -82,6 +82,12 @@ class Explained:
         """The candidates' families."""
         return " + ".join(c.family for c in self.candidates) or "nominal"
 
+    def means(self, other: Explained) -> bool:
+        """Whether another hypothesis has the same candidates, by whatever name."""
+        return len(self.candidates) == len(other.candidates) and all(
+            any(mine.family == c.family or mine.is_same_as(c) for c in other.candidates) for mine in self.candidates
+        )
+
 
 def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], None] | None = None) -> Diagnosis:
     """Diagnose a session, or the folder of one. `progress(stage, share)` is told what is being done.
@@ -126,7 +132,7 @@ def _leftover(fit: Fit, study: Study) -> bool:
     """Whether a fit leaves more than the noise, beyond what the noise's own estimate may be off."""
     if not all(noise.verified for noise in study.noise.values()):
         return False  # there the noise is what a fit leaves
-    rows = len(fit.residual)
+    rows = fit.rows
     return bool(fit.deviance - rows > NOISE_ERROR * rows + 5.0 * np.sqrt(2.0 * rows))
 
 
@@ -158,14 +164,13 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
 
 
 def _settled(found: Sequence[Explained]) -> list[Explained]:
-    """One of each family, without pairs that hold an effect which has come to nothing."""
-    best: dict[str, Explained] = {}
-    for one in found:
-        if len(one.fit.extras) > 1 and any(abs(e.excess) < 0.02 * e.candidate.typical for e in one.fit.extras):
-            continue
-        if one.label not in best or one.evidence < best[one.label].evidence:
-            best[one.label] = one
-    return list(best.values())
+    """One of each meaning, the most evident, without pairs that hold an effect which has come to nothing."""
+    kept: list[Explained] = []
+    for one in sorted(found, key=lambda one: one.evidence):
+        nothing = len(one.fit.extras) > 1 and any(abs(e.excess) < 0.02 * e.candidate.typical for e in one.fit.extras)
+        if not nothing and not any(map(one.means, kept)):
+            kept.append(one)
+    return kept
 
 
 def _evidence(fit: Fit) -> float:
@@ -197,7 +202,8 @@ def _starts(scene: Scene) -> list[tuple[Extra, ...]]:
     ]
     pairs = []
     for i, j in combinations(map(int, np.flatnonzero(scene.visible())), 2):
-        if scene.candidates[i].excludes(scene.candidates[j]):
+        first, second = scene.candidates[i], scene.candidates[j]
+        if first.excludes(second) or first.is_same_as(second):
             continue
         both = projected.overlap[np.ix_([i, j], [i, j])]
         if abs(both[0, 1]) > 0.97 * np.sqrt(both[0, 0] * both[1, 1]):

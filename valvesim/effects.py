@@ -98,6 +98,7 @@ class Effect:
     `balance(situation, p, memory) -> (Ports, memory rates)` adds terms;
     `reading(reading, p) -> values` changes what the sensor of `channel` gives (see `on`).
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
+    `figure` names the valve's quantity that the effect changes and nothing else: such a quantity off is this effect.
     """
 
     name: str
@@ -111,6 +112,7 @@ class Effect:
     balance: Callable[[Situation, Any, tuple], tuple[Ports, tuple]] | None = None
     reading: Callable[[Reading, Any], Any] | None = None
     channel: str = ""
+    figure: str = ""
 
     def on(self, channel: str) -> Effect:
         """This sensor effect on one channel, its parameters in that channel's unit. InputError for a wrong name."""

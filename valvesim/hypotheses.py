@@ -154,6 +154,11 @@ class Candidate:
             and (self.effect.name, self.effect.channel) == (other.effect.name, other.effect.channel)
         )
 
+    def is_same_as(self, other: Candidate) -> bool:
+        """True for an effect and the quantity of the valve that it changes: two names of one thing."""
+        figures = {each.effect.figure for each in (self, other) if each.effect is not None}
+        return any(each.parameter is not None and each.parameter.name in figures for each in (self, other))
+
     @property
     def unit(self) -> str:
         """Of the amplitude."""

@@ -38,11 +38,14 @@ class Noise:
         """Columns (n, k) with the noise made white and of unit size, (rows, k); rows that touch unusable samples go."""
         from scipy.signal import lfilter
 
-        p = len(self.lags)
         white = lfilter(np.concatenate([[1.0], -np.asarray(self.lags)]), [1.0], columns, axis=0) / self.innovation
-        touched = np.convolve(~usable, np.ones(p + 1))[: len(usable)] > 0.0
-        touched[:p] = True
-        return white[~touched]
+        return white[self.kept(usable)]
+
+    def kept(self, usable: np.ndarray) -> np.ndarray:
+        """True for the samples (n,) whose rows `whiten` gives back."""
+        touched = np.convolve(~usable, np.ones(len(self.lags) + 1))[: len(usable)] > 0.0
+        touched[: len(self.lags)] = True
+        return ~touched
 
 
 def _filter_back(white: np.ndarray, lags: Sequence[float]) -> np.ndarray:

@@ -31,6 +31,7 @@ SLOW = 5e-3  # s: a record sampled more slowly than this is quasi-static between
 TOLERANCE = 3e-4  # errs by 1e-6 of the span: the samples of the inputs keep the steps short
 MAX_STEPS = 50_000_000
 SENSOR_STEP = 1e-4  # s: sensors are read on a grid this fine, since a fast lag sees the corners between samples
+NEXT_TO = 3  # steps of the sensors' grid
 LONG = 20.0  # s: of longer records the sensors' grid is no finer than half the course's
 
 
@@ -165,17 +166,35 @@ class Bench:
 
     def sensed(self, values: dict[str, np.ndarray], course: Course, variant: Variant) -> dict[str, np.ndarray]:
         """Channels on either grid, (n,) or columns (n, k), as their sensors give them at the samples."""
-        read = {}
+        every = {True: self.refinement * self.finer, False: self.refinement}
+        acted = {name: self._acted(name, column, course, variant) for name, column in values.items()}
+        return {name: column[:: every[len(column) == len(self.fine_times)]] for name, column in acted.items()}
+
+    def _acted(self, name: str, column: np.ndarray, course: Course, variant: Variant) -> np.ndarray:
+        """A channel on either grid as its sensor gives it there."""
+        fine = len(column) == len(self.fine_times)
+        times, oil = (self.fine_times, course.oil) if fine else (self.times, course.oil[:: self.finer])
+        acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
+        if self.lags.get(name, 0.0) > 0.0:
+            acting.append(CATALOGUE["sensor_lag"].on(name)(time_constant=self.lags[name]))
+        for active in acting:
+            column = _read(active, times, column, oil)
+        return column
+
+    def bends(self, values: dict[str, np.ndarray], course: Course, variant: Variant) -> dict[str, np.ndarray]:
+        """By how much each channel, on the fine grid, bends next to a sample (n_samples,): half its second difference.
+
+        Zero where the grid is that of the samples.
+        """
+        from scipy.ndimage import maximum_filter1d
+
+        step, bends = self.refinement * self.finer, {}
         for name, column in values.items():
-            acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
-            if self.lags.get(name, 0.0) > 0.0:
-                acting.append(CATALOGUE["sensor_lag"].on(name)(time_constant=self.lags[name]))
-            fine = len(column) == len(self.fine_times)
-            times, oil = (self.fine_times, course.oil) if fine else (self.times, course.oil[:: self.finer])
-            for active in acting:
-                column = _read(active, times, column, oil)
-            read[name] = column[:: self.refinement * (self.finer if fine else 1)]
-        return read
+            bend = np.zeros(len(column))
+            if step > 1:
+                bend[1:-1] = np.abs(np.diff(self._acted(name, column, course, variant), 2)) / 2.0
+            bends[name] = maximum_filter1d(bend, 2 * NEXT_TO + 1)[::step]
+        return bends
 
 
 def _read(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.ndarray) -> np.ndarray:

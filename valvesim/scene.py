@@ -41,7 +41,7 @@ class Scene:
     @property
     def dispersion(self) -> float:
         """By how much the noise may be larger than its repeats have said: what the fit leaves, within reason."""
-        return float(np.clip(self.fit.deviance / len(self.fit.residual), 1.0, 1.0 + NOISE_ERROR))
+        return float(np.clip(self.fit.deviance / self.fit.rows, 1.0, 1.0 + NOISE_ERROR))
 
     def visible(self) -> np.ndarray:
         """(q,) True for candidates that the session would show if they were there."""
@@ -49,11 +49,17 @@ class Scene:
         return self.projected.distance[: len(self.candidates)] * reach / self.sizes > 4.0
 
     def z(self) -> np.ndarray:
-        """(q,) of the candidates: below zero, or of the wrong sign, means no evidence; zero where blind."""
+        """(q,) of the candidates: below zero, or of the wrong sign, means no evidence; zero where blind.
+
+        What goes by two names, an effect's and that of the figure which it changes, counts as the effect.
+        """
         q = len(self.candidates)
         z = self.projected.z[:q] / np.sqrt(self.dispersion)
         one_sided = np.array([c.one_sided for c in self.candidates])
-        return np.where(self.visible(), np.where(one_sided, np.maximum(z, 0.0), np.abs(z)), 0.0)
+        z = np.where(self.visible(), np.where(one_sided, np.maximum(z, 0.0), np.abs(z)), 0.0)
+        effects = [c for c, size in zip(self.candidates, z, strict=True) if c.effect is not None and size > 0.0]
+        named = [c.parameter is not None and any(map(c.is_same_as, effects)) for c in self.candidates]
+        return np.where(named, 0.0, z)
 
     def level(self, probability: float) -> float:
         """The z that none of the candidates passes but with that probability, where nothing is hidden."""
