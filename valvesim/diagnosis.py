@@ -40,6 +40,7 @@ from .recovery import recover
 from .scene import NOISE_ERROR, Scene, look, own_step
 from .session import Record, Session, load_session
 from .study import (
+    EDGE,
     ENOUGH,
     SHAPE_STEP,
     BaseFit,
@@ -230,7 +231,7 @@ def _extra(scene: Scene, k: int, amount: float) -> Extra:
     low, high = candidate.limits
     fixed = dict(candidate.fixed)
     shapes = tuple((p.name, fixed.get(p.name, p.default)) for p in candidate.shapes())
-    return Extra(candidate, float(np.clip(amount * scene.sizes[k], 0.9 * low, 0.9 * high)), shapes)
+    return Extra(candidate, float(np.clip(amount * scene.sizes[k], EDGE * low, EDGE * high)), shapes)
 
 
 def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[list[Explained], Scene]:

@@ -39,6 +39,8 @@ SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its d
 BASE_LOOKS, LOOKS = 12, 4  # how often the answers may be taken anew: in the base fit, in a refit
 STEPS, FAILURES = 20, 4  # with the same answers: all, and those that bring much less than they promise
 FAR_OFF, ROUGH, ROBUST_LOOKS = 3.0, 0.1, 8  # times the median misfit; share of the deviance not worth a look; looks
+EDGE = 0.98  # share of its limits that an excess keeps to while it is fitted
+PEAKS_WORSE = 3.0  # times what is left between peaks: where they leave more, the model cannot follow them
 PEAK = 0.3  # of a reading's bend within a tenth of a millisecond may be wrong
 LEARNED = 30.0  # deviance that a step must change for the answers to learn from it: below is the solver's noise
 ABSURD = 1e30  # deviance
@@ -290,10 +292,13 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
     repeated = _repeated(study)
     if repeated:
         study = replace(study, noise=find_noise(study, fit.readings))
-    base = _settle(_approach(study, fit, tell), tell)
+    base = _without_peaks(_approach(study, fit, tell), tell)
     for _ in range(0 if repeated else 2):  # the noise is what the best fit leaves: again with its colour
-        base = _settle(replace(base, study=replace(study, noise=find_noise(study, base.fit.readings))), tell)
-    return base
+        noise = find_noise(study, base.fit.readings)
+        base = _without_peaks(replace(base, study=replace(study, noise=noise)), tell)
+    full = _settle(replace(base, study=replace(base.study, weights={})), tell)
+    left, left_between = full.fit.deviance - full.fit.rows, base.fit.deviance - base.fit.rows
+    return base if left > PEAKS_WORSE * max(left_between, 0.0) + 0.1 * full.fit.rows else full
 
 
 def _seen_at(study: Study, fit: Fit) -> BaseFit:
@@ -325,9 +330,9 @@ def _approach(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
 
 def _settle(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
     """The base fitted under its study's noise, from where it is."""
-    study = _with_peaks(base)
+    study = base.study
     fit = _weighed(study, base.fit.point, (), base.fit.readings)
-    base = replace(base, study=study, fit=fit, J=study.stack(base.columns))
+    base = replace(base, fit=fit, J=study.stack(base.columns))
     for look in range(BASE_LOOKS):
         tell(0.5 + 0.5 * look / BASE_LOOKS)
         fit, _ = _descend(study, base.fit, base.J, SETTLED)
@@ -340,11 +345,11 @@ def _settle(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
     return base
 
 
-def _with_peaks(base: BaseFit) -> Study:
-    """The study in which samples next to a sharp peak of a reading count less.
+def _without_peaks(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
+    """The base fitted with samples next to a sharp peak of a reading counting less.
 
-    Where a closing land passes null, leakage rises and falls within a tenth of a millisecond: there a sample tells of
-    the last microsecond of sensor and solver, not of the valve.
+    Where a closing land passes null, leakage rises and falls within a tenth of a millisecond: there a sample tells more
+    of sensor and solver than of the valve, and it says nothing of where the peak should be.
     """
     study, weights = base.study, []
     for seen in base.views:
@@ -356,7 +361,7 @@ def _with_peaks(base: BaseFit) -> Study:
             for _ in noise.lags:  # a row holds samples before its own
                 row[1:] = np.minimum(row[1:], row[:-1])
             weights.append(row[noise.kept(record.usable[name])][:: study.stride])
-    return study.weighed([seen.bench.record for seen in base.views], weights)
+    return _settle(replace(base, study=study.weighed([seen.bench.record for seen in base.views], weights)), tell)
 
 
 def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
@@ -490,7 +495,7 @@ def _leap(base: BaseFit, start: tuple[Extra, ...]) -> Fit | None:
 def _inside(candidate: Candidate) -> tuple[float, float]:
     """The limits of an excess while it is fitted: never quite off, for there a step would not see where to go."""
     low, high = candidate.limits
-    return (1e-3 * candidate.typical if candidate.one_sided else 0.9 * low), 0.9 * high
+    return (1e-3 * candidate.typical if candidate.one_sided else EDGE * low), EDGE * high
 
 
 def _solve(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
