@@ -19,7 +19,8 @@ from valvesim.catalogue import CATALOGUE, MOTOR, PILOT, SENSORS, SPOOL, SUPPLY
 
 Row = dict[str, Any]
 
-SAME = {f"parameter:{effect.figure}": effect.name for effect in CATALOGUE.values() if effect.figure}
+SIDED = ("fixed_orifice_clogging", "nozzle_erosion")  # a figure does not tell the side: no credit for it
+SAME = {f"parameter:{e.figure}": e.name for e in CATALOGUE.values() if e.figure and e.name not in SIDED}
 """Answer -> the hidden effect that is the same hypothesis by definition: naming it is right."""
 
 STRONG = 8.0  # d' from which the right cause must come first

@@ -224,6 +224,7 @@ PILOT = (
         signature="null shift in proportion, less tare leakage, depends on supply pressure",
         parameters=(_amplitude("clogged_share", "1", "share of area lost", (0.0, 0.95), 0.05), _SIDE),
         coefficients=_clogging,
+        figure="fixed_orifice_difference",
     ),
     Effect(
         name="nozzle_erosion",
@@ -232,6 +233,7 @@ PILOT = (
         signature="null shift as of a clogged orifice on that side, but more tare leakage",
         parameters=(_amplitude("share", "1", "share by which the area grows", (0.0, 1.0), 0.05), _SIDE),
         coefficients=_erosion,
+        figure="nozzle_diameter_difference",
     ),
     Effect(
         name="null_gap_asymmetry",

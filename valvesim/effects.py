@@ -98,7 +98,7 @@ class Effect:
     `balance(situation, p, memory) -> (Ports, memory rates)` adds terms;
     `reading(reading, p) -> values` changes what the sensor of `channel` gives (see `on`).
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
-    `figure` names the valve's quantity that the effect changes and nothing else: such a quantity off is this effect.
+    `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     """
 
     name: str
