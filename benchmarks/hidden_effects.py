@@ -84,8 +84,8 @@ TRIALS = 4
 RULER_STEPS, LONGEST_STEP, UNMOVED = 3, 6.0, 0.1  # of the base parameters, in prior deviations
 FALLEN = 0.8  # of d'^2 from one step to the next: then it has settled
 TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equations are not trusted
-NEXT_TEST_EVERY = 3  # seeds: the test is made on the plant and the longer session diagnosed
-BASELINE_EVERY = 4  # cases: the baselines refit a dozen candidates
+NEXT_TEST_EVERY = 4  # seeds: the test is made on the plant and the longer session diagnosed
+BASELINE_EVERY = 8  # cases: the baselines refit a dozen candidates
 
 TWINS: dict[str, tuple[str, Callable[[float, dict[str, Any]], float]]] = {
     "magnet_demagnetization": ("polarization_mmf", lambda value, p: value * (1.0 - p["loss"])),

@@ -59,7 +59,7 @@ SINGLES, PAIRS = 5, 3  # how many are refitted
 PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
-LEFT_SHARE = 0.03  # of what the best explains may stay behind as a free term, for the same reason
+LEFT_SHARE = 0.02  # of what the best explains may stay behind as a free term, for the same reason
 WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
 UNKNOWN_PRICE = 6.0  # the same for a cause that nobody has listed
@@ -83,11 +83,15 @@ class Explained:
         """The candidates' families."""
         return " + ".join(c.family for c in self.candidates) or "nominal"
 
-    def means(self, other: Explained) -> bool:
-        """Whether another hypothesis has the same candidates, by whatever name."""
-        return len(self.candidates) == len(other.candidates) and all(
+    def is_within(self, other: Explained) -> bool:
+        """Whether another hypothesis has all these candidates, by whatever name."""
+        return all(
             any(mine.family == c.family or mine.is_same_as(c) for c in other.candidates) for mine in self.candidates
         )
+
+    def means(self, other: Explained) -> bool:
+        """Whether another hypothesis has just these candidates."""
+        return len(self.candidates) == len(other.candidates) and self.is_within(other)
 
 
 def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], None] | None = None) -> Diagnosis:
@@ -160,12 +164,28 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
         fit = refit(base, start)
         if np.isfinite(fit.deviance):
             found.append(Explained(fit, _evidence(fit)))
-    worth = [one for one in _settled(found) if base.fit.deviance - one.fit.deviance > WORTH * level**2]
-    return sorted(worth, key=lambda one: one.evidence)
+    found = _with_fewer(base, _settled(found))
+    return [one for one in found if base.fit.deviance - one.fit.deviance > WORTH * level**2]
+
+
+def _with_fewer(base: BaseFit, found: list[Explained]) -> list[Explained]:
+    """The found with the best's candidates one fewer each time that this is better still."""
+    while found and len(found[0].candidates) > 1:
+        best = found[0].fit
+        fewer = []
+        for left_out in best.extras:
+            fit = refit(base, tuple(extra for extra in best.extras if extra is not left_out), best.point)
+            if np.isfinite(fit.deviance):
+                fewer.append(Explained(fit, _evidence(fit)))
+        merged = _settled([*found, *fewer])
+        if merged[0] is found[0]:
+            return merged
+        found = merged
+    return found
 
 
 def _settled(found: Sequence[Explained]) -> list[Explained]:
-    """One of each meaning, the most evident, without pairs that hold an effect which has come to nothing."""
+    """Best evidence first: one of each meaning, without pairs that hold an effect which has come to nothing."""
     kept: list[Explained] = []
     for one in sorted(found, key=lambda one: one.evidence):
         nothing = len(one.fit.extras) > 1 and any(abs(e.excess) < 0.02 * e.candidate.typical for e in one.fit.extras)
@@ -202,7 +222,8 @@ def _starts(scene: Scene) -> list[tuple[Extra, ...]]:
         (_extra(scene, k, projected.score[k] / projected.overlap[k, k]),) for k in singles[:SINGLES]
     ]
     pairs = []
-    for i, j in combinations(map(int, np.flatnonzero(scene.visible())), 2):
+    twice = [any(map(c.is_same_as, scene.candidates)) and not z[k] for k, c in enumerate(scene.candidates)]
+    for i, j in combinations(map(int, np.flatnonzero(scene.visible() & ~np.array(twice))), 2):
         first, second = scene.candidates[i], scene.candidates[j]
         if first.excludes(second) or first.is_same_as(second):
             continue
@@ -250,10 +271,10 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
             if np.isfinite(fit.deviance):
                 more.append(Explained(fit, _evidence(fit)))
         more = _settled(more)
-        merged = sorted(_settled([*found, *more]), key=lambda one: one.evidence)
+        merged = _settled([*found, *more])
         if not more or merged[0] is best or merged[0].evidence > best.evidence - 6.0:
             break
-        found = merged
+        found = _with_fewer(base, merged)
         final = look(base, found[0].fit)
     return found, final
 
@@ -347,7 +368,9 @@ def _answer_set(
         return [], []
     gained = max(base.fit.deviance - found[0].fit.deviance, 0.0)
     width = max(ANSWER_RATIO, ANSWER_SHARE * gained)
-    in_set = [one for one in found if one.evidence - found[0].evidence < width]  # the best is one of them
+    near = [one for one in found if one.evidence - found[0].evidence < width]  # the best is one of them
+    # what a better one says already, and something more besides, is no rival of it
+    in_set = [one for k, one in enumerate(near) if not any(better.is_within(one) for better in near[:k])]
     unknown = found[0].evidence + UNKNOWN_PRICE + 0.25 * gained if quiet else found[0].evidence - 2.0 * width
     heat = width / ANSWER_RATIO  # no model is the plant: evidence counts by so much less
     values = np.array([*(one.evidence for one in found), unknown])

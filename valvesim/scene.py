@@ -58,8 +58,8 @@ class Scene:
         one_sided = np.array([c.one_sided for c in self.candidates])
         z = np.where(self.visible(), np.where(one_sided, np.maximum(z, 0.0), np.abs(z)), 0.0)
         effects = [c for c, size in zip(self.candidates, z, strict=True) if c.effect is not None and size > 0.0]
-        named = [c.parameter is not None and any(map(c.is_same_as, effects)) for c in self.candidates]
-        return np.where(named, 0.0, z)
+        twice = [c.parameter is not None and any(map(c.is_same_as, effects)) for c in self.candidates]
+        return np.where(twice, 0.0, z)
 
     def level(self, probability: float) -> float:
         """The z that none of the candidates passes but with that probability, where nothing is hidden."""

@@ -55,7 +55,7 @@ FLAT_REACH = 0.05  # of the output's span: what the command must ask for beyond 
 FINEST_GRID = 1e-4  # of the channel's span: a finer grid is the writing of the file, not the sensor
 OVERSHOOT = 0.02  # of the supply: by so much a measured load pressure may exceed it
 LOCKED_SHARE = 0.25  # of the tests, locked away where the session names none
-OIL_INTERVALS, OIL_RESOLUTION = 400, 0.1  # most straight lines, and K to which they follow a record's oil temperature
+OIL_INTERVALS, OIL_RESOLUTION = 400, 0.05  # most straight lines, and K to which they follow a record's oil temperature
 
 
 @dataclass(frozen=True)
@@ -684,8 +684,10 @@ def _smoothed(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     """(time, values) of joined straight lines by least squares, long enough to bring the noise below the resolution."""
     from scipy.interpolate import make_lsq_spline
 
-    noise = float(np.std(np.diff(values))) / np.sqrt(2.0)
-    samples = max(4.0, len(time) / OIL_INTERVALS, (4.0 * noise / OIL_RESOLUTION) ** 2)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0)  # a ramp, however steep, has none
+    if 2.0 * noise < OIL_RESOLUTION:
+        return time, values
+    samples = max(4.0, len(time) / OIL_INTERVALS, (2.0 * noise / OIL_RESOLUTION) ** 2)
     edges = np.linspace(time[0], time[-1], max(int(len(time) / samples), 1) + 1)
     return edges, make_lsq_spline(time, values, np.concatenate([edges[:1], edges, edges[-1:]]), k=1)(edges)
 

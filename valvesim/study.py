@@ -287,16 +287,22 @@ class BaseFit:
 
 def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -> BaseFit:
     """Fit the base parameters, and find the noise on the way. Raises SolveError where the valve cannot be run."""
+    reached = [0.0]
+
+    def ahead(share: float) -> None:
+        reached.append(max(reached[-1], share))
+        tell(reached[-1])
+
     study = replace(study, noise=first_noise(study))
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
     repeated = _repeated(study)
     if repeated:
         study = replace(study, noise=find_noise(study, fit.readings))
-    base = _without_peaks(_approach(study, fit, tell), tell)
+    base = _without_peaks(_approach(study, fit, ahead), ahead)
     for _ in range(0 if repeated else 2):  # the noise is what the best fit leaves: again with its colour
         noise = find_noise(study, base.fit.readings)
-        base = _without_peaks(replace(base, study=replace(study, noise=noise)), tell)
-    full = _settle(replace(base, study=replace(base.study, weights={})), tell)
+        base = _without_peaks(replace(base, study=replace(study, noise=noise)), ahead)
+    full = _settle(replace(base, study=replace(base.study, weights={})), ahead)
     left, left_between = full.fit.deviance - full.fit.rows, base.fit.deviance - base.fit.rows
     return base if left > PEAKS_WORSE * max(left_between, 0.0) + 0.1 * full.fit.rows else full
 
