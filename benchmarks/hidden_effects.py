@@ -63,7 +63,18 @@ from valvesim.noise import Noise  # noqa: E402
 from valvesim.prediction import prepare  # noqa: E402
 from valvesim.scene import Scene, look  # noqa: E402
 from valvesim.session import Session, load_session  # noqa: E402
-from valvesim.study import BaseFit, Extra, Fit, Study, fit_base, prepare_study, refit, see  # noqa: E402
+from valvesim.study import (  # noqa: E402
+    BaseFit,
+    Extra,
+    Fit,
+    Study,
+    evaluate,
+    fit_base,
+    fit_from,
+    prepare_study,
+    refit,
+    see,
+)
 from valvesim.units import quantities  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results" / "hidden_effects.jsonl"
@@ -80,7 +91,8 @@ STRONGEST = 20.0  # times the strength as drawn
 MOST_OFFSET = 0.35  # of a parameter, relative: beyond it is another valve
 INSIDE = 0.95  # share of the catalogue's bounds that a hidden amplitude keeps to
 CLOSE = 0.15  # relative miss of d' after which the strength is tuned once more
-TRIALS = 4
+TRIALS = 5
+STRANGE = 3.0  # times the target
 RULER_STEPS, LONGEST_STEP, UNMOVED = 3, 6.0, 0.1  # of the base parameters, in prior deviations
 FALLEN = 0.8  # of d'^2 from one step to the next: then it has settled
 TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equations are not trusted
@@ -215,6 +227,18 @@ class Ruler:
             point = point + step * min(1.0, LONGEST_STEP / float(np.max(np.abs(step))))
         return float(np.sqrt(least))
 
+    def settled(self, case: Case, records: Records) -> float:
+        """The same by fitting the base to the noise-free records, as a diagnosis would."""
+        by_name = {run.name: k for k, run in enumerate(case.runs)}
+        benches = []
+        for bench, rest in zip(self.study.benches, self.at_rest, strict=True):
+            k = by_name[bench.record.name]
+            shown = {c: rest.readings[c] + records[k][c] - self.quiet[k][c] for c in bench.record.outputs}
+            benches.append(replace(bench, record=replace(bench.record, values={**bench.record.values, **shown})))
+        study = replace(self.study, benches=tuple(benches))
+        fit = fit_from(study, evaluate(study, np.zeros(self.J.shape[1]), ())).fit
+        return float(np.sqrt(float(fit.residual @ fit.residual + fit.point @ fit.point)))
+
     def _moved(self, views: Sequence[View]) -> np.ndarray:
         """Whitened readings (rows,) of other views less those at rest."""
         moved = []
@@ -298,6 +322,8 @@ def tune(case: Case, target: float, folder: Path) -> Tuned:
     for _ in range(TRIALS):
         factors, trial, records = _run(case, np.minimum(scale * direction, most))
         distance = rule.distance(trial, rule.change(trial, records))
+        if abs(distance / target - 1.0) < CLOSE or distance > STRANGE * target:  # before it is believed
+            distance = min(distance, rule.settled(trial, records))
         if best is None or _miss(distance, target) < _miss(best.distance, target):
             alone = tuple(map(float, size * factors)) if len(most) == 2 else (distance,)
             best = Tuned(trial, tuple(map(float, factors)), distance, alone, overlap, records)

@@ -295,14 +295,23 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
 
     study = replace(study, noise=first_noise(study))
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
-    repeated = _repeated(study)
-    if repeated:
-        study = replace(study, noise=find_noise(study, fit.readings))
+    if _repeated(study):
+        return fit_from(replace(study, noise=find_noise(study, fit.readings)), fit, ahead)
     base = _without_peaks(_approach(study, fit, ahead), ahead)
-    for _ in range(0 if repeated else 2):  # the noise is what the best fit leaves: again with its colour
+    for _ in range(2):  # the noise is what the best fit leaves: again with its colour
         noise = find_noise(study, base.fit.readings)
         base = _without_peaks(replace(base, study=replace(study, noise=noise)), ahead)
-    full = _settle(replace(base, study=replace(base.study, weights={})), ahead)
+    return _with_peaks(base, ahead)
+
+
+def fit_from(study: Study, fit: Fit, tell: Callable[[float], None] = lambda share: None) -> BaseFit:
+    """The base fitted under a study's noise, from a fit: from afar, then near, at last in full."""
+    return _with_peaks(_without_peaks(_approach(study, fit, tell), tell), tell)
+
+
+def _with_peaks(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
+    """A base that was fitted without peaks fitted with them too; as it is where the model cannot follow them."""
+    full = _settle(replace(base, study=replace(base.study, weights={})), tell)
     left, left_between = full.fit.deviance - full.fit.rows, base.fit.deviance - base.fit.rows
     return base if left > PEAKS_WORSE * max(left_between, 0.0) + 0.1 * full.fit.rows else full
 
