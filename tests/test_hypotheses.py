@@ -32,6 +32,8 @@ from valvesim.hypotheses import (
     view,
 )
 from valvesim.parameters import Valve
+from valvesim.prediction import prepare
+from valvesim.session import Record
 from valvesim.units import quantities
 
 CHANNELS = ("spool_position", "armature_angle", "nozzle_pressure_1", "load_flow", "internal_leakage")
@@ -332,6 +334,21 @@ def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_r
         assert shown, c.key
         for channel in shown:
             assert rms(columns[channel][:, k] - truth[channel]) < 0.05 * rms(truth[channel]), (c.key, channel)
+
+
+def test_answers_to_the_shape_of_a_memory_hold_in_a_record_that_starts_in_motion(base):
+    time = np.arange(301) / 1e3
+    values = {"current": 2e-3 * np.sin(120.0 * time), "oil_temperature": np.full(301, 40.0)}
+    session = small_session()
+    usable = {"spool_position": np.ones(301, dtype=bool)}
+    record = Record("moving", time, {**values, "spool_position": np.zeros(301)}, usable)
+    bench = prepare(session, record, ())
+    loop = CATALOGUE["magnetic_hysteresis"]
+    active, wider = (loop(coercive_current=1e-4, turning_current=by) for by in (2e-3, 2.1e-3))
+    seen = view(bench, nominal().with_effect(active))
+    changed = nominal().with_effect(wider)
+    truth, answer = seen.by_run(changed)["spool_position"], seen.by_answer([changed])["spool_position"][:, 0]
+    assert rms(truth) > 0.0 and rms(answer - truth) < 0.1 * rms(truth)
 
 
 def test_a_sensor_that_the_record_lacks_shows_nothing(seen):

@@ -128,7 +128,8 @@ def test_the_inputs_are_the_records_own():
     assert bench.inputs[:: bench.refinement, 0] == pytest.approx(current)
     assert bench.inputs[:: bench.refinement, 4] == pytest.approx(load)
     assert bench.inputs[:, 0] == pytest.approx(np.interp(bench.times, time, current))
-    assert bench.inputs[:, 1] == pytest.approx(np.gradient(bench.inputs[:, 0], bench.times))
+    assert bench.inputs[1:, 1] == pytest.approx(np.gradient(bench.inputs[:, 0], bench.times)[1:])
+    assert bench.inputs[0, 1] == 0.0  # at rest
     assert bench.inputs[:, 2] == pytest.approx(np.full(len(bench.times), small_session().valve.supply_pressure))
     assert bench.inputs == pytest.approx(bench.fine_inputs[:: bench.finer], rel=1e-6, abs=3.0)  # but for corners' rates
 

@@ -69,14 +69,28 @@ STAGES = ("reading", "fitting the nominal model", "looking for causes", "refitti
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """A hypothesis fitted: `evidence` is its deviance with the price of its freedom."""
+    """A hypothesis fitted."""
 
     fit: Fit
-    evidence: float
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
         return tuple(extra.candidate for extra in self.fit.extras)
+
+    @property
+    def least(self) -> float:
+        """The deviance, with what is still promised taken off."""
+        return self.fit.deviance - min(self.fit.promised, 2.0 * ENOUGH)
+
+    @property
+    def evidence(self) -> float:
+        """`least` with the price of its freedom."""
+        price = sum(
+            2.0 * np.log(10.0) + (PARAMETER_PRICE if e.candidate.effect is None else 0.0)
+            + (e.excess / (5.0 * e.candidate.typical)) ** 2
+            for e in self.fit.extras
+        )  # fmt: skip
+        return float(self.least + self.fit.occam + price)
 
     @property
     def label(self) -> str:
@@ -163,7 +177,7 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
         tell(k / len(starts))
         fit = refit(base, start)
         if np.isfinite(fit.deviance):
-            found.append(Explained(fit, _evidence(fit)))
+            found.append(Explained(fit))
     found = _with_fewer(base, _settled(found))
     return [one for one in found if base.fit.deviance - one.fit.deviance > WORTH * level**2]
 
@@ -176,7 +190,7 @@ def _with_fewer(base: BaseFit, found: list[Explained]) -> list[Explained]:
         for left_out in best.extras:
             fit = refit(base, tuple(extra for extra in best.extras if extra is not left_out), best.point)
             if np.isfinite(fit.deviance):
-                fewer.append(Explained(fit, _evidence(fit)))
+                fewer.append(Explained(fit))
         merged = _settled([*found, *fewer])
         if merged[0] is found[0]:
             return merged
@@ -192,15 +206,6 @@ def _settled(found: Sequence[Explained]) -> list[Explained]:
         if not nothing and not any(map(one.means, kept)):
             kept.append(one)
     return kept
-
-
-def _evidence(fit: Fit) -> float:
-    price = sum(
-        2.0 * np.log(10.0) + (PARAMETER_PRICE if e.candidate.effect is None else 0.0)
-        + (e.excess / (5.0 * e.candidate.typical)) ** 2
-        for e in fit.extras
-    )  # fmt: skip
-    return float(fit.deviance - min(fit.promised, 2.0 * ENOUGH) + fit.occam + price)
 
 
 def _starts(scene: Scene) -> list[tuple[Extra, ...]]:
@@ -269,7 +274,7 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
             start = (*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k]))
             fit = refit(base, start, best.fit.point)
             if np.isfinite(fit.deviance):
-                more.append(Explained(fit, _evidence(fit)))
+                more.append(Explained(fit))
         more = _settled(more)
         merged = _settled([*found, *more])
         if not more or merged[0] is best or merged[0].evidence > best.evidence - 6.0:
@@ -368,7 +373,13 @@ def _answer_set(
         return [], []
     gained = max(base.fit.deviance - found[0].fit.deviance, 0.0)
     width = max(ANSWER_RATIO, ANSWER_SHARE * gained)
-    near = [one for one in found if one.evidence - found[0].evidence < width]  # the best is one of them
+    most = len(found[0].candidates)  # how wide a prior is does not tell two apart that fit alike
+    near = [
+        one
+        for one in found
+        if one.evidence - found[0].evidence < width
+        or (len(one.candidates) <= most and one.least - found[0].least < width)
+    ]
     # what a better one says already, and something more besides, is no rival of it
     in_set = [one for k, one in enumerate(near) if not any(better.is_within(one) for better in near[:k])]
     unknown = found[0].evidence + UNKNOWN_PRICE + 0.25 * gained if quiet else found[0].evidence - 2.0 * width
@@ -390,7 +401,7 @@ def _answer_set(
     nothing = CandidateAnswer(names=("unknown",), label="none of the known causes", location="", deviance_fall=0.0,
                               probability=float(weights[-1]), in_set=not quiet)  # fmt: skip
     ranked = sorted([*answers, nothing], key=lambda a: -a.probability)
-    return [a for a in ranked if a.probability > 1e-3], in_set
+    return [a for a in ranked if a.in_set or a.probability > 1e-3], in_set
 
 
 def _verdict(alarm: bool, quiet: bool, found: Sequence[Explained], in_set: Sequence[Explained]) -> str:

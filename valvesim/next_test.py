@@ -77,9 +77,7 @@ def design(base: BaseFit, first: Fit, second: Fit, labels: tuple[str, str]) -> N
         return None
     known = [_known(base, fit) for fit in (first, second)]
     chosen = [
-        judged
-        for trial, bench, delta in run
-        for judged in _judge(study, trial, bench, delta, (first, second), known)
+        judged for trial, bench, delta in run for judged in _judge(study, trial, bench, delta, (first, second), known)
     ]
     enough = [one for one in chosen if one.power >= ENOUGH]
     if enough:

@@ -221,7 +221,9 @@ def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Ben
 
     def inputs(at: np.ndarray) -> np.ndarray:
         values = [evaluate(command, at) for command in commands]
-        return np.column_stack([values[0], np.gradient(values[0], at), *values[1:]])
+        rate = np.gradient(values[0], at)
+        rate[0] = 0.0  # a record starts at rest
+        return np.column_stack([values[0], rate, *values[1:]])
 
     sensors = session.sensors
     return Bench(

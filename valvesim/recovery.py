@@ -6,7 +6,8 @@ deviance is lowest for its freedom stays. Last, a formula is tried on what was f
 
 Symbols
     t base parameters in prior deviations, v values of the term at its knots, s logarithms of its memory's figure
-    D = r'r + t't + |B v|^2 + (s - s_0)^2: deviance with the priors; B second differences over their prior's width
+    D = r'r + t't + |B v|^2 + (s - s_0)^2: deviance with the priors; B second differences, offset and slope over their
+    priors' widths
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ STEPS = 5
 SETTLED, SETTLED_SHARE, SMALL_SHARE = 1.0, 3e-3, 0.05  # fall of the deviance, and shares of it, not worth another step
 LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
 EDGE = 0.002  # share of the samples beyond the outermost knots, at either end
+LINE = 0.25  # prior deviation of offset and of slope over half the range, in units of the term's own size
 BEND = 1.0  # prior deviation of a second difference, in units of the term's own size
 MEMORY_DEVIATION = 1.0  # of the logarithm of a time constant or width
 STEP = 0.1  # of such a logarithm, in differences
@@ -108,10 +110,18 @@ class _Problem:
         return self.study.base.at(point).with_effect(self.active(values, figure))
 
     def penalty(self) -> np.ndarray:
-        """(k, k) precision of the values: second differences, and each value a hundred sizes wide."""
+        """(k, k) precision of the values: second differences, each value a hundred sizes wide; offset and slope.
+
+        Offset and slope can nearly always be had from the base parameters too, and these have tolerances: a term that
+        took them for nothing would show the unit's scatter.
+        """
         k = len(self.knots)
         B = np.diff(np.eye(k), 2, axis=0) / (BEND * self.size)
-        return B.T @ B + np.eye(k) / (100.0 * self.size) ** 2
+        precision = B.T @ B + np.eye(k) / (100.0 * self.size) ** 2
+        if self.family.memory == PATH:  # its sign turns, so that nothing takes them up
+            return precision
+        line = np.linalg.pinv(np.column_stack([np.ones(k), np.linspace(-1.0, 1.0, k)])) / (LINE * self.size)
+        return precision + line.T @ line
 
     def evaluate(self, point: np.ndarray, values: np.ndarray, figure: float) -> _State:
         """By running every training record. Raises SolveError, InputError where that fails."""
@@ -385,9 +395,10 @@ def _with_formula(problem: _Problem, solution: _Solution, gained: float) -> tupl
         held, covariance = _held(problem, solution, held, formula.F)
         share = PURE_SHARE if formula.pure else MIXED_SHARE  # offsets and slopes are what the base has tolerances for
         rise = held.deviance - state.deviance
-        if rise > max(float(chi2.isf(1e-3, k - formula.F.shape[1])), share * gained):
+        chance = float(chi2.isf(1e-3, k - formula.F.shape[1]))
+        if rise > max(chance, share * gained):
             continue
-        if rise > 0.0 and _difference(problem, held.values, state.values) > FORMULA_ERROR:
+        if rise > chance and _difference(problem, held.values, state.values) > FORMULA_ERROR:
             continue
         a = np.linalg.lstsq(formula.F / np.max(np.abs(formula.F), axis=0), held.values, rcond=None)[0]
         a = a / np.max(np.abs(formula.F), axis=0)
