@@ -5,7 +5,7 @@ import pytest
 from hidden_plant import draw, truth, write_session
 
 import valvesim as vs
-from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY
+from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 
 
 def diagnosed(folder, seed, kind, name=None, strength=1.0):
@@ -38,6 +38,28 @@ def test_a_biased_sensor_is_named_with_its_bias(tmp_path):
 def test_a_figure_beyond_its_tolerance_is_in_the_answer_with_what_cannot_be_told_from_it(tmp_path):
     found, hidden = diagnosed(tmp_path, 10, "parameter", "feedback_rod_stiffness")
     assert found.verdict in (CAUSE, AMBIGUOUS)
+    assert set(hidden["causes"]) <= {name for answer in found.candidates if answer.in_set for name in answer.names}
+
+
+def test_two_at_once_are_found_together(tmp_path):
+    found, hidden = diagnosed(tmp_path, 25, "pair")
+    assert found.verdict == CAUSE and set(found.causes) == set(hidden["causes"])
+    assert found.gain_claimed
+
+
+def test_what_the_catalogue_lacks_is_unknown_and_its_law_is_recovered(tmp_path):
+    found, hidden = diagnosed(tmp_path, 21, "outside", "cubic_spool_spring")
+    assert found.verdict == UNKNOWN and not found.causes
+    assert (found.term.port, found.term.variable, found.term.memory) == ("spool_force", "spool_position", "none")
+    ((_, figures),) = hidden["parameters"].items()
+    number, law = found.term.formula.split(" ")[:2]
+    assert law == "x^3" and float(number) == pytest.approx(-figures["size"], rel=0.1)
+    assert found.gain_claimed
+
+
+def test_with_too_little_excitation_the_truth_is_in_a_set_and_a_test_is_asked_for(tmp_path):
+    found, hidden = diagnosed(tmp_path, 24, "poor")
+    assert found.verdict == AMBIGUOUS and found.next_test.power >= 0.3
     assert set(hidden["causes"]) <= {name for answer in found.candidates if answer.in_set for name in answer.names}
 
 

@@ -368,7 +368,10 @@ UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *SIGNAL_CHA
 def _answer_set(
     base: BaseFit, found: Sequence[Explained], quiet: bool
 ) -> tuple[list[CandidateAnswer], list[Explained]]:
-    """All hypotheses with their probabilities, and those that explain the data nearly as well as the best does."""
+    """All hypotheses with their probabilities, and those that explain the data nearly as well as the best does.
+
+    Where even the best leaves something over, none of them does.
+    """
     if not found:
         return [], []
     gained = max(base.fit.deviance - found[0].fit.deviance, 0.0)
@@ -381,7 +384,7 @@ def _answer_set(
         or (len(one.candidates) <= most and one.least - found[0].least < width)
     ]
     # what a better one says already, and something more besides, is no rival of it
-    in_set = [one for k, one in enumerate(near) if not any(better.is_within(one) for better in near[:k])]
+    in_set = [one for k, one in enumerate(near) if quiet and not any(better.is_within(one) for better in near[:k])]
     unknown = found[0].evidence + UNKNOWN_PRICE + 0.25 * gained if quiet else found[0].evidence - 2.0 * width
     heat = width / ANSWER_RATIO  # no model is the plant: evidence counts by so much less
     values = np.array([*(one.evidence for one in found), unknown])
