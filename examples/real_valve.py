@@ -31,14 +31,13 @@ from valvesim.bench import (
     read_record,
 )
 from valvesim.figures import Figure
-from valvesim.hypotheses import neighbours, parameter_columns, view
 from valvesim.laws import orifice_flow
 from valvesim.model import main_stage
 from valvesim.noise import Noise
 from valvesim.parameters import PartTemperatures, Valve
 from valvesim.prediction import prepare
 from valvesim.static import solve_rest
-from valvesim.study import BaseFit, Extra, evaluate, prepare_study, refit
+from valvesim.study import BaseFit, Extra, evaluate, prepare_study, refit, see
 
 OIL_TEMPERATURE = 20.0  # °C: the records state none
 SUPPLY, FLOW_SUPPLY = 205.5e5, 70e5  # Pa: 2980 psi; the flow curve's flow at full current is that of 70 bar drop
@@ -299,15 +298,13 @@ def pair_lines(folder: Path) -> list[str]:
     session = vs.load_session(folder)
     study = prepare_study(session)
     white = Noise(LEAKAGE_MISFIT, (), False, "what the land law can be trusted to")
-    study = replace(study, noise={(name, b.record.rate): white for b in study.benches for name in b.record.outputs})
+    study = replace(study, noise={(name, b.record.pace): white for b in study.benches for name in b.record.outputs})
     nominal = np.zeros(len(study.base.parameters))
-    views = tuple(view(bench, study.base.at(nominal)) for bench in study.benches)
-    beside = neighbours(study.base, views[0].variant)
-    J = study.stack([parameter_columns(seen, study.base, beside) for seen in views])
-    base = BaseFit(study, evaluate(study, nominal, ()), views, J)
+    views, columns = see(study, study.base.at(nominal))
+    base = BaseFit(study, evaluate(study, nominal, ()), tuple(views), tuple(columns), study.stack(columns))
     pair = [candidate for candidate in study.candidates if candidate.family in PAIR]
     start = [Extra(one, one.typical, tuple((p.name, p.default) for p in one.shapes())) for one in pair]
-    fit = refit(base, start, steps=10)
+    fit = refit(base, start)
     variant = fit.variant(study.base)
     lines = [
         "## A loop and a lag, by hand", "",
@@ -359,6 +356,8 @@ def page(identified: Identified, answers: Sequence[tuple[str, str, Diagnosis]], 
         "is several times the meter's own, and small effects hide in it. What the extended model leaves is far beyond "
         "the meter's noise: the land law is symmetric about null, the measured curve is not, and its branches peak at "
         "different heights.",
+        "- Where one cause is named, it is the best of those compared under that noise, and a share of the misfit: a "
+        "repeat of each sweep would verify the noise, and what is left would then be told as `unknown`.",
         "- Where the verdict is `unknown` and no term could be recovered, the extended model is the base model.",
         "- For scale, L/min at 100 s and 500 s: a static curve 0.085 and 0.041; with hysteresis and a first-order lag "
         "0.043 and 0.021.",
