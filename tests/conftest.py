@@ -1,8 +1,12 @@
 """What every test starts from: no validity warning given yet, none an error, hypothesis without clock or dice."""
 
+import sys
+import warnings
+
 import pytest
 from hypothesis import settings
 
+from valvesim import cli
 from valvesim.errors import forget_warnings
 
 # derandomize: the same examples in every run, so that a failure is never a matter of luck
@@ -23,3 +27,20 @@ def _validity_warnings_forgotten():
     forget_warnings()
     yield
     forget_warnings()
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Run a command line in this process: (exit code, standard output, standard error)."""
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # `main` sets its own
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["valvesim", *map(str, words)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code
+        return (code, *capsys.readouterr())
+
+    return call

@@ -5,14 +5,12 @@ import io
 import json
 import subprocess
 import sys
-import warnings
 from importlib import import_module
 
 import numpy as np
 import pytest
 
 import valvesim as vs
-from valvesim import cli
 from valvesim.thermal import ThermalNetwork
 from valvesim.units import quantities
 
@@ -31,23 +29,6 @@ ANGLE, SPOOL = 5.0416154e-5, 3.9378931e-5
 KEYS = [
     "current_A", "oil_temperature_degC", "armature_angle_rad", "spool_position_m", "load_differential_pressure_Pa",
 ]  # fmt: skip
-
-
-@pytest.fixture
-def call(monkeypatch, capsys):
-    """Run a command line in this process: (exit code, standard output, standard error)."""
-    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # `main` sets its own
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["valvesim", *map(str, words)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code
-        return (code, *capsys.readouterr())
-
-    return call
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 import json
 import os
-import sys
-import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -36,20 +34,9 @@ ALWAYS = {"diagnosis.json", "report.html", "extended.toml"}
 
 
 @pytest.fixture
-def call(monkeypatch, capsys):
-    """Run a command line in this process: (exit code, standard output, standard error)."""
-    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # `main` sets its own
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["valvesim", "diagnose", *map(str, words)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code
-        return (code, *capsys.readouterr())
-
-    return call
+def call(call):
+    """Run `valvesim diagnose` in this process, see conftest."""
+    return lambda *words: call("diagnose", *words)
 
 
 @pytest.fixture

@@ -171,27 +171,33 @@ def _worst_family(scene: Scene) -> float:
 
 def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], None]) -> list[Explained]:
     """Hypotheses of one and of two candidates, refitted, best evidence first."""
-    starts = _starts(scene)
+    found = _refitted(base, _starts(scene), tell=tell)
+    found = _with_fewer(base, _settled(found))
+    return [one for one in found if base.fit.deviance - one.fit.deviance > WORTH * level**2]
+
+
+def _refitted(
+    base: BaseFit,
+    starts: Sequence[tuple[Extra, ...]],
+    point: np.ndarray | None = None,
+    tell: Callable[[float], None] = lambda share: None,
+) -> list[Explained]:
+    """The hypotheses of starts that can be run, each refitted from a point of the base parameters."""
     found = []
     for k, start in enumerate(starts):
         tell(k / len(starts))
-        fit = refit(base, start)
+        fit = refit(base, start, point)
         if np.isfinite(fit.deviance):
             found.append(Explained(fit))
-    found = _with_fewer(base, _settled(found))
-    return [one for one in found if base.fit.deviance - one.fit.deviance > WORTH * level**2]
+    return found
 
 
 def _with_fewer(base: BaseFit, found: list[Explained]) -> list[Explained]:
     """The found with the best's candidates one fewer each time that this is better still."""
     while found and len(found[0].candidates) > 1:
         best = found[0].fit
-        fewer = []
-        for left_out in best.extras:
-            fit = refit(base, tuple(extra for extra in best.extras if extra is not left_out), best.point)
-            if np.isfinite(fit.deviance):
-                fewer.append(Explained(fit))
-        merged = _settled([*found, *fewer])
+        starts = [tuple(extra for extra in best.extras if extra is not left_out) for left_out in best.extras]
+        merged = _settled([*found, *_refitted(base, starts, best.point)])
         if merged[0] is found[0]:
             return merged
         found = merged
@@ -268,14 +274,9 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
         gained = base.fit.deviance - best.fit.deviance
         if z.max(initial=0.0) ** 2 < max(level**2, LEFT_SHARE * gained):
             break
-        more = []
-        for k in [int(k) for k in np.argsort(-z, kind="stable")[:2] if z[k] > 0.9 * z.max()]:
-            p = final.projected
-            start = (*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k]))
-            fit = refit(base, start, best.fit.point)
-            if np.isfinite(fit.deviance):
-                more.append(Explained(fit))
-        more = _settled(more)
+        p, near = final.projected, [int(k) for k in np.argsort(-z, kind="stable")[:2] if z[k] > 0.9 * z.max()]
+        starts = [(*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k])) for k in near]
+        more = _settled(_refitted(base, starts, best.fit.point))
         merged = _settled([*found, *more])
         if not more or merged[0] is best or merged[0].evidence > best.evidence - 6.0:
             break

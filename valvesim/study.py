@@ -78,9 +78,9 @@ class Study:
             white.append(rows if weights is None else rows * weights[:, None])
         return white
 
-    def weighed(self, records: Sequence[Record], weights: Sequence[np.ndarray]) -> Study:
-        """The study with weights (rows,) of each channel of each record, channels in the records' order."""
-        keys = [(record.name, name) for record in records for name in record.outputs]
+    def weighed(self, weights: Sequence[np.ndarray]) -> Study:
+        """The study with weights (rows,) of each channel of each training record, in their order."""
+        keys = [(bench.record.name, name) for bench in self.benches for name in bench.record.outputs]
         return replace(self, weights=dict(zip(keys, weights, strict=True)))
 
     def stack(self, columns: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
@@ -287,11 +287,12 @@ class BaseFit:
 
 def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -> BaseFit:
     """Fit the base parameters, and find the noise on the way. Raises SolveError where the valve cannot be run."""
-    reached = [0.0]
+    reached = 0.0
 
     def ahead(share: float) -> None:
-        reached.append(max(reached[-1], share))
-        tell(reached[-1])
+        nonlocal reached
+        reached = max(reached, share)
+        tell(reached)
 
     study = replace(study, noise=first_noise(study))
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
@@ -332,8 +333,7 @@ def _approach(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
         pairs = zip(study.benches, base.fit.readings, strict=True)
         white = [r[:, 0] for bench, read in pairs for r in study.whiten(bench, residual_of(bench.record, read))]
         robust = study.weighed(
-            [bench.record for bench in study.benches],
-            [1.0 / np.hypot(1.0, r / (FAR_OFF * max(float(np.median(np.abs(r))), 1.0))) for r in white],
+            [1.0 / np.hypot(1.0, r / (FAR_OFF * max(float(np.median(np.abs(r))), 1.0))) for r in white]
         )
         start = _weighed(robust, base.fit.point, (), base.fit.readings)
         near, _ = _descend(robust, start, robust.stack(base.columns), ROUGH * start.deviance)
@@ -376,7 +376,7 @@ def _without_peaks(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
             for _ in noise.lags:  # a row holds samples before its own
                 row[1:] = np.minimum(row[1:], row[:-1])
             weights.append(row[noise.kept(record.usable[name])][:: study.stride])
-    return _settle(replace(base, study=study.weighed([seen.bench.record for seen in base.views], weights)), tell)
+    return _settle(replace(base, study=study.weighed(weights)), tell)
 
 
 def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
@@ -385,7 +385,7 @@ def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tupl
     The answers (rows, p and extras) learn from each step what it has changed (Broyden), and are given back.
     """
     metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.kinds])
-    damping, failures, start, best, uphill = 0.0, 0, fit, fit, False
+    damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
     for _ in range(STEPS):
         H, gradient = _normal(fit, answers)
         promised = max(float(gradient @ _solve(H, gradient)), 0.0)
@@ -401,7 +401,7 @@ def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tupl
         try:
             new = evaluate(study, fit.point + step[: len(fit.point)], _moved(fit, step[len(fit.point) :]))
         except (SolveError, InputError):  # no valve can have these figures
-            fit, damping, failures, uphill = best, max(10.0 * damping, 0.1), failures + 1, False
+            fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
             continue
         moved, changed = new.place - fit.place, fit.residual - new.residual
         if (length := float(moved @ (metric * moved))) > 0.0 and float(changed @ changed) > LEARNED:
@@ -410,11 +410,11 @@ def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tupl
         if gained > 0.0:
             failures = 0 if gained > 0.5 * best.promised else failures + 1
             damping = 0.0 if damping <= 0.1 or gained > 0.5 * best.promised else damping / 10.0
-            best, fit, uphill = new, new, False
-        elif not uphill and failures == 0:
-            fit, uphill = new, True  # a bent valley: the next step may lead back into it, further down
+            best = fit = new
+        elif fit is best and failures == 0:
+            fit = new  # a bent valley: the next step may lead back into it, further down
         else:
-            fit, damping, failures, uphill = best, max(10.0 * damping, 0.1), failures + 1, False
+            fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
     return best, answers
 
 
