@@ -13,7 +13,7 @@ from valvesim.commands import Table, evaluate
 from valvesim.errors import InputError, SolveError
 from valvesim.laws import lagged
 from valvesim.model import Model
-from valvesim.prediction import FINEST, SENSOR_STEP, SLOW, Variant, neutral, prepare
+from valvesim.prediction import FINEST, MOST_POINTS, SENSOR_STEP, SLOW, Variant, neutral, prepare
 from valvesim.scenario import Scenario
 from valvesim.session import load_session, record_scenario
 from valvesim.simulate import simulate
@@ -120,6 +120,32 @@ def test_a_fast_record_is_refined_and_a_slow_one_kept():
     for times, finest in ((fast.times, FINEST), (fast.fine_times, SENSOR_STEP)):
         assert np.diff(times).max() <= finest * (1 + 1e-9)
     assert 1.0 / slow.record.rate > SLOW and (slow.refinement, slow.finer) == (1, 1)
+
+
+def test_a_coarse_bench_reads_the_same_and_is_seen_at_the_samples_alone():
+    for name in ("fast", "slow"):
+        bench, variant = bench_of(name), nominal().with_effect(FRICTION)
+        coarse = bench.coarse()
+        assert coarse.times == pytest.approx(bench.record.time) and coarse.refinement == 1
+        course = coarse.run(variant)
+        assert len(course.states) == len(coarse.inputs) == len(bench.record.time)
+        for channel, column in coarse.readings(course, variant).items():
+            assert np.array_equal(column, read(name, variant)[channel])
+
+
+def test_courses_of_long_records_are_kept_at_wider_spacing():
+    session = small_session()
+    fast = next(record for record in session.records if record.name.startswith("fast"))
+
+    def grid(count):  # the record and as many as long
+        return prepare(replace(session, records=(fast,) * count), fast, ())
+
+    step = 1.0 / fast.rate
+    assert grid(1).refinement == round(step / FINEST) > 1
+    many = int(MOST_POINTS * 2 * FINEST / fast.duration) + 1
+    assert grid(many).refinement == grid(1).refinement // 2 and grid(100 * many).refinement == 1
+    for count in (1, many, 100 * many):
+        assert np.diff(grid(count).fine_times).max() <= SENSOR_STEP * (1 + 1e-9)
 
 
 def test_the_inputs_are_the_records_own():

@@ -15,6 +15,7 @@ import inspect
 import os
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,9 +74,17 @@ def derivatives(model: Model) -> Any:
     return casadi.Function("derivatives", list(at.values()), matrices, list(at), names)
 
 
-@functools.lru_cache(maxsize=64)
+_ONE_AT_A_TIME = threading.Lock()
+
+
 def compile_model(model: Model) -> CompiledModel:
     """The compiled model; a few seconds the first time on a machine, well under one second after that."""
+    with _ONE_AT_A_TIME:  # CasADi traces in one thread alone, and no thread compiles what another is about to have
+        return _compile(model)
+
+
+@functools.lru_cache(maxsize=64)
+def _compile(model: Model) -> CompiledModel:
     module = _load(model)
     scale = np.array([channel.scale for channel in model.state_channels])
     n, n_c = len(scale), len(model.coefficient_names)

@@ -37,9 +37,10 @@ from .hypotheses import Candidate
 from .next_test import design
 from .prediction import Variant, prepare
 from .recovery import recover
-from .scene import NOISE_ERROR, Scene, look, own_step
+from .scene import NOISE_ERROR, Scene, look
 from .session import Record, Session, load_session
 from .study import (
+    ASTRAY,
     EDGE,
     ENOUGH,
     SHAPE_STEP,
@@ -48,6 +49,8 @@ from .study import (
     Fit,
     Study,
     fit_base,
+    in_full,
+    own_step,
     prepare_study,
     refit,
     residual_of,
@@ -55,6 +58,7 @@ from .study import (
 )
 
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
+NOT_QUIET = 0.01  # of a free term's being chance in what the best hypothesis leaves: naming asks for more than an alarm
 SINGLES, PAIRS = 5, 3  # how many are refitted
 PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
@@ -132,6 +136,8 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
             tell(STAGES[4], 0.75)
             final = look(base, found[0].fit)
             found, final = _with_more(base, final, found)
+            if base.study.weights:
+                base, found, final = _with_peaks(base, found, final)
             quiet = _quiet(base, final)
     tell(STAGES[5], 0.9)
     return _answer(base, scene, final, found, alarm, quiet, level)
@@ -271,8 +277,8 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
     while len(final.fit.extras) < 3:
         z, level = final.z(), final.level(ALARM)
         best = found[0]
-        gained = base.fit.deviance - best.fit.deviance
-        if z.max(initial=0.0) ** 2 < max(level**2, LEFT_SHARE * gained):
+        share = 0.0 if _leftover(final.fit, base.study) else LEFT_SHARE
+        if z.max(initial=0.0) ** 2 < max(level**2, share * (base.fit.deviance - best.fit.deviance)):
             break
         p, near = final.projected, [int(k) for k in np.argsort(-z, kind="stable")[:2] if z[k] > 0.9 * z.max()]
         starts = [(*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k])) for k in near]
@@ -285,6 +291,20 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
     return found, final
 
 
+def _with_peaks(base: BaseFit, found: list[Explained], final: Scene) -> tuple[BaseFit, list[Explained], Scene]:
+    """The answer set refitted with all samples in full, where its best can follow the peaks that the base could not.
+
+    What tells a second cause from none may be in them.
+    """
+    full, (_, near) = in_full(base), _answer_set(base, found, quiet=True)
+    again = _settled([each for one in near for each in _refitted(full, [one.fit.extras], one.fit.point)])
+    if not again or again[0].fit.deviance > ASTRAY * again[0].fit.rows:
+        return base, found, final
+    found = _with_fewer(full, again)
+    found, final = _with_more(full, look(full, found[0].fit), found)
+    return full, found, final
+
+
 def _quiet(base: BaseFit, final: Scene) -> bool:
     """Whether the best hypothesis leaves nothing that a free term, or an amplitude that wanders, would explain."""
     from scipy.stats import chi2
@@ -293,7 +313,7 @@ def _quiet(base: BaseFit, final: Scene) -> bool:
     allowance = LEFT_SHARE * gained
     tests = [(value - allowance, freedom) for value, freedom in final.family_tests() if freedom]
     least = min((float(chi2.sf(max(value, 0.0), freedom)) for value, freedom in tests), default=1.0)
-    families_quiet = least * max(len(tests), 1) > TERM_ALARM
+    families_quiet = least * max(len(tests), 1) > NOT_QUIET
     wander, freedom = final.constancy()
     constant = freedom == 0 or float(chi2.sf(max(wander - allowance, 0.0), freedom)) > 1e-3
     return families_quiet and constant and not _leftover(final.fit, base.study)

@@ -27,6 +27,7 @@ from .static import solve_rest
 from .thermal import TemperaturePath
 
 FINEST = 2.5e-4  # s: a course is kept at this spacing or finer where the record is fast enough to need it
+MOST_POINTS = 20_000  # of the courses of all training records: where there are more, they are kept at wider spacing
 SLOW = 5e-3  # s: a record sampled more slowly than this is quasi-static between its samples, and kept as it is
 TOLERANCE = 3e-4  # errs by 1e-6 of the span: the samples of the inputs keep the steps short
 MAX_STEPS = 50_000_000
@@ -80,6 +81,17 @@ class Bench:
     starts: np.ndarray
     rows: np.ndarray
     inputs: np.ndarray  # (n, inputs): command, its rate, pressures
+
+    def coarse(self) -> Bench:
+        """The same bench with its grid at the samples alone: it reads the same, and is seen in less time."""
+        times = self.times[:: self.refinement]
+        return replace(
+            self,
+            times=times,
+            inputs=_inputs(self.scenario, times),
+            refinement=1,
+            finer=self.refinement * self.finer,
+        )
 
     def model(self, effects: Sequence[ActiveEffect]) -> Model:
         """The equations with the one effect that has a balance; for several those with the universe, if they are in it.
@@ -209,22 +221,14 @@ def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Ben
     """A record ready to be predicted with any variant whose effects with a balance are among `universe`."""
     scenario = record_scenario(session, record, tolerance=TOLERANCE)
     step = 1.0 / record.rate
-    refinement = int(np.ceil(step / FINEST - 1e-6)) if step <= SLOW else 1
+    refinement = int(np.ceil(step / _finest(session) - 1e-6)) if step <= SLOW else 1
     count = (len(record.time) - 1) * refinement + 1
     times = np.linspace(0.0, float(record.time[-1]), count)
     finer = 1
     if step <= SLOW:
         finer = int(np.ceil(step / refinement / SENSOR_STEP - 1e-6)) if record.duration <= LONG else 2
     fine_times = np.linspace(0.0, float(record.time[-1]), (count - 1) * finer + 1)
-    commands = (scenario.command, *scenario.pressures())
-    starts, intervals = merge(commands, scenario.duration)
-
-    def inputs(at: np.ndarray) -> np.ndarray:
-        values = [evaluate(command, at) for command in commands]
-        rate = np.gradient(values[0], at)
-        rate[0] = 0.0  # a record starts at rest
-        return np.column_stack([values[0], rate, *values[1:]])
-
+    starts, intervals = merge((scenario.command, *scenario.pressures()), scenario.duration)
     sensors = session.sensors
     return Bench(
         record=record,
@@ -237,11 +241,24 @@ def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Ben
         refinement=refinement,
         finer=finer,
         fine_times=fine_times,
-        fine_inputs=inputs(fine_times),
+        fine_inputs=_inputs(scenario, fine_times),
         starts=starts,
         rows=intervals.rows,
-        inputs=inputs(times),
+        inputs=_inputs(scenario, times),
     )
+
+
+def _finest(session: Session) -> float:
+    """The spacing (s) of courses in a session: wider where its training records are long."""
+    return max(FINEST, sum(r.duration for r in session.training if r.rate * SLOW >= 1.0) / MOST_POINTS)
+
+
+def _inputs(scenario: Scenario, times: np.ndarray) -> np.ndarray:
+    """(n, inputs): command, its rate, pressures."""
+    values = [evaluate(command, times) for command in (scenario.command, *scenario.pressures())]
+    rate = np.gradient(values[0], times)
+    rate[0] = 0.0  # a record starts at rest
+    return np.column_stack([values[0], rate, *values[1:]])
 
 
 def neutral(effect: Effect) -> ActiveEffect:

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from .commands import Chirp, Command, Constant, Sine, Step, evaluate
-from .compiled import compile_model
 from .errors import InputError, unknown_name
 from .figures import Absent, Figure
 from .model import VoltageDrive, drive_torque
@@ -495,7 +494,6 @@ def frequency_response(
         if number < 1 or number != int(number):
             raise InputError(f"frequency response: {name} = {number:g} must be a whole number of 1 or more")
     base = replace(base, tolerance=min(base.tolerance, SINE_TOLERANCE))
-    compile_model(base.model)  # here, since two threads would do it twice
 
     def point(frequency: float) -> SinePoint:
         wait = max(int(np.ceil(settle * frequency)), 1)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from .evidence import Gram, Projected, alarm_level, block_statistic, project
 from .hypotheses import Candidate, View, candidate_columns
 from .sensitivity import relax
-from .study import SHAPE_STEP, BaseFit, Extra, Fit, Study, each, gram_of, see
+from .study import BaseFit, Fit, Study, each, gram_of, own_steps, see
 from .terms import LAG, PATH, Family, families, hats, term_effect
 
 KNOTS = 6  # of each family's function while it is looked for
@@ -127,25 +127,6 @@ def _size(candidate: Candidate) -> float:
     low, high = candidate.limits
     size = 0.2 * candidate.typical
     return size if size <= high else max(0.5 * low, -size)
-
-
-def own_steps(fit: Fit) -> list[tuple[Candidate, Fit]]:
-    """The fit with each of its extras moved a little: excess by a twentieth, then each shape by a tenth."""
-    steps = []
-    for k, extra in enumerate(fit.extras):
-        moved = [replace(extra, excess=extra.excess + own_step(extra))]
-        for j, (name, value) in enumerate(extra.shapes):
-            shapes = (*extra.shapes[:j], (name, value * SHAPE_STEP), *extra.shapes[j + 1 :])
-            moved.append(replace(extra, shapes=shapes))
-        steps += [(extra.candidate, replace(fit, extras=(*fit.extras[:k], m, *fit.extras[k + 1 :]))) for m in moved]
-    return steps
-
-
-def own_step(extra: Extra) -> float:
-    """The step of an excess: inwards, so that it stays inside its limits."""
-    return (
-        -0.05 * extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 0.01 * extra.candidate.typical
-    )
 
 
 def family_columns(

@@ -36,7 +36,8 @@ MOST_ROWS = 300_000  # whitened rows that are kept: of longer sessions every sec
 SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
 SHAPE_STEP = 1.1  # by which a shape parameter is moved to see what it shows
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
-BASE_LOOKS, LOOKS = 12, 4  # how often the answers may be taken anew: in the base fit, in a refit
+ASTRAY = 1.5  # times the rows: a refit that leaves so much is led nearer first, as the base is
+BASE_LOOKS, LOOKS = 24, 4  # how often the answers may be taken anew: in the base fit, in a refit
 STEPS, FAILURES = 20, 4  # with the same answers: all, and those that bring much less than they promise
 FAR_OFF, ROUGH, ROBUST_LOOKS = 3.0, 0.1, 8  # times the median misfit; share of the deviance not worth a look; looks
 EDGE = 0.98  # share of its limits that an excess keeps to while it is fitted
@@ -45,8 +46,10 @@ PEAK = 0.3  # of a reading's bend within a tenth of a millisecond may be wrong
 LEARNED = 30.0  # deviance that a step must change for the answers to learn from it: below is the solver's noise
 ABSURD = 1e30  # deviance
 TOLERANCE = 2.0  # prior deviations at which a tolerance ends
+FAR_AWAY = 3.0  # prior deviations from where answers were taken, and they are taken anew
 LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
-SETTLED = 2.0  # fall of the deviance that is not worth a step of the base ...
+NEARLY = 10.0  # fall of the deviance that is not worth a step on the way to the base fit ...
+SETTLED = 2.0  # ... nor at its end ...
 ENOUGH = 2.0  # ... nor of a candidate's refit: the answer set goes by several, and the rest is reckoned with
 
 
@@ -66,6 +69,10 @@ class Study:
         """Every how many of the whitened rows is kept: they are independent, so none is missed but for its weight."""
         rows = sum(len(b.record.time) * len(b.record.outputs) for b in self.benches)
         return int(np.ceil(rows / MOST_ROWS))
+
+    def coarse(self) -> Study:
+        """The study with its views at the samples alone: the same readings, and answers that will do on the way."""
+        return replace(self, benches=tuple(bench.coarse() for bench in self.benches))
 
     def whiten(self, bench: Bench, columns: dict[str, np.ndarray]) -> list[np.ndarray]:
         """Whitened columns (n, k) of a record, channel by channel."""
@@ -298,65 +305,91 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
     if _repeated(study):
         return fit_from(replace(study, noise=find_noise(study, fit.readings)), fit, ahead)
-    base = _without_peaks(_approach(study, fit, ahead), ahead)
+    base = _afar(study, fit, ahead)
     for _ in range(2):  # the noise is what the best fit leaves: again with its colour
         noise = find_noise(study, base.fit.readings)
-        base = _without_peaks(replace(base, study=replace(study, noise=noise)), ahead)
-    return _with_peaks(base, ahead)
+        base = _without_peaks(replace(base, study=replace(base.study, noise=noise)), ahead)
+    return _with_peaks(study, base, ahead)
 
 
 def fit_from(study: Study, fit: Fit, tell: Callable[[float], None] = lambda share: None) -> BaseFit:
     """The base fitted under a study's noise, from a fit: from afar, then near, at last in full."""
-    return _with_peaks(_without_peaks(_approach(study, fit, tell), tell), tell)
+    return _with_peaks(study, _afar(study, fit, tell), tell)
 
 
-def _with_peaks(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
-    """A base that was fitted without peaks fitted with them too; as it is where the model cannot follow them."""
-    full = _settle(replace(base, study=replace(base.study, weights={})), tell)
+def _afar(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
+    """A coarse base from a fit, without peaks."""
+    coarse = study.coarse()
+    return _without_peaks(_seen(coarse, *_approach(coarse, fit, tell)), tell)
+
+
+def _with_peaks(study: Study, base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
+    """A coarse base that was fitted without peaks fitted with them too; without where the model cannot follow them."""
+    study = replace(study, noise=base.study.noise)
+    start = _weighed(study, base.fit.point, (), base.fit.readings)
+    full = _settle(_seen_at(study, start), SETTLED, tell)
     left, left_between = full.fit.deviance - full.fit.rows, base.fit.deviance - base.fit.rows
-    return base if left > PEAKS_WORSE * max(left_between, 0.0) + 0.1 * full.fit.rows else full
+    follows = left <= PEAKS_WORSE * max(left_between, 0.0) + 0.1 * full.fit.rows
+    if follows and full.fit.deviance < ASTRAY * full.fit.rows:
+        return full
+    return _settle(_seen_at(replace(study, weights=base.study.weights), base.fit), SETTLED, tell)
+
+
+def in_full(base: BaseFit) -> BaseFit:
+    """The same base with all samples counting in full."""
+    study = replace(base.study, weights={})
+    return _seen(study, _weighed(study, base.fit.point, (), base.fit.readings), base.views, base.columns)
 
 
 def _seen_at(study: Study, fit: Fit) -> BaseFit:
-    views, columns = see(study, study.base.at(fit.point))
+    return _seen(study, fit, *see(study, fit.variant(study.base)))
+
+
+def _seen(study: Study, fit: Fit, views: Sequence[View], columns: Sequence[dict[str, np.ndarray]]) -> BaseFit:
     return BaseFit(study, fit, tuple(views), tuple(columns), study.stack(columns))
 
 
-def _approach(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
+def _approach(
+    study: Study, fit: Fit, tell: Callable[[float], None] = lambda share: None
+) -> tuple[Fit, list[View], list[dict[str, np.ndarray]]]:
     """From afar: samples that are far off count less, for as long as that lowers the deviance by a good part.
+
+    Given back are the fit and what is seen from it, see `see`.
 
     A leakage peak in the wrong place does not tell which way it should move; the rest of the record does.
     """
-    base = _seen_at(study, fit)
+    views, columns = see(study, fit.variant(study.base))
     for look in range(ROBUST_LOOKS):
         tell(0.5 * look / ROBUST_LOOKS)
-        pairs = zip(study.benches, base.fit.readings, strict=True)
-        white = [r[:, 0] for bench, read in pairs for r in study.whiten(bench, residual_of(bench.record, read))]
-        robust = study.weighed(
-            [1.0 / np.hypot(1.0, r / (FAR_OFF * max(float(np.median(np.abs(r))), 1.0))) for r in white]
-        )
-        start = _weighed(robust, base.fit.point, (), base.fit.readings)
-        near, _ = _descend(robust, start, robust.stack(base.columns), ROUGH * start.deviance)
+        robust = _robust(study, fit.readings)
+        start = _weighed(robust, fit.point, fit.extras, fit.readings)
+        near, _ = _descend(robust, start, _answers(robust, fit, views, columns), ROUGH * start.deviance)
         if near.deviance > (1.0 - ROUGH) * start.deviance:
             break
-        base = _seen_at(study, near)
-    return base
+        fit = _weighed(study, near.point, near.extras, near.readings)
+        views, columns = see(study, fit.variant(study.base))
+    return fit, views, columns
 
 
-def _settle(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
-    """The base fitted under its study's noise, from where it is."""
+def _robust(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> Study:
+    """The study with samples that are far off the readings counting less."""
+    study = replace(study, weights={})
+    pairs = zip(study.benches, readings, strict=True)
+    white = [r[:, 0] for bench, read in pairs for r in study.whiten(bench, residual_of(bench.record, read))]
+    return study.weighed([1.0 / np.hypot(1.0, r / (FAR_OFF * max(float(np.median(np.abs(r))), 1.0))) for r in white])
+
+
+def _settle(base: BaseFit, enough: float, tell: Callable[[float], None]) -> BaseFit:
+    """The base fitted under its study's noise, from where it is, until the deviance falls by no more than enough."""
     study = base.study
     fit = _weighed(study, base.fit.point, (), base.fit.readings)
     base = replace(base, fit=fit, J=study.stack(base.columns))
     for look in range(BASE_LOOKS):
         tell(0.5 + 0.5 * look / BASE_LOOKS)
-        fit, _ = _descend(study, base.fit, base.J, SETTLED)
-        if fit.deviance == base.fit.deviance:
+        fit, _ = _descend(study, base.fit, base.J, enough)
+        if base.fit.deviance - fit.deviance < enough:
             break
-        gained = base.fit.deviance - fit.deviance
         base = _seen_at(study, fit)
-        if gained < SETTLED:
-            break
     return base
 
 
@@ -376,7 +409,7 @@ def _without_peaks(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
             for _ in noise.lags:  # a row holds samples before its own
                 row[1:] = np.minimum(row[1:], row[:-1])
             weights.append(row[noise.kept(record.usable[name])][:: study.stride])
-    return _settle(replace(base, study=study.weighed(weights)), tell)
+    return _settle(replace(base, study=study.weighed(weights)), NEARLY, tell)
 
 
 def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
@@ -427,7 +460,7 @@ def _promise(fit: Fit, answers: np.ndarray) -> float:
 def _far(start: Fit, fit: Fit) -> bool:
     """Whether the answers taken at `start` are of a valve too far from where the fit is now."""
     far = float(np.max(np.abs(fit.point - start.point)))
-    return start.deviance - fit.deviance > 50.0 and far > 0.7
+    return start.deviance - fit.deviance > 50.0 and far > FAR_AWAY
 
 
 def _repeated(study: Study) -> bool:
@@ -475,17 +508,19 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
     if fit is None:
         return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
     fit, answers = min(
-        ((at, np.column_stack([base.J, _extra_columns(base, base.views, base.columns, at)]))
+        ((at, np.column_stack([base.J, _added_columns(base, at)]))
          for at in (fit, _leap(base, tuple(start))) if at is not None),
         key=lambda pair: pair[0].deviance - 0.5 * _promise(*pair),  # promises are half kept
     )  # fmt: skip
+    if fit.deviance > ASTRAY * fit.rows:
+        fit, views, columns = _approach(study.coarse(), fit)
+        answers = _answers(study, fit, views, columns)
     for look in range(looks):
         new, answers = _descend(study, fit, answers, ENOUGH)
         stuck, fit = look > 0 and new.deviance > fit.deviance - ENOUGH, new
         if fit.promised < ENOUGH or stuck or look == looks - 1:
             break
-        views, columns = see(study, fit.variant(study.base))
-        answers = np.column_stack([study.stack(columns), _extra_columns(base, views, columns, fit)])
+        answers = _answers(study, fit, *see(study, fit.variant(study.base)))
     return replace(fit, occam=_occam(_normal(fit, answers)[0], fit))
 
 
@@ -493,7 +528,7 @@ def _leap(base: BaseFit, start: tuple[Extra, ...]) -> Fit | None:
     """Where the linear equations put everything at once: a base parameter stretched by the cause goes back at once."""
     study, p = base.study, base.J.shape[1]
     absent = replace(base.fit, extras=start)  # its residual is that without the extras
-    S = _extra_columns(base, base.views, base.columns, absent)
+    S = _added_columns(base, absent)
     own = [k for k, (_, shape) in enumerate(absent.kinds) if not shape]
     plain = replace(base.fit, extras=tuple(replace(e, shapes=()) for e in start))
     H, gradient = _normal(plain, np.column_stack([base.J, S[:, own]]))
@@ -558,40 +593,18 @@ def _moved(fit: Fit, step: np.ndarray) -> tuple[Extra, ...]:
     return tuple(replace(e, excess=excesses[id(e)], shapes=tuple(shapes[id(e)].items())) for e in fit.extras)
 
 
-def _extra_columns(
-    base: BaseFit, views: Sequence[View], known: Sequence[dict[str, np.ndarray]], fit: Fit
-) -> np.ndarray:
-    """Whitened answers (rows, kinds) to the excess of each extra and to the logarithm of each of its shapes.
-
-    `known` are the answers to the base parameters from these views.
-    """
-    study = base.study
-    origin = fit.variant(study.base) if views is not base.views else views[0].variant
-    taken = views is not base.views  # seen from the fit itself: what is there already is moved, not added
+def _added_columns(base: BaseFit, fit: Fit) -> np.ndarray:
+    """Whitened answers (rows, kinds) of the base to each extra of a fit, a unit of its excess, and to its shapes."""
+    study, origin = base.study, base.views[0].variant
     candidates, changed, divide = [], [], []
     for extra in fit.extras:
         size = extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 1e-3 * extra.candidate.typical
-        candidates.append(extra.candidate)
-        if taken:
-            step = 0.05 * size
-            less = replace(extra, excess=extra.excess - step)
-            changed.append(replace(fit, extras=_replaced(fit, extra, less)).variant(study.base))
-            divide.append(-step)
-        else:
-            changed.append(extra.candidate.add_to(origin, size, **dict(extra.shapes)))
-            divide.append(size)
-        for shape, value in extra.shapes:
+        for name, value in (("", 0.0), *extra.shapes):
+            shapes = dict(extra.shapes) | ({name: value * SHAPE_STEP} if name else {})
             candidates.append(extra.candidate)
-            moved = {**dict(extra.shapes), shape: value * SHAPE_STEP}
-            if taken:
-                other = replace(extra, shapes=tuple(moved.items()))
-                changed.append(replace(fit, extras=_replaced(fit, extra, other)).variant(study.base))
-            else:
-                changed.append(extra.candidate.add_to(origin, size, **moved))
-            divide.append(0.0)
-    columns = study.stack(
-        each(lambda seen, own: candidate_columns(seen, candidates, changed, study.base, own), views, known)
-    )
+            changed.append(extra.candidate.add_to(origin, size, **shapes))
+            divide.append(0.0 if name else size)
+    columns = _candidates_stacked(study, base.views, base.columns, candidates, changed)
     out = np.empty_like(columns)
     own = 0
     for k, by in enumerate(divide):
@@ -599,8 +612,8 @@ def _extra_columns(
             own = k
             out[:, k] = columns[:, k] / by
         else:
-            out[:, k] = (columns[:, k] - (0.0 if taken else columns[:, own])) / np.log(SHAPE_STEP)
-    if not taken and len(fit.extras) == 1 and abs(fit.extras[0].excess) > 0.05 * fit.extras[0].candidate.typical:
+            out[:, k] = (columns[:, k] - columns[:, own]) / np.log(SHAPE_STEP)
+    if len(fit.extras) == 1 and abs(fit.extras[0].excess) > 0.05 * fit.extras[0].candidate.typical:
         # what the fit has really gained by its one effect, over what the linear equations say of the base
         moved = base.fit.residual - base.J @ (fit.point - base.fit.point) - fit.residual
         secant = moved / fit.extras[0].excess
@@ -609,8 +622,45 @@ def _extra_columns(
     return out
 
 
-def _replaced(fit: Fit, old: Extra, new: Extra) -> tuple[Extra, ...]:
-    return tuple(new if extra is old else extra for extra in fit.extras)
+def _answers(study: Study, fit: Fit, views: Sequence[View], columns: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
+    """Whitened answers (rows, p and kinds) of a fit seen from itself, to all that is fitted of it (`Fit.place`)."""
+    J = study.stack(columns)
+    if not fit.extras:
+        return J
+    steps = own_steps(fit)
+    moved = [other.variant(study.base) for _, other in steps]
+    own = _candidates_stacked(study, views, columns, [candidate for candidate, _ in steps], moved)
+    sizes = [np.log(SHAPE_STEP) if shape else own_step(extra) for extra, shape in fit.kinds]
+    return np.column_stack([J, own / sizes])
+
+
+def _candidates_stacked(
+    study: Study, views: Sequence[View], columns: Sequence[dict[str, np.ndarray]],
+    candidates: Sequence[Candidate], changed: Sequence[Variant],
+) -> np.ndarray:  # fmt: skip
+    """Whitened `candidate_columns` of all views; `columns` are those of the base parameters."""
+    return study.stack(
+        each(lambda seen, own: candidate_columns(seen, candidates, changed, study.base, own), views, columns)
+    )
+
+
+def own_steps(fit: Fit) -> list[tuple[Candidate, Fit]]:
+    """The fit with each of its extras moved a little: excess by `own_step`, then each shape by a tenth."""
+    steps = []
+    for k, extra in enumerate(fit.extras):
+        moved = [replace(extra, excess=extra.excess + own_step(extra))]
+        for j, (name, value) in enumerate(extra.shapes):
+            shapes = (*extra.shapes[:j], (name, value * SHAPE_STEP), *extra.shapes[j + 1 :])
+            moved.append(replace(extra, shapes=shapes))
+        steps += [(extra.candidate, replace(fit, extras=(*fit.extras[:k], m, *fit.extras[k + 1 :]))) for m in moved]
+    return steps
+
+
+def own_step(extra: Extra) -> float:
+    """The step of an excess: inwards, so that it stays inside its limits."""
+    return (
+        -0.05 * extra.excess if abs(extra.excess) > 1e-3 * extra.candidate.typical else 0.01 * extra.candidate.typical
+    )
 
 
 def gram_of(study: Study, views: Sequence[View], blocks: Sequence[Sequence[dict[str, np.ndarray]]], point: np.ndarray,
