@@ -4,8 +4,8 @@
     .venv/bin/python benchmarks/hidden_effects.py report            # docs/hidden_effects.md from what there is
 
 A case is drawn by tests/hidden_plant.py, its strength tuned to a distance d', its session written to a folder, and
-diagnosed from that folder alone. Each case adds one line of JSON to the results. Seeds from 0 are those of the table;
-while the diagnosis is being worked on, --seed-offset 10000 draws others.
+diagnosed from that folder alone. Each case adds one line of JSON to the results. The table has seeds of its own
+(TABLE_SEEDS); while the diagnosis is being worked on, --seed-offset 10000 draws others.
 
 Symbols
     y readings, r whitened by the true noise; dy what is hidden adds to them; J answers to the base parameters
@@ -52,7 +52,7 @@ from hidden_plant import (  # noqa: E402
     responses,
     write_session,
 )
-from hidden_report import write_report  # noqa: E402
+from hidden_report import TABLE_SEEDS, write_report  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 from valvesim import diagnosis as engine  # noqa: E402
@@ -99,17 +99,29 @@ TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equati
 NEXT_TEST_EVERY = 4  # seeds: the test is made on the plant and the longer session diagnosed
 BASELINE_EVERY = 8  # cases: the baselines refit a dozen candidates
 
-TWINS: dict[str, tuple[str, Callable[[float, dict[str, Any]], float]]] = {
-    "magnet_demagnetization": ("polarization_mmf", lambda value, p: value * (1.0 - p["loss"])),
-    "coil_turns_loss": ("coil_turns", lambda value, p: value * (1.0 - p["loss"])),
-    "flexure_stiffness_loss": ("spring_tube_stiffness", lambda value, p: value * (1.0 - p["loss"])),
-    "null_gap_asymmetry": ("null_gap_difference", lambda value, p: value + p["difference"]),
-    "spool_edge_wear": ("null_opening", lambda value, p: value + p["rounding"]),
-    "spool_lap": ("land_overlap", lambda value, p: value + p["overlap"]),
-    "coil_resistance_drift": ("coil_resistance", lambda value, p: value * (1.0 + p["share"])),
-    **{name: (name, lambda value, p: value * (1.0 + p["offset"])) for name in PARAMETERS},
+def _one_side(diameter: str, share: Callable[[dict[str, Any]], float]) -> dict[str, Callable[[Any, Any], float]]:
+    """The mean of both diameters and their difference where that on one side is larger by a share."""
+    return {
+        diameter: lambda valve, p: getattr(valve, diameter) * (1.0 + share(p) / 2.0),
+        f"{diameter.removesuffix('_diameter') if 'orifice' in diameter else diameter}_difference": lambda valve, p: (
+            getattr(valve, diameter) * share(p) * (1.0 if p["side"] == 1.0 else -1.0)
+        ),
+    }
+
+
+TWINS: dict[str, dict[str, Callable[[Any, dict[str, Any]], float]]] = {
+    "magnet_demagnetization": {"polarization_mmf": lambda valve, p: valve.polarization_mmf * (1.0 - p["loss"])},
+    "coil_turns_loss": {"coil_turns": lambda valve, p: valve.coil_turns * (1.0 - p["loss"])},
+    "flexure_stiffness_loss": {"spring_tube_stiffness": lambda valve, p: valve.spring_tube_stiffness * (1 - p["loss"])},
+    "fixed_orifice_clogging": _one_side("fixed_orifice_diameter", lambda p: np.sqrt(1.0 - p["clogged_share"]) - 1.0),
+    "nozzle_erosion": _one_side("nozzle_diameter", lambda p: np.sqrt(1.0 + p["share"]) - 1.0),
+    "null_gap_asymmetry": {"null_gap_difference": lambda valve, p: valve.null_gap_difference + p["difference"]},
+    "spool_edge_wear": {"null_opening": lambda valve, p: valve.null_opening + p["rounding"]},
+    "spool_lap": {"land_overlap": lambda valve, p: valve.land_overlap + p["overlap"]},
+    "coil_resistance_drift": {"coil_resistance": lambda valve, p: valve.coil_resistance * (1.0 + p["share"])},
+    **{name: {name: lambda valve, p, name=name: getattr(valve, name) * (1.0 + p["offset"])} for name in PARAMETERS},
 }
-"""Hidden thing -> the base parameter that can take its place, and the value at which it does."""
+"""Hidden thing -> the base parameters that can take its place, and the values at which they do."""
 
 
 # ---------------------------------------------------------------- the cases
@@ -130,7 +142,7 @@ class Spec:
         return f"{self.kind} {self.name or '-'} {self.seed} {self.target:g}"
 
 
-def cases(offset: int = 0) -> list[Spec]:
+def cases(offset: int = TABLE_SEEDS) -> list[Spec]:
     """All cases, kinds interleaved, so that the first hundred are a small suite of their own."""
 
     def each(names: Sequence[str], repeats: int, targets: Sequence[float]) -> list[tuple[str, float]]:
@@ -236,8 +248,9 @@ class Ruler:
             shown = {c: rest.readings[c] + records[k][c] - self.quiet[k][c] for c in bench.record.outputs}
             benches.append(replace(bench, record=replace(bench.record, values={**bench.record.values, **shown})))
         study = replace(self.study, benches=tuple(benches))
-        fit = fit_from(study, evaluate(study, np.zeros(self.J.shape[1]), ())).fit
-        return float(np.sqrt(float(fit.residual @ fit.residual + fit.point @ fit.point)))
+        starts = [np.zeros(self.J.shape[1]), *([twin] if np.any(twin := self._twin(case)) else [])]
+        fits = [fit_from(study, evaluate(study, point, ())).fit for point in starts]
+        return float(np.sqrt(min(float(fit.residual @ fit.residual + fit.point @ fit.point) for fit in fits)))
 
     def _moved(self, views: Sequence[View]) -> np.ndarray:
         """Whitened readings (rows,) of other views less those at rest."""
@@ -251,10 +264,10 @@ class Ruler:
         names = [parameter.name for parameter in self.study.base.parameters]
         point = np.zeros(len(names))
         for name, figures in case.hidden:
-            if name in TWINS and TWINS[name][0] in names:
-                k = names.index(TWINS[name][0])
-                own = self.study.base.parameters[k]
-                point[k] = (TWINS[name][1](own.nominal, dict(figures)) - own.nominal) / own.deviation
+            for twin, value in TWINS.get(name, {}).items():
+                if twin in names:
+                    own = self.study.base.parameters[k := names.index(twin)]
+                    point[k] = (value(self.study.base.variant.valve, dict(figures)) - own.nominal) / own.deviation
         return point
 
     @staticmethod
@@ -715,7 +728,7 @@ def main() -> None:
     parser.add_argument("what", choices=("run", "report"))
     parser.add_argument("--cases", type=int, help="only the first so many of the list")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, help="only these")
-    parser.add_argument("--seed-offset", type=int, default=0, help="10000 while the diagnosis is worked on")
+    parser.add_argument("--seed-offset", type=int, default=TABLE_SEEDS, help="10000 while the diagnosis is worked on")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--baselines", action=argparse.BooleanOptionalAction, default=True)

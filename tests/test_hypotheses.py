@@ -325,7 +325,7 @@ def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_r
             "thermal_lag", "sensor_temperature_drift@load_flow")  # fmt: skip
     some = [candidate(candidates, key) for key in keys]
     changed = [c.add_to(nominal(), 0.01 * c.typical) for c in some]
-    own = Base(base.variant, tuple(p for p in base.parameters if p.name == "spool_area"))
+    own = Base(base.variant, tuple(p for p in base.parameters if p.name in ("spool_area", "null_opening")))
     known = parameter_columns(seen, own, neighbours(own, nominal()))
     columns = candidate_columns(seen, some, changed, own, known)
     for k, (c, variant) in enumerate(zip(some, changed, strict=True)):
@@ -334,6 +334,23 @@ def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_r
         assert shown, c.key
         for channel in shown:
             assert rms(columns[channel][:, k] - truth[channel]) < 0.05 * rms(truth[channel]), (c.key, channel)
+
+
+def test_an_effect_that_is_a_figure_off_shows_what_that_figure_shows(base, candidates):
+    """However stiff the base holds the figure: what it has taken up is what the effect explains."""
+    known = {"spool_lap": 2e6, "spool_edge_wear": 1.0 / 4.5e-7, "magnet_demagnetization": -100.0}  # by their laws
+    for name, rate in known.items():
+        lap = candidate(candidates, name)
+        assert lap.twin.name == lap.effect.figure and lap.rate == pytest.approx(rate, rel=1e-6)
+        twin, share = lap.share(lap.add_to(nominal(), 0.3 * lap.typical), nominal())
+        assert twin is lap.twin and share == pytest.approx(0.3 * lap.typical * rate, rel=1e-6)
+    delay = candidate(candidates, "sensor_delay@load_flow")
+    assert delay.twin.name == "sensor_delay@load_flow" and delay.rate == pytest.approx(1.0 / delay.twin.deviation)
+    within = base.at(np.array([2.0 * (p is delay.twin) for p in base.parameters]))  # its small error is not the fault
+    assert delay.share(delay.add_to(within, 1e-4), within)[1] == pytest.approx(1e-4 * delay.rate)
+    for other in ("fixed_orifice_clogging[side=1]", "coil_turns_loss", "spool_coulomb_friction"):  # no one figure
+        assert candidate(candidates, other).twin is None
+        assert candidate(candidates, other).share(nominal(), nominal()) is None
 
 
 def test_answers_to_the_shape_of_a_memory_hold_in_a_record_that_starts_in_motion(base):

@@ -150,7 +150,8 @@ def _alarm(scene: Scene) -> tuple[bool, float]:
     """Whether anything shows, and the level that the candidates' z had to pass."""
     level = scene.level(ALARM)
     shows = scene.z().max(initial=0.0) > level or _worst_family(scene) < TERM_ALARM
-    return bool(shows or _leftover(scene.fit, scene.study)), level
+    stretched = np.abs(scene.fit.point).max(initial=0.0) > level  # such as a clock that is early, which has no name
+    return bool(shows or stretched or _leftover(scene.fit, scene.study)), level
 
 
 def _leftover(fit: Fit, study: Study) -> bool:

@@ -18,7 +18,7 @@ from .catalogue import CATALOGUE
 from .channels import STATE_CHANNELS, Signals, State
 from .effects import ActiveEffect, Effect
 from .errors import InputError
-from .model import Model
+from .model import AT_20, Model
 from .parameters import Coefficients, Valve
 from .prediction import Bench, Course, Variant
 from .sensitivity import Linearised, linearise, relax
@@ -120,12 +120,18 @@ def _span(session: Session, channel: str) -> float:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One thing that may be wrong. `fixed` are the shape parameters at which it is looked for."""
+    """One thing that may be wrong. `fixed` are the shape parameters at which it is looked for.
+
+    `twin` is the base parameter that an effect moves, all but alone, by `rate` prior deviations a unit of its excess:
+    the base fit stretches it where the effect is there.
+    """
 
     name: str
     effect: Effect | None = None
     fixed: tuple[tuple[str, float], ...] = ()
     parameter: BaseParameter | None = None
+    twin: BaseParameter | None = None
+    rate: float = 0.0
 
     @property
     def key(self) -> str:
@@ -212,6 +218,25 @@ class Candidate:
         value: Any = float(np.clip(getattr(variant.valve, p.name) + excess, *p.bounds))
         return replace(variant, valve=replace(variant.valve, **{p.name: value}))
 
+    def share(self, variant: Variant, other: Variant) -> tuple[BaseParameter, float] | None:
+        """The base parameter that tells a variant from another, but for this candidate alike, and by how many prior
+        deviations; None where no single one does."""
+        if self.parameter is not None:
+            p = self.parameter
+            return p, (getattr(variant.valve, p.name) - getattr(other.valve, p.name)) / p.deviation
+        if self.twin is None:
+            return None
+        return self.twin, self.rate * (self._amplitude_in(variant) - self._amplitude_in(other))
+
+    def _amplitude_in(self, variant: Variant) -> float:
+        assert self.effect is not None  # noqa: S101 - only effects have twins
+        amplitude = self.effect.amplitude
+        for active in variant.effects:
+            own = (active.effect.name, active.effect.channel) == (self.effect.name, self.effect.channel)
+            if own and not isinstance(active.effect, SmallError):
+                return float(getattr(active.values, amplitude.name))
+        return float(amplitude.neutral or 0.0)
+
     def shapes(self) -> tuple[Any, ...]:
         """The shape parameters that can be fitted."""
         if self.effect is None:
@@ -234,8 +259,36 @@ def candidates_of(session: Session, base: Base) -> tuple[Candidate, ...]:
         for name, values in shapes.items():
             combinations = [(*one, (name, value)) for one in combinations for value in values]
         found += [Candidate(effect.name, effect, fixed) for fixed in combinations]
+    found = [_with_twin(candidate, base) for candidate in found]
     found += [Candidate(f"parameter:{p.name}", parameter=p) for p in base.parameters if p.sensor is None]
     return tuple(found)
+
+
+def _with_twin(candidate: Candidate, base: Base) -> Candidate:
+    """The candidate with the base parameter that does the same: a sensor's small error, or the figure of an effect."""
+    effect = candidate.effect
+    assert effect is not None  # noqa: S101 - the caller has chosen effects
+    name = f"{effect.name}@{effect.channel}" if effect.channel else effect.figure
+    twin = next((p for p in base.parameters if p.name == name), None)
+    rate = 0.0 if twin is None else 1.0 / twin.deviation if effect.channel else _rate(candidate, twin, base)
+    return replace(candidate, twin=twin, rate=rate) if rate else candidate
+
+
+def _rate(candidate: Candidate, twin: BaseParameter, base: Base) -> float:
+    """By how many prior deviations of its figure a unit of an effect moves the valve; 0 where it moves it otherwise."""
+    effect, valve, small = candidate.effect, base.variant.valve, 1e-4
+    assert effect is not None and effect.coefficients is not None  # noqa: S101 - effects with a figure have them
+    excess = small * candidate.typical
+    before = np.array(valve.at(AT_20), dtype=float)
+    by_effect = np.array(effect.coefficients(valve.at(AT_20), candidate.active(excess).values, AT_20)) - before
+    figure: dict[str, Any] = {twin.name: twin.nominal + small * twin.deviation}
+    by_figure = np.array(replace(valve, **figure).at(AT_20), dtype=float) - before
+    acts = by_figure != 0.0
+    if not acts.any():
+        return 0.0
+    ratio = float(np.median(by_effect[acts] / by_figure[acts]))
+    alike = np.abs(by_effect - ratio * by_figure) <= 0.01 * np.abs(ratio * by_figure)
+    return ratio * small / excess if alike.all() else 0.0
 
 
 def _paced(effect: Effect, session: Session) -> Effect:
@@ -475,16 +528,17 @@ def candidate_columns(
 ) -> dict[str, np.ndarray]:
     """Answers (n_samples, q) to each candidate, whose variant at its size is `changed`.
 
-    A parameter beyond its tolerance shows what it shows within it: its share of the `known` `parameter_columns`.
+    What a base parameter does within its tolerance it does beyond it, and so does an effect that is the same thing:
+    their answers are a share of the `known` ones, see `parameter_columns`.
     """
     out = {name: np.zeros((len(seen.bench.record.time), len(candidates))) for name in seen.readings}
-    quick = []
+    quick, places = [], {p.name: j for j, p in enumerate(base.parameters)}
     for k, (candidate, variant) in enumerate(zip(candidates, changed, strict=True)):
-        effect, p = candidate.effect, candidate.parameter
-        if p is not None:
-            share = (getattr(variant.valve, p.name) - getattr(seen.variant.valve, p.name)) / p.deviation
+        effect = candidate.effect
+        if (shared := candidate.share(variant, seen.variant)) is not None:
+            p, share = shared
             for name in out:
-                out[name][:, k] = share * known[name][:, base.parameters.index(p)]
+                out[name][:, k] = share * known[name][:, places[p.name]]
         elif effect is None or effect.reading is None:
             quick.append(k)
         elif effect.channel in out:

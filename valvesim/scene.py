@@ -15,6 +15,7 @@ from .terms import LAG, PATH, Family, families, hats, term_effect
 
 KNOTS = 6  # of each family's function while it is looked for
 REACH = 10.0  # a candidate must show at this multiple of its typical amplitude, or the session is blind to it
+TWIN = 0.9  # of what a figure shows an effect must show to be counted in its place
 NOISE_ERROR = 0.06  # relative error of a noise's variance that a pair of short repeats may make
 DIRECT = ("load_flow", "internal_leakage")
 
@@ -51,14 +52,18 @@ class Scene:
     def z(self) -> np.ndarray:
         """(q,) of the candidates: below zero, or of the wrong sign, means no evidence; zero where blind.
 
-        What goes by two names, an effect's and that of the figure which it changes, counts as the effect.
+        What goes by two names, an effect's and that of the figure which it changes, counts as the effect, where that
+        shows as much.
         """
         q = len(self.candidates)
         z = self.projected.z[:q] / np.sqrt(self.dispersion)
         one_sided = np.array([c.one_sided for c in self.candidates])
         z = np.where(self.visible(), np.where(one_sided, np.maximum(z, 0.0), np.abs(z)), 0.0)
-        effects = [c for c, size in zip(self.candidates, z, strict=True) if c.effect is not None and size > 0.0]
-        twice = [c.parameter is not None and any(map(c.is_same_as, effects)) for c in self.candidates]
+        effects = [(c, size) for c, size in zip(self.candidates, z, strict=True) if c.effect is not None]
+        twice = [
+            c.parameter is not None and any(c.is_same_as(e) and z_e > TWIN * own for e, z_e in effects)
+            for c, own in zip(self.candidates, z, strict=True)
+        ]
         return np.where(twice, 0.0, z)
 
     def level(self, probability: float) -> float:
