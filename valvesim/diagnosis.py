@@ -452,6 +452,8 @@ def _hopeless(base: BaseFit, fit: Fit) -> bool:
 
 def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
     """Amplitudes and shapes of the fit's extras with 95 % intervals, from the curvature at the fit."""
+    from scipy.stats import t as student_t
+
     fit, gram = final.fit, final.gram
     p, total = gram.parameters, gram.total
     own = [1 + p + k for k in final.own]
@@ -465,10 +467,11 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
     # parts of records that disagree widen the interval: no model is the plant (a sandwich over the parts)
     pushes = C @ np.array([part[at, 0] for part in gram.products]).T
     parts = len(gram.products)
+    few = float(student_t.ppf(0.975, max(parts - 1, 1)))
 
-    def deviation_of(combine: np.ndarray) -> float:
+    def half_width(combine: np.ndarray) -> float:
         among = float(np.sum((combine @ pushes) ** 2)) * parts / max(parts - 1, 1)
-        return float(np.sqrt(max(combine @ C @ combine, among)))
+        return float(max(1.96 * np.sqrt(combine @ C @ combine), few * np.sqrt(among)))
 
     names = [parameter.name for parameter in base.study.base.parameters]
     found = []
@@ -480,8 +483,8 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
             combine = np.zeros(len(at))
             combine[j], combine[p + k] = parameter.deviation, own_step(extra)
             value = parameter.nominal + fit.point[j] * parameter.deviation + extra.excess
-            deviation = deviation_of(combine)
-            low, high = value - 1.96 * deviation, value + 1.96 * deviation
+            half = half_width(combine)
+            low, high = value - half, value + half
             found.append(
                 Estimate(
                     name=parameter.name, cause=candidate.name, value=value, low=low, high=high, unit=parameter.unit
@@ -492,8 +495,8 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
         if shape:
             declared = next(q for q in effect.parameters if q.name == shape)
             value = dict(extra.shapes)[shape]
-            spread = np.log(SHAPE_STEP) * deviation_of(np.eye(len(at))[p + k])
-            low, high = value * np.exp(-1.96 * spread), value * np.exp(1.96 * spread)
+            half = np.log(SHAPE_STEP) * half_width(np.eye(len(at))[p + k])
+            low, high = value * np.exp(-half), value * np.exp(half)
         else:
             declared = effect.amplitude
             value = (declared.neutral or 0.0) + extra.excess
@@ -502,8 +505,8 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
                 j = names.index(candidate.family)
                 combine[j] = base.study.base.parameters[j].deviation
                 value += fit.point[j] * combine[j]
-            spread = deviation_of(combine)
-            low, high = value - 1.96 * spread, value + 1.96 * spread
+            half = half_width(combine)
+            low, high = value - half, value + half
         low, high = max(low, declared.bounds[0]), min(high, declared.bounds[1])
         found.append(
             Estimate(name=declared.name, cause=candidate.family, value=float(value), low=float(low), high=float(high),
