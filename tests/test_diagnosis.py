@@ -35,6 +35,15 @@ def test_a_biased_sensor_is_named_with_its_bias(tmp_path):
     assert max(found.errors["record_2"], key=found.errors["record_2"].get) == "load_flow"  # where it goes wrong
 
 
+def test_an_effect_that_a_base_parameter_can_stand_for_is_found_in_what_that_has_taken_up(tmp_path):
+    found, hidden = diagnosed(tmp_path, 22, "effect", "spool_lap", strength=1.47)
+    assert found.verdict == CAUSE and found.causes == ("spool_lap",)
+    (overlap,) = [e for e in found.parameters if e.name == "overlap"]
+    assert overlap.low < hidden["parameters"]["spool_lap"]["overlap"] < overlap.high
+    (shift,) = [s for s in found.shifts if s.name == "land_overlap"]
+    assert abs(shift.share_of_tolerance) < 1.0  # back within its tolerance
+
+
 def test_a_figure_beyond_its_tolerance_is_in_the_answer_with_what_cannot_be_told_from_it(tmp_path):
     found, hidden = diagnosed(tmp_path, 10, "parameter", "feedback_rod_stiffness")
     assert found.verdict in (CAUSE, AMBIGUOUS)
