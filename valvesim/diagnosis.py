@@ -136,7 +136,7 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
             tell(STAGES[4], 0.75)
             final = look(base, found[0].fit)
             found, final = _with_more(base, final, found)
-            if base.study.weights:
+            if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
                 base, found, final = _with_peaks(base, found, final)
             quiet = _quiet(base, final)
     tell(STAGES[5], 0.9)
@@ -293,7 +293,7 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
 
 
 def _with_peaks(base: BaseFit, found: list[Explained], final: Scene) -> tuple[BaseFit, list[Explained], Scene]:
-    """The answer set refitted with all samples in full, where its best can follow the peaks that the base could not.
+    """The answer set refitted with all samples in full, where its best can follow the peaks that a base far off cannot.
 
     What tells a second cause from none may be in them.
     """
