@@ -13,8 +13,9 @@ from valvesim.effects import Effect, Parameter, Ports
 from valvesim.errors import InputError
 from valvesim.hypotheses import (
     FAR,
-    FAST,
+    LEAST,
     NEAR,
+    RUN,
     SENSOR_BIAS,
     SENSOR_DELAY,
     SENSOR_GAIN,
@@ -131,12 +132,13 @@ def test_a_point_moves_each_parameter_by_its_deviations(base):
     assert sensor.effect.channel == "load_flow" and sensor.numbers[0] == pytest.approx(-SENSOR_GAIN / 2.0)
 
 
-def test_a_point_stays_within_the_bounds(base):
+def test_a_point_stays_within_the_bounds_and_off_zero_what_is_positive(base):
     alone = ("null_gap", "flux_share", "spool_damping", "sensor_gain@load_flow", "sensor_delay@load_flow")
     for far, side in ((-1e9, 0), (1e9, 1)):
         variant = base.at(np.array([far if p.name in alone else 0.0 for p in base.parameters]))
         for name in alone[:3]:
-            assert getattr(variant.valve, name) == by_name(base)[name].bounds[side]
+            p = by_name(base)[name]
+            assert getattr(variant.valve, name) == (p.bounds[1] if side else LEAST * p.nominal) != 0.0
         assert [active.numbers[0] for active in variant.effects] == [by_name(base)[n].bounds[side] for n in alone[3:]]
 
 
@@ -267,14 +269,14 @@ def test_neighbours_are_a_little_off_in_one_parameter(base):
     plant = [p for p in base.parameters if p.sensor is None]
     assert len(beside) == len(plant)
     for p, variant in zip(plant, beside, strict=True):
-        step = FAR if p.name in FAST else NEAR
+        step = FAR if p.name in RUN else NEAR
         assert getattr(variant.valve, p.name) == pytest.approx(p.nominal + step * p.deviation)
         assert replace(variant.valve, **{p.name: p.nominal}) == nominal().valve
 
 
 def test_columns_of_base_parameters_are_differences_of_true_runs(base, seen):
     """To first order, so at a tenth of their deviations; those that act within a step of the grid are run."""
-    names = ("nozzle_arm", "null_gap_difference", "port_flow_coefficient", "chamber_volume", *FAST)
+    names = ("nozzle_arm", "null_gap_difference", "port_flow_coefficient", "chamber_volume", *RUN)
     some = Base(base.variant, tuple(p for p in base.parameters if p.name in names))
     assert len(some.parameters) == len(names)
     columns = parameter_columns(seen, some, neighbours(some, nominal()))

@@ -28,8 +28,10 @@ from .units import quantities
 SENSOR_BIAS, SENSOR_GAIN = 2e-3, 4e-3  # tolerances that every sensor has: shares of its channel's span, and of gain,
 SENSOR_DELAY = 1e-4  # and s of its electronics and the logger's clock
 NEAR = 0.01  # prior deviations by which a parameter is moved: where many trade off, answers must hold to a thousandth
-FAST = ("armature_inertia",)  # it acts within a step of the grid: it is run, moved by more
+FAST = ("armature_inertia", "armature_damping")  # they act within a rough grid's step: on the way they are held
+RUN = ("armature_inertia",)  # it acts within a fine grid's step too: it is run, moved by more
 FAR = 0.3
+LEAST = 0.01  # of its nominal value a quantity that cannot be negative keeps: the equations divide by some
 LARGEST = 1.5e8  # bytes of forcings that are solved for at once
 AT_ONCE = 65_536  # values of one quantity along a course for a batch of valves: they stay in the cache
 SIGNAL_NAMES = Signals._fields
@@ -62,11 +64,13 @@ class Base:
     parameters: tuple[BaseParameter, ...]
 
     def at(self, point: np.ndarray) -> Variant:
-        """The variant at a point, held within the bounds of each quantity."""
+        """The variant at a point, held within the bounds of each quantity, and off zero where it is positive."""
         figures: dict[str, Any] = {}
         sensors = []
         for parameter, where in zip(self.parameters, point, strict=True):
-            value = float(np.clip(parameter.nominal + where * parameter.deviation, *parameter.bounds))
+            low, high = parameter.bounds
+            low = max(low, LEAST * parameter.nominal) if low >= 0.0 else low
+            value = float(np.clip(parameter.nominal + where * parameter.deviation, low, high))
             if parameter.sensor is None:
                 figures[parameter.name] = value
             elif where != 0.0:
@@ -483,24 +487,29 @@ def neighbours(base: Base, variant: Variant) -> list[Variant]:
 
 def _step(parameter: BaseParameter) -> float:
     """By how many prior standard deviations a parameter is moved to see what it shows."""
-    return FAR if parameter.name in FAST else NEAR
+    return FAR if parameter.name in RUN else NEAR
 
 
 def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -> dict[str, np.ndarray]:
-    """Answers (n_samples, p) to one prior standard deviation of each base parameter, see `neighbours`."""
+    """Answers (n_samples, p) to one prior standard deviation of each base parameter, see `neighbours`.
+
+    None where the bench is rough and the parameter fast: a fit that followed such answers ends in a wrong resonance.
+    """
     plant = [p for p in base.parameters if p.sensor is None]
-    slow = [k for k, p in enumerate(plant) if p.name not in FAST]
+    held = FAST if seen.bench.rough else ()
+    slow = [k for k, p in enumerate(plant) if p.name not in (*RUN, *held)]
     moved = seen.by_answer([neighbouring[k] for k in slow])
-    run = {p.name: seen.by_run(variant) for p, variant in zip(plant, neighbouring, strict=True) if p.name in FAST}
+    pairs = zip(plant, neighbouring, strict=True)
+    run = {p.name: seen.by_run(variant) for p, variant in pairs if p.name in RUN and p.name not in held}
     out = {}
     for name, read in seen.readings.items():
         answered = dict(zip((plant[k].name for k in slow), moved[name].T, strict=True))
         columns = []
         for p in base.parameters:
-            if p.sensor is None:
-                columns.append((run[p.name][name] if p.name in run else answered[p.name]) / _step(p))
-            elif p.sensor.channel != name:
+            if p.name in held or (p.sensor is not None and p.sensor.channel != name):
                 columns.append(np.zeros_like(read))
+            elif p.sensor is None:
+                columns.append((run[p.name][name] if p.name in run else answered[p.name]) / _step(p))
             else:
                 columns.append(_sensor_slope(seen, p, name) * p.deviation)
         out[name] = np.column_stack(columns)

@@ -65,7 +65,10 @@ class Course:
 
 @dataclass(frozen=True)
 class Bench:
-    """One record, prepared: `times` (n,) is the grid, every `refinement`-th of its points a sample of the record."""
+    """One record, prepared: `times` (n,) is the grid, every `refinement`-th of its points a sample of the record.
+
+    `rough` where that grid is meant for the way to a fit alone, see `coarse`.
+    """
 
     record: Record
     scenario: Scenario
@@ -81,6 +84,7 @@ class Bench:
     starts: np.ndarray
     rows: np.ndarray
     inputs: np.ndarray  # (n, inputs): command, its rate, pressures
+    rough: bool = False
 
     def coarse(self) -> Bench:
         """The same bench with its grid at the samples alone: it reads the same, and is seen in less time."""
@@ -91,6 +95,7 @@ class Bench:
             inputs=_inputs(self.scenario, times),
             refinement=1,
             finer=self.refinement * self.finer,
+            rough=True,
         )
 
     def model(self, effects: Sequence[ActiveEffect]) -> Model:
