@@ -99,13 +99,13 @@ TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equati
 NEXT_TEST_EVERY = 4  # seeds: the test is made on the plant and the longer session diagnosed
 BASELINE_EVERY = 8  # cases: the baselines refit a dozen candidates
 
-def _one_side(diameter: str, share: Callable[[dict[str, Any]], float]) -> dict[str, Callable[[Any, Any], float]]:
+def _one_side(
+    diameter: str, difference: str, share: Callable[[dict[str, Any]], float]
+) -> dict[str, Callable[[Any, dict[str, Any]], float]]:
     """The mean of both diameters and their difference where that on one side is larger by a share."""
     return {
         diameter: lambda valve, p: getattr(valve, diameter) * (1.0 + share(p) / 2.0),
-        f"{diameter.removesuffix('_diameter') if 'orifice' in diameter else diameter}_difference": lambda valve, p: (
-            getattr(valve, diameter) * share(p) * (1.0 if p["side"] == 1.0 else -1.0)
-        ),
+        difference: lambda valve, p: getattr(valve, diameter) * share(p) * (1.0 if p["side"] == 1.0 else -1.0),
     }
 
 
@@ -113,8 +113,12 @@ TWINS: dict[str, dict[str, Callable[[Any, dict[str, Any]], float]]] = {
     "magnet_demagnetization": {"polarization_mmf": lambda valve, p: valve.polarization_mmf * (1.0 - p["loss"])},
     "coil_turns_loss": {"coil_turns": lambda valve, p: valve.coil_turns * (1.0 - p["loss"])},
     "flexure_stiffness_loss": {"spring_tube_stiffness": lambda valve, p: valve.spring_tube_stiffness * (1 - p["loss"])},
-    "fixed_orifice_clogging": _one_side("fixed_orifice_diameter", lambda p: np.sqrt(1.0 - p["clogged_share"]) - 1.0),
-    "nozzle_erosion": _one_side("nozzle_diameter", lambda p: np.sqrt(1.0 + p["share"]) - 1.0),
+    "fixed_orifice_clogging": _one_side(
+        "fixed_orifice_diameter", "fixed_orifice_difference", lambda p: np.sqrt(1.0 - p["clogged_share"]) - 1.0
+    ),
+    "nozzle_erosion": _one_side(
+        "nozzle_diameter", "nozzle_diameter_difference", lambda p: np.sqrt(1.0 + p["share"]) - 1.0
+    ),
     "null_gap_asymmetry": {"null_gap_difference": lambda valve, p: valve.null_gap_difference + p["difference"]},
     "spool_edge_wear": {"null_opening": lambda valve, p: valve.null_opening + p["rounding"]},
     "spool_lap": {"land_overlap": lambda valve, p: valve.land_overlap + p["overlap"]},

@@ -37,7 +37,7 @@ from valvesim.noise import Noise
 from valvesim.parameters import PartTemperatures, Valve
 from valvesim.prediction import prepare
 from valvesim.static import solve_rest
-from valvesim.study import BaseFit, Extra, evaluate, prepare_study, refit, see
+from valvesim.study import Extra, evaluate, prepare_study, refit, seen_at
 
 OIL_TEMPERATURE = 20.0  # °C: the records state none
 SUPPLY, FLOW_SUPPLY = 205.5e5, 70e5  # Pa: 2980 psi; the flow curve's flow at full current is that of 70 bar drop
@@ -300,8 +300,7 @@ def pair_lines(folder: Path) -> list[str]:
     white = Noise(LEAKAGE_MISFIT, (), False, "what the land law can be trusted to")
     study = replace(study, noise={(name, b.record.pace): white for b in study.benches for name in b.record.outputs})
     nominal = np.zeros(len(study.base.parameters))
-    views, columns = see(study, study.base.at(nominal))
-    base = BaseFit(study, evaluate(study, nominal, ()), tuple(views), tuple(columns), study.stack(columns))
+    base = seen_at(study, evaluate(study, nominal, ()))
     pair = [candidate for candidate in study.candidates if candidate.family in PAIR]
     start = [Extra(one, one.typical, tuple((p.name, p.default) for p in one.shapes())) for one in pair]
     fit = refit(base, start)

@@ -297,7 +297,7 @@ def _with_peaks(base: BaseFit, found: list[Explained], final: Scene) -> tuple[Ba
 
     What tells a second cause from none may be in them.
     """
-    full, (_, near) = in_full(base), _answer_set(base, found, quiet=True)
+    full, near = in_full(base), _rivals(base, found)
     again = _settled([each for one in near for each in _refitted(full, [one.fit.extras], one.fit.point)])
     if not again or again[0].fit.deviance > ASTRAY * again[0].fit.rows:
         return base, found, final
@@ -329,7 +329,8 @@ def _answer(
     study, session = base.study, base.study.session
     best = found[0] if found else None
     chosen = best.fit if best is not None else base.fit
-    answers, in_set = _answer_set(base, found, quiet)
+    in_set = _rivals(base, found) if quiet else []  # where even the best leaves something over, none of them is
+    answers = _candidate_answers(base, found, in_set, quiet)
     verdict = _verdict(alarm, quiet, found, in_set)
     hopeless = _hopeless(base, chosen)
     term: Term | None = None
@@ -387,17 +388,16 @@ def _answer(
 UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *SIGNAL_CHANNELS)}
 
 
-def _answer_set(
-    base: BaseFit, found: Sequence[Explained], quiet: bool
-) -> tuple[list[CandidateAnswer], list[Explained]]:
-    """All hypotheses with their probabilities, and those that explain the data nearly as well as the best does.
+def _width(base: BaseFit, best: Explained) -> float:
+    """The difference of evidence up to which another explains the data nearly as well as the best does."""
+    return max(ANSWER_RATIO, ANSWER_SHARE * (base.fit.deviance - best.fit.deviance))
 
-    Where even the best leaves something over, none of them does.
-    """
+
+def _rivals(base: BaseFit, found: Sequence[Explained]) -> list[Explained]:
+    """The best, and those that explain the data nearly as well."""
     if not found:
-        return [], []
-    gained = max(base.fit.deviance - found[0].fit.deviance, 0.0)
-    width = max(ANSWER_RATIO, ANSWER_SHARE * gained)
+        return []
+    width = _width(base, found[0])
     most = len(found[0].candidates)  # how wide a prior is does not tell two apart that fit alike
     near = [
         one
@@ -406,7 +406,16 @@ def _answer_set(
         or (len(one.candidates) <= most and one.least - found[0].least < width)
     ]
     # what a better one says already, and something more besides, is no rival of it
-    in_set = [one for k, one in enumerate(near) if quiet and not any(better.is_within(one) for better in near[:k])]
+    return [one for k, one in enumerate(near) if not any(better.is_within(one) for better in near[:k])]
+
+
+def _candidate_answers(
+    base: BaseFit, found: Sequence[Explained], in_set: Sequence[Explained], quiet: bool
+) -> list[CandidateAnswer]:
+    """All hypotheses with their probabilities, likeliest first, and what is in no catalogue beside them."""
+    if not found:
+        return []
+    gained, width = max(base.fit.deviance - found[0].fit.deviance, 0.0), _width(base, found[0])
     unknown = found[0].evidence + UNKNOWN_PRICE + 0.25 * gained if quiet else found[0].evidence - 2.0 * width
     heat = width / ANSWER_RATIO  # no model is the plant: evidence counts by so much less
     values = np.array([*(one.evidence for one in found), unknown])
@@ -426,7 +435,7 @@ def _answer_set(
     nothing = CandidateAnswer(names=("unknown",), label="none of the known causes", location="", deviance_fall=0.0,
                               probability=float(weights[-1]), in_set=not quiet)  # fmt: skip
     ranked = sorted([*answers, nothing], key=lambda a: -a.probability)
-    return [a for a in ranked if a.in_set or a.probability > 1e-3], in_set
+    return [a for a in ranked if a.in_set or a.probability > 1e-3]
 
 
 def _verdict(alarm: bool, quiet: bool, found: Sequence[Explained], in_set: Sequence[Explained]) -> str:
@@ -467,10 +476,11 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
     # parts of records that disagree widen the interval: no model is the plant (a sandwich over the parts)
     pushes = C @ np.array([part[at, 0] for part in gram.products]).T
     parts = len(gram.products)
-    few = float(student_t.ppf(0.975, max(parts - 1, 1)))
+    others = max(parts - 1, 1)
+    few = float(student_t.ppf(0.975, others))
 
     def half_width(combine: np.ndarray) -> float:
-        among = float(np.sum((combine @ pushes) ** 2)) * parts / max(parts - 1, 1)
+        among = float(np.sum((combine @ pushes) ** 2)) * parts / others
         return float(max(1.96 * np.sqrt(combine @ C @ combine), few * np.sqrt(among)))
 
     names = [parameter.name for parameter in base.study.base.parameters]

@@ -22,9 +22,8 @@ from .errors import InputError, SolveError
 from .hypotheses import measured, neighbours, parameter_columns, view
 from .noise import Noise
 from .prediction import Bench, Variant, prepare
-from .scene import own_steps
 from .session import Record, Session
-from .study import SHAPE_DEVIATION, SHAPE_STEP, BaseFit, Fit, Study, each, predict
+from .study import SHAPE_DEVIATION, SHAPE_STEP, BaseFit, Fit, Study, each, own_steps, predict
 
 RATE = 1000.0  # Hz
 ENOUGH, LEAST = 0.95, 0.3  # power that a test should have, and below which none is offered

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from .evidence import Gram, Projected, alarm_level, block_statistic, project
-from .hypotheses import Candidate, View, candidate_columns
+from .hypotheses import Candidate, View
 from .sensitivity import relax
-from .study import BaseFit, Fit, Study, each, gram_of, own_steps, see
+from .study import BaseFit, Fit, Study, each, gram_of, own_columns, see, shown
 from .terms import LAG, PATH, Family, families, hats, term_effect
 
 KNOTS = 6  # of each family's function while it is looked for
@@ -110,17 +110,14 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     )
     sizes = np.array([_size(c) for c in candidates])
     changed = [c.add_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
-    S = each(lambda seen, known: candidate_columns(seen, candidates, changed, study.base, known), views, J)
+    S = shown(study, views, J, candidates, changed)
     searched = families() if with_families else ()
     spans = _spans(views, searched)
     T = each(lambda seen: family_columns(seen, searched, spans), views)
-    steps = own_steps(fit)
-    moved = [other.variant(study.base) for _, other in steps]
-    extras = [candidate for candidate, _ in steps]
-    own = each(lambda seen, known: candidate_columns(seen, extras, moved, study.base, known), views, J)
+    own = own_columns(study, fit, views, J)
     gram = gram_of(study, views, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point, ())
     q, f = len(candidates), len(searched) * KNOTS
-    count = len(steps)
+    count = len(fit.kinds)
     blocks = tuple(tuple(range(q + k * KNOTS, q + (k + 1) * KNOTS)) for k in range(len(searched)))
     freed = tuple(range(q + f, q + f + count))
     projected = project(gram, 0, q + f + count).without(freed)

@@ -327,21 +327,26 @@ def _with_peaks(study: Study, base: BaseFit, tell: Callable[[float], None]) -> B
     """A coarse base that was fitted without peaks fitted with them too; without where the model cannot follow them."""
     study = replace(study, noise=base.study.noise)
     start = _weighed(study, base.fit.point, (), base.fit.readings)
-    full = _settle(_seen_at(study, start), SETTLED, tell)
+    full = _settle(seen_at(study, start), SETTLED, tell)
     left, left_between = full.fit.deviance - full.fit.rows, base.fit.deviance - base.fit.rows
     follows = left <= PEAKS_WORSE * max(left_between, 0.0) + 0.1 * full.fit.rows
     if follows and full.fit.deviance < ASTRAY * full.fit.rows:
         return full
-    return _settle(_seen_at(replace(study, weights=base.study.weights), base.fit), SETTLED, tell)
+    return _settle(seen_at(replace(study, weights=base.study.weights), base.fit), SETTLED, tell)
 
 
 def in_full(base: BaseFit) -> BaseFit:
     """The same base with all samples counting in full."""
-    study = replace(base.study, weights={})
+    return _under(replace(base.study, weights={}), base)
+
+
+def _under(study: Study, base: BaseFit) -> BaseFit:
+    """The same base under a study's noise and weights."""
     return _seen(study, _weighed(study, base.fit.point, (), base.fit.readings), base.views, base.columns)
 
 
-def _seen_at(study: Study, fit: Fit) -> BaseFit:
+def seen_at(study: Study, fit: Fit) -> BaseFit:
+    """A fit without extras as a base, seen from where it is."""
     return _seen(study, fit, *see(study, fit.variant(study.base)))
 
 
@@ -381,15 +386,12 @@ def _robust(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> Study:
 
 def _settle(base: BaseFit, enough: float, tell: Callable[[float], None]) -> BaseFit:
     """The base fitted under its study's noise, from where it is, until the deviance falls by no more than enough."""
-    study = base.study
-    fit = _weighed(study, base.fit.point, (), base.fit.readings)
-    base = replace(base, fit=fit, J=study.stack(base.columns))
     for look in range(BASE_LOOKS):
         tell(0.5 + 0.5 * look / BASE_LOOKS)
-        fit, _ = _descend(study, base.fit, base.J, enough)
+        fit, _ = _descend(base.study, base.fit, base.J, enough)
         if base.fit.deviance - fit.deviance < enough:
             break
-        base = _seen_at(study, fit)
+        base = seen_at(base.study, fit)
     return base
 
 
@@ -409,7 +411,7 @@ def _without_peaks(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
             for _ in noise.lags:  # a row holds samples before its own
                 row[1:] = np.minimum(row[1:], row[:-1])
             weights.append(row[noise.kept(record.usable[name])][:: study.stride])
-    return _settle(replace(base, study=study.weighed(weights)), NEARLY, tell)
+    return _settle(_under(study.weighed(weights), base), NEARLY, tell)
 
 
 def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
@@ -604,7 +606,7 @@ def _added_columns(base: BaseFit, fit: Fit) -> np.ndarray:
             candidates.append(extra.candidate)
             changed.append(extra.candidate.add_to(origin, size, **shapes))
             divide.append(0.0 if name else size)
-    columns = _candidates_stacked(study, base.views, base.columns, candidates, changed)
+    columns = study.stack(shown(study, base.views, base.columns, candidates, changed))
     out = np.empty_like(columns)
     own = 0
     for k, by in enumerate(divide):
@@ -627,21 +629,26 @@ def _answers(study: Study, fit: Fit, views: Sequence[View], columns: Sequence[di
     J = study.stack(columns)
     if not fit.extras:
         return J
-    steps = own_steps(fit)
-    moved = [other.variant(study.base) for _, other in steps]
-    own = _candidates_stacked(study, views, columns, [candidate for candidate, _ in steps], moved)
+    own = study.stack(own_columns(study, fit, views, columns))
     sizes = [np.log(SHAPE_STEP) if shape else own_step(extra) for extra, shape in fit.kinds]
     return np.column_stack([J, own / sizes])
 
 
-def _candidates_stacked(
+def shown(
     study: Study, views: Sequence[View], columns: Sequence[dict[str, np.ndarray]],
     candidates: Sequence[Candidate], changed: Sequence[Variant],
-) -> np.ndarray:  # fmt: skip
-    """Whitened `candidate_columns` of all views; `columns` are those of the base parameters."""
-    return study.stack(
-        each(lambda seen, own: candidate_columns(seen, candidates, changed, study.base, own), views, columns)
-    )
+) -> list[dict[str, np.ndarray]]:  # fmt: skip
+    """The `candidate_columns` of all views; `columns` are those of the base parameters."""
+    return each(lambda seen, known: candidate_columns(seen, candidates, changed, study.base, known), views, columns)
+
+
+def own_columns(
+    study: Study, fit: Fit, views: Sequence[View], columns: Sequence[dict[str, np.ndarray]]
+) -> list[dict[str, np.ndarray]]:
+    """What the `own_steps` of a fit show in views from it, each (n_samples, kinds) by channel."""
+    steps = own_steps(fit)
+    moved = [other.variant(study.base) for _, other in steps]
+    return shown(study, views, columns, [candidate for candidate, _ in steps], moved)
 
 
 def own_steps(fit: Fit) -> list[tuple[Candidate, Fit]]:
