@@ -617,6 +617,7 @@ def _of_diagnosis(case: Case, found: Diagnosis) -> dict[str, Any]:
         "parameters": [asdict(one) for one in found.parameters],
         "gain": [asdict(one) for one in found.gain],
         "gain_claimed": found.gain_claimed,
+        "extension_offered": found.extension_offered,
         "location": found.location,
         "summary": found.summary,
         "limits": {one.label: one.amplitude and float(f"{one.amplitude:.4g}") for one in found.detection_limits},
@@ -639,10 +640,11 @@ def _errors(tuned: Tuned, found: Diagnosis, caught: Caught, session: Session, ro
         left = [(read - truth[record][channel]) / sigma[channel] for record, channel, read in readings]
         return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
 
+    offered = found.extension_offered
     locked = [trace for trace in found.traces if trace.role == "test" and trace.channel in sigma]
     errors: dict[str, Any] = {
         "error_before": pooled((t.record, t.channel, t.base) for t in locked),
-        "error_after": pooled((t.record, t.channel, t.extended) for t in locked),
+        "error_after": pooled((t.record, t.channel, t.extended if offered else t.base) for t in locked),
     }
     base = caught.base
     extras = true_extras(tuned.case, base.study) if base is not None and tuned.case.hidden else None

@@ -45,6 +45,7 @@ def answer(**changed):
             Gain(record="c", before=5.0, after=1.1, floor=1.0, change=-24.0, low=-30.0, high=-20.0, claimed=True),
         ),
         gain_claimed=True,
+        extension_offered=True,
         detection_limits=(
             DetectionLimit(name="thermal_lag", label="lag", parameter="time_constant", amplitude=None, unit="s"),
         ),

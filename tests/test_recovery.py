@@ -102,7 +102,7 @@ def test_nothing_is_recovered_where_nothing_is_hidden():
 
 
 def test_nothing_is_recovered_from_a_scene_without_families(base):
-    assert recover(base, look(base, base.fit, with_families=False)) is None
+    assert recover(base, look(base, base.fit, searched=())) is None
 
 
 # ---------------------------------------------------------------- formulas
@@ -128,7 +128,7 @@ def problem(memory=NONE, **figures):
 def test_a_formula_is_found_by_its_shape(true, text):
     values = true(KNOTS)
     C = (0.01 * np.abs(values).max()) ** 2 * np.eye(len(KNOTS))
-    best = _formulas(problem(), values, C, 12.0)[0]
+    best = _formulas(problem(), values, np.linalg.inv(C), 12.0)[0]
     assert text in best.write(best.coefficients)
     assert best.F @ best.coefficients == pytest.approx(values, abs=0.05 * np.abs(values).max())
 
@@ -137,7 +137,7 @@ def test_what_the_base_could_make_up_is_not_held_against_a_formula():
     u = KNOTS / KNOTS[-1]
     values = 2.0 * u**2 + 0.5 * u  # the slope is uncertain by far more than itself
     C = 1e-4 * np.eye(len(u)) + np.outer(u, u)
-    best = _formulas(problem(), values, C, 12.0)[0]
+    best = _formulas(problem(), values, np.linalg.inv(C), 12.0)[0]
     assert best.write(best.coefficients).endswith("x^2")
 
 

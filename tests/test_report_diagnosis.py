@@ -73,7 +73,8 @@ def empty(**changes):
     """A diagnosis with nothing in it but a verdict."""
     bare = Diagnosis(
         title="Valve 17", verdict="no_discrepancy", causes=(), summary="The model agrees with the records.",
-        location="", candidates=(), parameters=(), gain=(), gain_claimed=False, detection_limits=(), next_test=None,
+        location="", candidates=(), parameters=(), gain=(), gain_claimed=False, extension_offered=False,
+        detection_limits=(), next_test=None,
         term=None, shifts=(), noise=(), scores=(), alarm_level=np.inf, errors={}, notes=(), traces=(),
         extended_scenario="",
     )  # fmt: skip
@@ -135,6 +136,7 @@ def cause(**changes):
                  claimed=False),
         ),
         gain_claimed=True,
+        extension_offered=True,
         scores=(
             Score(label="spool_coulomb_friction", z=20.3), Score(label="spool_stribeck_friction", z=18.9),
             Score(label="feedback_ball_backlash", z=12.2), Score(label="parameter:null_gap", z=-4.1),
@@ -159,6 +161,7 @@ def ambiguous(**changes):
     found = cause(
         verdict="ambiguous", causes=(), parameters=(PLAY,), location="feedback rod or magnetic circuit",
         gain_claimed=False,
+        extension_offered=True,
         summary="Backlash of the feedback ball or magnetic hysteresis: these records cannot tell them apart.",
         candidates=(
             candidate("feedback_ball_backlash", 0.58, 120.4, location="feedback rod",

@@ -125,7 +125,10 @@ class Score:
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """A recovered term: what is added at `port` as a function of `variable`, (k,) each, with its standard deviation."""
+    """A recovered term: what is added at `port` as a function of `variable`, (k,) each, with its standard deviation.
+
+    `alike`: other places and variables, in words, of which a term would explain nearly as much.
+    """
 
     port: str
     port_unit: str
@@ -137,6 +140,7 @@ class Term:
     deviation: tuple[float, ...]
     formula: str
     formula_error: float
+    alike: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +160,11 @@ class Trace:
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """What the measured data show of the model's errors. `summary` says it in words."""
+    """What the measured data show of the model's errors. `summary` says it in words.
+
+    `extended_scenario` holds the extension where `extension_offered`: where the locked records most likely got better
+    by it, or there are none; else it is the base model's, refitted.
+    """
 
     title: str
     verdict: str
@@ -167,6 +175,7 @@ class Diagnosis:
     parameters: tuple[Estimate, ...]
     gain: tuple[Gain, ...]
     gain_claimed: bool
+    extension_offered: bool
     detection_limits: tuple[DetectionLimit, ...]
     next_test: NextTest | None
     term: Term | None

@@ -68,6 +68,8 @@ WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be 
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
 UNKNOWN_PRICE = 6.0  # the same for a cause that nobody has listed
 HOPELESS = 0.35  # share of the signal that stays unexplained where the records are not of this valve
+LIKELY = 0.9  # chance that the locked records get better, below which no extended model is offered
+INTERVAL = (0.025, 0.975)
 STAGES = ("reading", "fitting the nominal model", "looking for causes", "refitting", "checking", "measuring the gain")
 
 
@@ -354,7 +356,12 @@ def _answer(
     causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
     estimates = _estimates(base, final) if named is not None else ()
     before = base.fit if variant is unextended else within_tolerance(base)
-    gain, claimed, traces = _gain(base, before, variant, readings)
+    gain, claimed, offered, traces = _gain(base, before, variant, readings)
+    if not offered and variant is not unextended:
+        variant = before.variant(study.base)
+        notes.append(
+            "the locked records do not show that the extension helps: the scenario is that of the refitted base model"
+        )
     return Diagnosis(
         title=session.title,
         verdict=verdict,
@@ -365,6 +372,7 @@ def _answer(
         parameters=estimates,
         gain=gain,
         gain_claimed=claimed,
+        extension_offered=offered and variant is not unextended,
         detection_limits=_limits(scene, level),
         next_test=_next(base, in_set) if verdict == AMBIGUOUS else None,
         term=term,
@@ -544,8 +552,15 @@ def _summary(verdict: str, in_set: Sequence[Explained], term: Term | None, notes
         return "Something is wrong that none of the known causes explains."
     return (
         "Something is wrong that none of the known causes explains; it acts like a term in the "
-        f"{term.port.replace('_', ' ')} that depends on the {term.variable.replace('_', ' ')}."
+        f"{term.port.replace('_', ' ')} that depends on the {term.variable.replace('_', ' ')}"
+        + (f", and nearly as well like {_some(term.alike)}." if term.alike else ".")
     )
+
+
+def _some(labels: Sequence[str], most: int = 2) -> str:
+    """A few labels in words, and how many more there are."""
+    more = len(labels) - most
+    return " or ".join(labels[:most]) + (f" (and {more} more)" if more > 0 else "")
 
 
 def _said(one: Explained) -> str:
@@ -620,8 +635,12 @@ def _errors(study: Study, before: Fit) -> dict[str, dict[str, float]]:
 
 def _gain(
     base: BaseFit, before: Fit, extended: Variant, readings: Sequence[dict[str, np.ndarray]]
-) -> tuple[tuple[Gain, ...], bool, tuple[Trace, ...]]:
-    """Errors of base and extended model on the locked records, opened here and once; and traces of all records."""
+) -> tuple[tuple[Gain, ...], bool, bool, tuple[Trace, ...]]:
+    """Errors of base and extended model on the locked records, opened here and once; and traces of all records.
+
+    The first flag tells whether a gain is claimed, the second whether the extended model is offered: where it most
+    likely does better on what it has not seen, or where nobody can tell.
+    """
     study, session = base.study, base.study.session
     universe = study.benches[0].universe
     variants = (before.variant(study.base), extended)
@@ -644,14 +663,17 @@ def _gain(
         squares = np.concatenate([w**2 for w in white])
         change = squares[:, 1] - squares[:, 0]
         pooled.append(change)
-        low, high = _block_interval(change, session.seed)
+        low, high = np.quantile(_block_means(change, session.seed), INTERVAL)
         error, extended_error = np.sqrt(squares.mean(axis=0))
         gains.append(
             Gain(record=record.name, before=float(error), after=float(extended_error), floor=1.0,
-                 change=float(change.mean()), low=low, high=high, claimed=high < 0.0)
+                 change=float(change.mean()), low=float(low), high=float(high), claimed=bool(high < 0.0))
         )  # fmt: skip
-    claimed = bool(pooled) and _block_interval(np.concatenate(pooled), session.seed)[1] < 0.0
-    return tuple(gains), claimed, tuple(traces)
+    claimed, offered = False, True
+    if pooled:
+        means = _block_means(np.concatenate(pooled), session.seed)
+        claimed, offered = bool(np.quantile(means, INTERVAL[1]) < 0.0), bool(np.mean(means < 0.0) >= LIKELY)
+    return tuple(gains), claimed, offered, tuple(traces)
 
 
 def _nearest_noise(study: Study, channel: str, rate: float) -> tuple[str, float] | None:
@@ -660,15 +682,13 @@ def _nearest_noise(study: Study, channel: str, rate: float) -> tuple[str, float]
     return (channel, min(rates, key=lambda r: abs(np.log(r / rate)))) if rates else None
 
 
-def _block_interval(change: np.ndarray, seed: int, draws: int = 1000) -> tuple[float, float]:
-    """95 % interval of a mean by drawing blocks: neighbours are alike."""
+def _block_means(change: np.ndarray, seed: int, draws: int = 1000) -> np.ndarray:
+    """(draws,) means as they would have come out, by drawing blocks: neighbours are alike."""
     size = max(int(np.sqrt(len(change))), 1)
     count = max(len(change) // size, 1)
     blocks = change[: count * size].reshape(count, size).mean(axis=1)
     rng = np.random.default_rng(seed)
-    means = blocks[rng.integers(0, count, (draws, count))].mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return float(low), float(high)
+    return blocks[rng.integers(0, count, (draws, count))].mean(axis=1)
 
 
 def _traces(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]) -> list[Trace]:

@@ -22,14 +22,15 @@ from .effects import ActiveEffect
 from .errors import InputError, SolveError
 from .hypotheses import View
 from .prediction import Variant
-from .scene import Scene, argument
+from .scene import Scene, argument, look
 from .study import BaseFit, Study, each, predict, see, whitened_residual
 from .terms import LAG, NONE, PATH, Family, hats, term_effect
 
 NAME = "recovered_term"
-KNOTS = 11
+KNOTS, FINE_KNOTS = 11, 31  # of a term's function, and where its shape asks for more
+FINE_LOOK = 24  # knots of the functions by which that is found out
 WORTH = 15.0  # fall of the deviance, beyond the price of its freedom, that a term must bring to be told
-MEMORY_MARGIN, MEMORY_SHARE = 10.0, 0.02  # deviance, or share of the fall, that memory must bring
+ODD_MARGIN, ODD_SHARE = 10.0, 0.02  # deviance, or share of the fall, that memory or a strange variable must bring
 TRIED, NEAR = 2, 0.75  # families estimated inside the simulation: so many, whose score is this share of the best's
 STEPS = 5
 SETTLED, SETTLED_SHARE, SMALL_SHARE = 1.0, 3e-3, 0.05  # fall of the deviance, and shares of it, not worth another step
@@ -87,13 +88,17 @@ class _Solution:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """A family on its knots (k,), in a study. `size` is the term's own; `visits` (k,) the samples near each knot."""
+    """A family on its knots (k,), in a study. `size` is the term's own; `visits` (k,) the samples near each knot.
+
+    `free` where the values come from a formula, which needs no prior to be smooth.
+    """
 
     study: Study
     family: Family
     knots: np.ndarray
     visits: np.ndarray
     size: float
+    free: bool = False
 
     def active(self, values: np.ndarray, figure: float) -> ActiveEffect:
         """The term at values (k,) and at a multiple exp(figure) of the family's memory."""
@@ -116,12 +121,20 @@ class _Problem:
         took them for nothing would show the unit's scatter.
         """
         k = len(self.knots)
+        if self.free:
+            return np.zeros((k, k))
         B = np.diff(np.eye(k), 2, axis=0) / (BEND * self.size)
         precision = B.T @ B + np.eye(k) / (100.0 * self.size) ** 2
-        if self.family.memory == PATH:  # its sign turns, so that nothing takes them up
-            return precision
-        line = np.linalg.pinv(np.column_stack([np.ones(k), np.linspace(-1.0, 1.0, k)])) / (LINE * self.size)
+        line = np.linalg.pinv(self.taken_up()) / (LINE * self.size)
         return precision + line.T @ line
+
+    def taken_up(self) -> np.ndarray:
+        """(k, 0 to 2) shapes that the base parameters can bring too: offset, and slope of what is not remembered.
+
+        The direction of a path turns its sign, so that nothing takes its offset up.
+        """
+        u = np.linspace(-1.0, 1.0, len(self.knots))
+        return np.column_stack([np.ones_like(u), u])[:, : {NONE: 2, LAG: 1, PATH: 0}[self.family.memory]]
 
     def evaluate(self, point: np.ndarray, values: np.ndarray, figure: float) -> _State:
         """By running every training record. Raises SolveError, InputError where that fails."""
@@ -145,9 +158,12 @@ def recover(base: BaseFit, scene: Scene) -> Recovered | None:
         return None
     price = float(np.log(len(base.fit.residual)))
     least, best = base.fit.deviance - WORTH, None
-    for family in _ranked(scene)[:TRIED]:
-        cost = price * (KNOTS + (family.memory != NONE))
-        found = _estimate(base, family, least - cost)
+    fine = look(base, base.fit, searched=[f for f in scene.families if f.memory == NONE], knots=FINE_LOOK)
+    looks = {KNOTS: scene, FINE_KNOTS: fine}
+    ranked, margin = _ranked(looks)
+    for family, count in ranked[:TRIED]:
+        cost = price * (count + (family.memory != NONE)) + family.oddities * margin
+        found = _estimate(base, family, count, least - cost)
         if found is not None and found[1].state.deviance + cost < least:
             least, best = found[1].state.deviance + cost, found
     if best is None:
@@ -160,45 +176,64 @@ def recover(base: BaseFit, scene: Scene) -> Recovered | None:
         error = _difference(problem, new.state.values, old)
         solution = new
     state = solution.state
+    term = _term(problem, solution, formula, error, _alike(looks[len(problem.knots)], problem.family, margin))
     return Recovered(
-        _term(problem, solution, formula, error), problem.active(state.values, state.figure), problem.family,
-        state.point, state.deviance, state.readings, problem.variant(state.point, state.values, state.figure),
+        term, problem.active(state.values, state.figure), problem.family, state.point, state.deviance, state.readings,
+        problem.variant(state.point, state.values, state.figure),
     )  # fmt: skip
 
 
 # ---------------------------------------------------------------- which family
 
 
-def _ranked(scene: Scene) -> list[Family]:
-    """Families worth estimating, best first: by what they explain less what their freedom costs, the simpler first."""
-    price = np.log(max(sum(scene.gram.rows), 2))
-    tests = scene.family_tests()
-    gains = [value - price * freedom for value, freedom in tests]
-    remembers = np.array([family.memory != NONE for family in scene.families])
-    most = max((gain for gain, memory in zip(gains, remembers, strict=True) if not memory), default=0.0)
-    score = np.array(gains) - max(MEMORY_MARGIN, MEMORY_SHARE * most) * remembers
+def _ranked(looks: dict[int, Scene]) -> tuple[list[tuple[Family, int]], float]:
+    """Families worth estimating, best first, each with its knots; and the price of an oddity.
+
+    `looks` are by the knots that a term gets which shows there; what counts is what a family explains less what its
+    freedom costs.
+    """
+    gains, found = [], []
+    for count, scene in looks.items():
+        price = np.log(max(sum(scene.gram.rows), 2))
+        gains += [value - price * freedom for value, freedom in scene.family_tests()]
+        found += [(family, count) for family in scene.families]
+    margin = max(ODD_MARGIN, ODD_SHARE * max(gains, default=0.0))
+    score = np.array(gains) - margin * np.array([family.oddities for family, _ in found])
     order = [int(k) for k in np.argsort(-score, kind="stable") if score[k] > 0.0]
-    ranked: list[Family] = []
+    ranked: list[tuple[Family, int]] = []
     for k in order:
         if score[k] < NEAR * score[order[0]]:
             break
-        family = scene.families[k]
-        if all((f.port, f.variable, f.memory) != (family.port, family.variable, family.memory) for f in ranked):
-            ranked.append(family)
-    return ranked
+        family, count = found[k]
+        if all((_place(f), f.memory) != (_place(family), family.memory) for f, _ in ranked):
+            ranked.append((family, count))
+    return ranked, margin
+
+
+def _alike(scene: Scene, family: Family, margin: float) -> tuple[str, ...]:
+    """Labels of the other families that explain nearly as much, best first: of each port and variable the best."""
+    gains = [value for value, _ in scene.family_tests()]
+    least = max(g for g, f in zip(gains, scene.families, strict=True) if _place(f) == _place(family)) - margin
+    near = [scene.families[k] for k in np.argsort(gains, kind="stable")[::-1] if gains[k] > least]
+    places = dict.fromkeys(map(_place, near))
+    return tuple(next(f.label for f in near if _place(f) == place) for place in places if place != _place(family))
+
+
+def _place(family: Family) -> tuple[str, str]:
+    return family.port.name, family.variable.name
 
 
 # ---------------------------------------------------------------- inside the simulation
 
 
-def _estimate(base: BaseFit, family: Family, below: float) -> tuple[_Problem, _Solution] | None:
-    """A family's term by Gauss-Newton upon true runs; None where it will not bring the deviance below a figure."""
+def _estimate(base: BaseFit, family: Family, count: int, below: float) -> tuple[_Problem, _Solution] | None:
+    """A family's term on `count` knots by Gauss-Newton upon true runs; None where that will not come `below`."""
     study = base.study
     visited = np.concatenate([argument(seen, replace(family, memory=NONE)) for seen in base.views])
     low, high = (float(u) for u in np.quantile(visited, [EDGE, 1.0 - EDGE]))
     if not high > low:
         return None
-    knots = np.linspace(low, high, KNOTS)
+    knots = np.linspace(low, high, count)
     problem = _Problem(study, family, knots, hats(visited, knots).sum(axis=0), 1.0)
     p = len(base.fit.point)
     V = _columns(problem, base.views, None)
@@ -206,7 +241,7 @@ def _estimate(base: BaseFit, family: Family, below: float) -> tuple[_Problem, _S
     if size is None:
         return None
     problem = replace(problem, size=size)
-    state = _State(base.fit.point, np.zeros(KNOTS), 0.0, base.fit.deviance, base.fit.readings, base.fit.residual)
+    state = _State(base.fit.point, np.zeros(count), 0.0, base.fit.deviance, base.fit.readings, base.fit.residual)
     J = base.J
     for _ in range(STEPS):
         H, gradient = _normal(problem, state, J, V)
@@ -259,9 +294,9 @@ def _columns(problem: _Problem, views: Sequence[View], state: _State | None) -> 
 
 
 def _size(base: BaseFit, V: np.ndarray) -> float | None:
-    """The size of a term (largest value) by the linear equations; None where the data do not see it."""
+    """The size of a term (largest value) by the linear equations, V (rows, k); None where the data do not see it."""
     p = base.J.shape[1]
-    columns = np.column_stack([base.J, V[:, :KNOTS]])
+    columns = np.column_stack([base.J, V])
     H = columns.T @ columns
     H[:p, :p] += np.eye(p)
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
@@ -343,11 +378,11 @@ def _library(u: np.ndarray, x: str) -> list[tuple[np.ndarray, Callable[[np.ndarr
     return found
 
 
-def _formulas(problem: _Problem, values: np.ndarray, C: np.ndarray, price: float) -> list[_Formula]:
-    """Formulas upon the values, best first: by their misfit in the metric of the posterior and their figures' price."""
+def _formulas(problem: _Problem, values: np.ndarray, W: np.ndarray, price: float) -> list[_Formula]:
+    """Formulas upon the values (k,) that the records ask for, best first: by misfit in their metric, and by price."""
     u, k = problem.knots, len(problem.knots)
     between = (0.02 * float(np.max(np.abs(values)))) ** 2  # what straight lines miss of a curve
-    W = np.linalg.inv(C + between * np.eye(k))
+    W = np.linalg.solve(np.eye(k) + between * W, W)
     x = SYMBOLS[problem.family.variable.name]
     extra = {"": np.empty((k, 0)), "c": np.ones((k, 1)), "l": u[:, None], "cl": np.column_stack([np.ones(k), u])}
     found = []
@@ -379,26 +414,34 @@ def _with_formula(problem: _Problem, solution: _Solution, gained: float) -> tupl
     """The term held to a formula and fitted with it, where the records do not object; with the formula."""
     from scipy.stats import chi2
 
+    # a formula takes the place of the curve's priors: they are left out of its fit, and the misfit is the records' own
+    bending, problem = problem.penalty(), replace(problem, free=True)
     state, p, k = solution.state, len(solution.state.point), len(problem.knots)
-    C = solution.covariance
-    Cv = C[p : p + k, p : p + k]
-    formulas = _formulas(problem, state.values, Cv, max(12.0, MIXED_SHARE * gained))
+    state = replace(state, deviance=state.deviance - float(state.values @ bending @ state.values))
+    H, gradient = _normal(problem, state, solution.J, solution.V)
+    at, rest = np.arange(p, p + k), np.r_[:p, p + k : len(H)]
+    back = np.linalg.solve(H[np.ix_(rest, rest)], np.column_stack([gradient[rest], H[np.ix_(rest, at)]]))
+    W = H[np.ix_(at, at)] - H[np.ix_(at, rest)] @ back[:, 1:]
+    push = gradient[at] - H[np.ix_(at, rest)] @ back[:, 0]
+    asked = state.values + np.linalg.pinv(W, rcond=1e-9, hermitian=True) @ push
+    formulas = _formulas(problem, asked, W, max(12.0, MIXED_SHARE * gained))
     pure = next(formula for formula in formulas if formula.pure)
     for formula in dict.fromkeys((pure, *formulas[:FORMULAS])):
-        change = formula.F @ formula.coefficients - state.values
-        push = C[:, p : p + k] @ np.linalg.lstsq(Cv, change, rcond=1e-10)[0]
-        figure = state.figure + float(push[p + k :].sum())
+        values = formula.F @ formula.coefficients
+        others = back[:, 0] - back[:, 1:] @ (values - state.values)
+        figure = state.figure + float(others[p:].sum())
         try:
-            held = problem.evaluate(state.point + push[:p], state.values + change, figure)
+            held = problem.evaluate(state.point + others[:p], values, figure)
         except (SolveError, InputError):
             continue
-        held, covariance = _held(problem, solution, held, formula.F)
+        held, covariance = _held(problem, replace(solution, state=state), held, formula.F)
         share = PURE_SHARE if formula.pure else MIXED_SHARE  # offsets and slopes are what the base has tolerances for
         rise = held.deviance - state.deviance
         chance = float(chi2.isf(1e-3, k - formula.F.shape[1]))
         if rise > max(chance, share * gained):
             continue
-        if rise > chance and _difference(problem, held.values, state.values) > FORMULA_ERROR:
+        far = _difference(problem, held.values, state.values) > FORMULA_ERROR  # though the records may hardly know
+        if far and rise > chance + FORMULA_ERROR**2 * gained:
             continue
         a = np.linalg.lstsq(formula.F / np.max(np.abs(formula.F), axis=0), held.values, rcond=None)[0]
         a = a / np.max(np.abs(formula.F), axis=0)
@@ -428,9 +471,8 @@ def _held(problem: _Problem, solution: _Solution, held: _State, F: np.ndarray) -
 
 def _difference(problem: _Problem, new: np.ndarray, old: np.ndarray) -> float:
     """Relative root mean square difference of values where the records went, but for offset and slope in the base."""
-    u, weight = problem.knots / np.max(np.abs(problem.knots)), np.sqrt(problem.visits)
-    A = np.column_stack([np.ones_like(u), u]) if problem.family.memory != PATH else np.zeros((len(u), 1))
-    A, change = A * weight[:, None], (new - old) * weight
+    weight = np.sqrt(problem.visits)
+    A, change = problem.taken_up() * weight[:, None], (new - old) * weight
     left = change - A @ np.linalg.lstsq(A, change, rcond=None)[0]
     return float(np.linalg.norm(left) / np.linalg.norm(new * weight))
 
@@ -449,7 +491,7 @@ def _sentence(problem: _Problem, formula: str, figure: float) -> str:
 # ---------------------------------------------------------------- the answer
 
 
-def _term(problem: _Problem, solution: _Solution, formula: str, error: float) -> Term:
+def _term(problem: _Problem, solution: _Solution, formula: str, error: float, alike: tuple[str, ...]) -> Term:
     p, k = len(solution.state.point), len(problem.knots)
     variance = np.diag(solution.covariance)[p : p + k]
     family = problem.family
@@ -457,5 +499,5 @@ def _term(problem: _Problem, solution: _Solution, formula: str, error: float) ->
         port=family.port.name, port_unit=family.port.unit, variable=family.variable.name,
         variable_unit=family.variable.unit, memory=family.memory, at=tuple(map(float, problem.knots)),
         value=tuple(map(float, solution.state.values)), deviation=tuple(map(float, np.sqrt(np.maximum(variance, 0.0)))),
-        formula=formula, formula_error=error,
+        formula=formula, formula_error=error, alike=alike,
     )  # fmt: skip

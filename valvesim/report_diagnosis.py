@@ -638,6 +638,7 @@ def _term(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> _Markup:
         ("Memory", MEMORIES.get(term.memory, term.memory)),
         ("Formula, in SI units", term.formula or "none holds up; the curve stands for itself"),
         ("Formula off by", off),
+        ("Nearly as well", "; ".join(term.alike)),
     )
     caption = "The missing term as recovered from the records; it is not known beyond the range that they visited."
     return _section("The missing term", _pairs(facts, "facts"), _picture(pictures, "term", caption))
@@ -696,7 +697,7 @@ def _limits(limits: Sequence[DetectionLimit]) -> _Markup:
 def _extended(diagnosis: Diagnosis) -> _Markup:
     if not diagnosis.extended_scenario:
         return _Markup()
-    model = "refitted model" if diagnosis.verdict == NO_DISCREPANCY else "extended model"
+    model = "extended model" if diagnosis.extension_offered else "refitted model"
     summary = _tag("summary", "The scenario ", _tag("code", "extended.toml"), f", which runs the {model}")
     return _section(f"The {model}", _tag("details", summary, _tag("pre", diagnosis.extended_scenario)))
 

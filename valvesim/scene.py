@@ -98,8 +98,8 @@ class Scene:
         return block_statistic(split, range(own, own + m))
 
 
-def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
-    """Look at what a fit leaves, from where it is."""
+def look(base: BaseFit, fit: Fit, *, searched: Sequence[Family] = families(), knots: int = KNOTS) -> Scene:
+    """Look at what a fit leaves, from where it is; the functions of the families searched have so many knots."""
     study = base.study
     variant = fit.variant(study.base)
     views, J = (base.views, base.columns) if fit is base.fit else see(study, variant)
@@ -111,17 +111,16 @@ def look(base: BaseFit, fit: Fit, *, with_families: bool = True) -> Scene:
     sizes = np.array([_size(c) for c in candidates])
     changed = [c.add_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
     S = shown(study, views, J, candidates, changed)
-    searched = families() if with_families else ()
     spans = _spans(views, searched)
-    T = each(lambda seen: family_columns(seen, searched, spans), views)
+    T = each(lambda seen: family_columns(seen, searched, spans, knots), views)
     own = own_columns(study, fit, views, J)
     gram = gram_of(study, views, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point, ())
-    q, f = len(candidates), len(searched) * KNOTS
+    q, f = len(candidates), len(searched) * knots
     count = len(fit.kinds)
-    blocks = tuple(tuple(range(q + k * KNOTS, q + (k + 1) * KNOTS)) for k in range(len(searched)))
+    blocks = tuple(tuple(range(q + k * knots, q + (k + 1) * knots)) for k in range(len(searched)))
     freed = tuple(range(q + f, q + f + count))
     projected = project(gram, 0, q + f + count).without(freed)
-    return Scene(study, fit, tuple(views), gram, candidates, sizes, searched, blocks, freed, projected)
+    return Scene(study, fit, tuple(views), gram, candidates, sizes, tuple(searched), blocks, freed, projected)
 
 
 def _size(candidate: Candidate) -> float:
@@ -132,19 +131,19 @@ def _size(candidate: Candidate) -> float:
 
 
 def family_columns(
-    seen: View, searched: Sequence[Family], spans: Sequence[tuple[float, float]]
+    seen: View, searched: Sequence[Family], spans: Sequence[tuple[float, float]], knots: int
 ) -> dict[str, np.ndarray]:
-    """Answers (n_samples, families * KNOTS) to each hat of each family, whose knots go over its span."""
+    """Answers (n_samples, families * knots) to each hat of each family, whose knots go over its span."""
     record = seen.bench.record
-    out = {name: np.zeros((len(record.time), len(searched) * KNOTS)) for name in record.outputs}
+    out = {name: np.zeros((len(record.time), len(searched) * knots)) for name in record.outputs}
     for port in {family.port.name: family.port for family in searched}.values():
         if port.name in DIRECT and port.name not in record.outputs:
             continue
         own = [k for k, family in enumerate(searched) if family.port == port]
         unit = term_effect(port.name, "current", (0.0, 1.0), (1.0, 1.0), name="unit_term")
         g, direct = seen.forcing(seen.variant.with_effect(unit(share=1.0)))
-        basis = np.column_stack([family_basis(seen, searched[k], spans[k], KNOTS) for k in own])
-        columns = [k * KNOTS + j for k in own for j in range(KNOTS)]
+        basis = np.column_stack([family_basis(seen, searched[k], spans[k], knots) for k in own])
+        columns = [k * knots + j for k in own for j in range(knots)]
         if port.name in DIRECT:
             out[port.name][:, columns] = (np.asarray(direct[port.name])[:, None] * basis)[:: seen.bench.refinement]
             continue

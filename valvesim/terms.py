@@ -24,11 +24,15 @@ from .laws import dahl_rate
 
 @dataclass(frozen=True)
 class Port:
-    """A place where a term may act: its unit, and what a term w adds there."""
+    """A place where a term may act: its unit, what a term w adds there, and its element's `own` variables.
+
+    A spring answers its deflection, a damper its rate, a leak its pressure: a function of another variable is rarer.
+    """
 
     name: str
     unit: str
     doc: str
+    own: tuple[str, ...]
 
     def ports(self, w: Any) -> Ports:
         """What w adds."""
@@ -56,11 +60,16 @@ class Variable:
 PORTS = {
     port.name: port
     for port in (
-        Port("armature_torque", "N*m", "armature torque balance"),
-        Port("pilot_flow", "m^3/s", "volume balances of the two chambers, into one and out of the other"),
-        Port("spool_force", "N", "spool force balance"),
-        Port("load_flow", "m^3/s", "load flow of the main stage"),
-        Port("internal_leakage", "m^3/s", "internal leakage"),
+        Port("armature_torque", "N*m", "armature torque balance", ("current", "armature_angle")),
+        Port(
+            "pilot_flow",
+            "m^3/s",
+            "volume balances of the two chambers, into one and out of the other",
+            ("load_differential_pressure",),
+        ),
+        Port("spool_force", "N", "spool force balance", ("spool_position", "spool_velocity")),
+        Port("load_flow", "m^3/s", "load flow of the main stage", ("spool_position",)),
+        Port("internal_leakage", "m^3/s", "internal leakage", ("spool_position",)),
     )
 }
 VARIABLES = {
@@ -87,6 +96,11 @@ class Family:
     memory: str = NONE
     time_constant: float = 0.0
     width: float = 0.0
+
+    @property
+    def oddities(self) -> int:
+        """In how many ways it is rarer than a function of the port's own variable, without memory."""
+        return (self.memory != NONE) + (self.variable.name not in self.port.own)
 
     @property
     def label(self) -> str:
