@@ -1,11 +1,14 @@
 """What is hidden in a session is found: the plant is not the model, and the diagnosis sees only the folder."""
 
+import shutil
+
 import numpy as np
 import pytest
 from hidden_plant import draw, truth, write_session
 
 import valvesim as vs
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
+from valvesim.session import load_session
 
 
 def diagnosed(folder, seed, kind, name=None, strength=1.0):
@@ -18,6 +21,7 @@ def diagnosed(folder, seed, kind, name=None, strength=1.0):
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, seed):
     found, _ = diagnosed(tmp_path, seed, "none")
     assert found.verdict == NO_DISCREPANCY and not found.causes and not found.gain_claimed
+    assert not found.extension_offered
     assert found.detection_limits and found.noise and all(noise.verified for noise in found.noise)
     limits = {limit.label: limit for limit in found.detection_limits}
     assert 0.0 < limits["spool_coulomb_friction"].amplitude < 1.0  # N: what this session would have shown
@@ -30,9 +34,24 @@ def test_a_biased_sensor_is_named_with_its_bias(tmp_path):
     assert figures["channel"].replace("_", " ") in found.location.replace("_", " ")
     (bias,) = [e for e in found.parameters if e.name == "bias"]
     assert bias.value == pytest.approx(figures["bias"], rel=0.1) and bias.low < figures["bias"] < bias.high
-    assert found.gain_claimed  # against the model inside its tolerances, which such a bias is far beyond
+    assert found.gain_claimed and found.extension_offered  # against the model inside its tolerances
+    assert "sensor_bias" in found.extended_scenario
     assert all(gain.after < gain.before and gain.after < 1.1 for gain in found.gain)
     assert max(found.errors["record_2"], key=found.errors["record_2"].get) == "load_flow"  # where it goes wrong
+
+
+def test_where_the_locked_records_have_no_such_fault_the_cause_stands_but_the_extension_is_not_offered(tmp_path):
+    case = draw(9, "sensor", name="sensor_bias")
+    for folder, strength in (("with", 1.0), ("without", 0.0)):
+        write_session(case, tmp_path / folder, strength)
+    for record in load_session(tmp_path / "with").locked:
+        shutil.copy(tmp_path / "without" / record.path.name, record.path)
+    found = vs.diagnose(tmp_path / "with")
+    assert found.causes == ("sensor_bias",)
+    assert all(gain.after > gain.before for gain in found.gain)
+    assert not found.gain_claimed and not found.extension_offered
+    assert "sensor_bias" not in found.extended_scenario and not found.extended_variant.effects
+    assert any("do not show that the extension helps" in note for note in found.notes)
 
 
 def test_an_effect_that_a_base_parameter_can_stand_for_is_found_in_what_that_has_taken_up(tmp_path):

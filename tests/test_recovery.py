@@ -96,6 +96,25 @@ def test_the_fit_explains_the_records_and_is_what_its_variant_reads(base, found)
     assert found.deviance >= float(residual[:, 0] @ residual[:, 0]) + float(found.point @ found.point)
 
 
+def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
+    u = np.linspace(-3e-4, 3e-4, 121)
+    pull = -2.0 * np.sin(2 * np.pi * u / 75e-6)  # N
+    detent = term_effect("spool_force", "spool_position", u, pull, name="hidden")(share=1.0)
+    with_detent = fit_base(prepare_study(session_of(detent)))
+    term = recover(with_detent, look(with_detent, with_detent.fit)).term
+    assert (term.port, term.variable, term.memory) == ("spool_force", "spool_position", NONE)
+    period = float(term.formula.partition("sin(2 pi x/")[2].split(" ")[0])
+    assert period == pytest.approx(75e-6, rel=0.02)
+    true = np.interp(term.at, u, pull)
+    assert np.linalg.norm(np.array(term.value) - true) < 0.1 * np.linalg.norm(true)
+
+
+def test_where_else_a_term_would_do_is_said_in_words(found):
+    assert not any(label.startswith("spool force as a function of spool position") for label in found.term.alike)
+    assert set(found.term.alike) <= {family.label for family in families()}
+    assert len(set(found.term.alike)) == len(found.term.alike)
+
+
 def test_nothing_is_recovered_where_nothing_is_hidden():
     plain = fit_base(prepare_study(session_of()))
     assert recover(plain, look(plain, plain.fit)) is None

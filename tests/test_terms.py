@@ -204,3 +204,11 @@ def test_labels_tell_families_apart_in_words():
     assert lagged.label == "spool force as a function of current lagged by 3 ms"
     turned = Family(PORTS["armature_torque"], VARIABLES["armature_angle"], PATH, width=1e-5)
     assert turned.label == "armature torque as a function of direction of armature angle"
+
+
+def test_a_function_of_a_ports_own_variable_is_no_oddity_and_memory_is_one_more():
+    force = PORTS["spool_force"]
+    assert Family(force, VARIABLES["spool_velocity"]).oddities == 0  # a damper
+    assert Family(force, VARIABLES["current"]).oddities == 1
+    assert Family(force, VARIABLES["current"], LAG, LAG_TIMES[0]).oddities == 2
+    assert all(set(port.own) <= set(VARIABLES) and port.own for port in PORTS.values())

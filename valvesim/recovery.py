@@ -27,7 +27,7 @@ from .study import BaseFit, Study, each, predict, see, whitened_residual
 from .terms import LAG, NONE, PATH, Family, hats, term_effect
 
 NAME = "recovered_term"
-KNOTS, FINE_KNOTS = 11, 31  # of a term's function, and where its shape asks for more
+KNOTS, FINE_KNOTS = 11, 47  # of a term's function, and where its shape asks for more
 FINE_LOOK = 24  # knots of the functions by which that is found out
 WORTH = 15.0  # fall of the deviance, beyond the price of its freedom, that a term must bring to be told
 ODD_MARGIN, ODD_SHARE = 10.0, 0.02  # deviance, or share of the fall, that memory or a strange variable must bring
@@ -354,58 +354,85 @@ class _Formula:
     pure: bool
 
 
-def _library(u: np.ndarray, x: str) -> list[tuple[np.ndarray, Callable[[np.ndarray], str], int]]:
-    """Shapes over the knots (columns (k, 1 or 2)), how they are written, and how many figures they have beside."""
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """A shape over the knots: `columns(b)` (k, 1 or 2), how it is written, and where its figure b is looked for."""
+
+    columns: Callable[[float], np.ndarray]
+    write: Callable[[float, np.ndarray], str]
+    figures: np.ndarray | None = None
+
+
+def _library(u: np.ndarray, x: str) -> list[_Shape]:
+    """The shapes that a formula may have, over knots u (k,)."""
     reach, spacing = float(np.max(np.abs(u))), float(np.min(np.diff(u)))
+    widths = reach * np.geomspace(0.02, 1.0, 25)
+    periods = np.geomspace(3.0 * spacing, 1.5 * float(np.ptp(u)), 80)
 
-    def times(text: str) -> Callable[[np.ndarray], str]:
-        return lambda a: f"{a[0]:.3g} {text}"
+    def power(shape: np.ndarray, text: str) -> _Shape:
+        return _Shape(lambda b: shape[:, None], lambda b, a: f"{a[0]:.3g} {text}")
 
-    def wave(period: float) -> Callable[[np.ndarray], str]:
-        return lambda a: f"{np.hypot(*a):.3g} sin(2 pi {x}/{period:.3g} {np.arctan2(a[1], a[0]):+.2f})"
-
-    shapes = [
-        (np.ones_like(u), times(""), 0), (u, times(x), 0), (u * u, times(f"{x}^2"), 0),
-        (u * np.abs(u), times(f"{x} |{x}|"), 0), (u**3, times(f"{x}^3"), 0), (np.abs(u), times(f"|{x}|"), 0),
+    return [
+        power(np.ones_like(u), ""), power(u, x), power(u * u, f"{x}^2"), power(u * np.abs(u), f"{x} |{x}|"),
+        power(u**3, f"{x}^3"), power(np.abs(u), f"|{x}|"),
+        _Shape(lambda b: np.tanh(u / b)[:, None], lambda b, a: f"{a[0]:.3g} tanh({x}/{b:.3g})", widths),
+        _Shape(lambda b: (-np.sign(u) * np.expm1(-np.abs(u) / b))[:, None],
+               lambda b, a: f"{a[0]:.3g} sign({x}) (1 - exp(-|{x}|/{b:.3g}))", widths),
+        _Shape(lambda b: np.column_stack([np.sin(2.0 * np.pi * u / b), np.cos(2.0 * np.pi * u / b)]),
+               lambda b, a: f"{np.hypot(*a):.3g} sin(2 pi {x}/{b:.4g} {np.arctan2(a[1], a[0]):+.2f})", periods),
     ]  # fmt: skip
-    for b in reach * np.geomspace(0.02, 1.0, 25):
-        shapes.append((np.tanh(u / b), times(f"tanh({x}/{b:.3g})"), 1))
-        shapes.append((-np.sign(u) * np.expm1(-np.abs(u) / b), times(f"sign({x}) (1 - exp(-|{x}|/{b:.3g}))"), 1))
-    found = [(shape[:, None], write, more) for shape, write, more in shapes]
-    for b in np.geomspace(3.0 * spacing, 1.5 * float(np.ptp(u)), 80):
-        angle = 2.0 * np.pi * u / b
-        found.append((np.column_stack([np.sin(angle), np.cos(angle)]), wave(b), 1))
-    return found
 
 
 def _formulas(problem: _Problem, values: np.ndarray, W: np.ndarray, price: float) -> list[_Formula]:
-    """Formulas upon the values (k,) that the records ask for, best first: by misfit in their metric, and by price."""
+    """Formulas upon the values (k,) that the records ask for, best first: by misfit in their metric, and by price.
+
+    One of each shape, alone and with offset and slope; where it has a figure, at the best.
+    """
+    from scipy.optimize import minimize_scalar
+
     u, k = problem.knots, len(problem.knots)
     between = (0.02 * float(np.max(np.abs(values)))) ** 2  # what straight lines miss of a curve
     W = np.linalg.solve(np.eye(k) + between * W, W)
     x = SYMBOLS[problem.family.variable.name]
     extra = {"": np.empty((k, 0)), "c": np.ones((k, 1)), "l": u[:, None], "cl": np.column_stack([np.ones(k), u])}
-    found = []
-    for shape, write, more in _library(u, x):
-        for kind, columns in extra.items():
-            F = np.column_stack([shape, columns])
-            scale = np.max(np.abs(F), axis=0)
-            if np.linalg.cond(F / scale) > 1e6:
-                continue
-            normal = (F / scale).T @ W @ (F / scale)
-            a = np.linalg.solve(normal, (F / scale).T @ W @ values) / scale
-            left = values - F @ a
-            cost = float(left @ W @ left) + price * (len(a) + more)
-            found.append(_Formula(F, _written(write, kind, shape.shape[1], x), a, cost, not kind))
+
+    def at(shape: _Shape, kind: str, b: float) -> _Formula | None:
+        own = shape.columns(b)
+        F = np.column_stack([own, extra[kind]])
+        scale = np.max(np.abs(F), axis=0)
+        if np.linalg.cond(F / scale) > 1e6:
+            return None
+        normal = (F / scale).T @ W @ (F / scale)
+        a = np.linalg.solve(normal, (F / scale).T @ W @ values) / scale
+        left = values - F @ a
+        cost = float(left @ W @ left) + price * (len(a) + (shape.figures is not None))
+        return _Formula(F, _written(shape, b, kind, own.shape[1], x), a, cost, not kind)
+
+    def cost(b: float, shape: _Shape, kind: str) -> float:
+        formula = at(shape, kind, b)
+        return np.inf if formula is None else formula.cost
+
+    def best(shape: _Shape, kind: str) -> _Formula | None:
+        if (tried := shape.figures) is None:
+            return at(shape, kind, 1.0)
+        costs = [cost(b, shape, kind) for b in tried]
+        j = int(np.argmin(costs))
+        around = (tried[max(j - 1, 0)], tried[min(j + 1, len(tried) - 1)])
+        finer = minimize_scalar(
+            cost, bounds=around, args=(shape, kind), method="bounded", options={"xatol": 1e-4 * tried[j]}
+        )
+        return at(shape, kind, float(finer.x if finer.fun < costs[j] else tried[j]))
+
+    found = [formula for shape in _library(u, x) for kind in extra if (formula := best(shape, kind)) is not None]
     return sorted(found, key=lambda one: one.cost)
 
 
-def _written(write: Callable[[np.ndarray], str], kind: str, own: int, x: str) -> Callable[[np.ndarray], str]:
+def _written(shape: _Shape, b: float, kind: str, own: int, x: str) -> Callable[[np.ndarray], str]:
     names = {"": [], "c": [""], "l": [f" {x}"], "cl": ["", f" {x}"]}[kind]
 
     def text(a: np.ndarray) -> str:
         more = "".join(f" {'-' if v < 0 else '+'} {abs(v):.3g}{name}" for v, name in zip(a[own:], names, strict=True))
-        return write(a[:own]).strip() + more
+        return shape.write(b, a[:own]).strip() + more
 
     return text
 
