@@ -19,7 +19,7 @@ from valvesim.channels import STATE_CHANNELS
 from valvesim.scene import Scene
 from valvesim.study import BaseFit, Extra, Fit, refit
 
-REFITTED, STEPS = 12, 1  # candidates, the best by score first; Gauss-Newton steps of those the diagnosis left out
+REFITTED, LOOKS = 12, 1  # candidates, the best by score first; looks at those the diagnosis left out
 SPARSITY = 0.05  # threshold of the sparse fit, on scaled terms
 MEASURED = ("armature_angle", "nozzle_pressure_1", "nozzle_pressure_2", "spool_position")
 
@@ -54,7 +54,7 @@ def refit_all(base: BaseFit, scene: Scene, fits: Sequence[Fit]) -> list[Fit]:
     for k in np.argsort(-z, kind="stable"):
         family = scene.candidates[k].family
         if z[k] > 0.0 and len(chosen) < REFITTED and family not in chosen:
-            chosen[family] = done.get(family) or refit(base, (_start(scene, int(k), projected),), steps=STEPS)
+            chosen[family] = done.get(family) or refit(base, (_start(scene, int(k), projected),), looks=LOOKS)
     return [fit for fit in chosen.values() if np.isfinite(fit.deviance)]
 
 
