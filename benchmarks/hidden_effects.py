@@ -10,7 +10,7 @@ diagnosed from that folder alone. Each case adds one line of JSON to the results
 Symbols
     y readings, r whitened by the true noise; dy what is hidden adds to them; J answers to the base parameters
     d'^2 = dy'dy - dy'J (J'J + I)^-1 J'dy: what the base parameters, held by their priors, cannot take up;
-    where they take up nearly all, from the point that they reach
+    where they take up nearly all, from the point that they reach, less what even the true cause leaves
 """
 
 from __future__ import annotations
@@ -93,6 +93,7 @@ INSIDE = 0.95  # share of the catalogue's bounds that a hidden amplitude keeps t
 CLOSE = 0.15  # relative miss of d' after which the strength is tuned once more
 TRIALS = 5
 STRANGE = 3.0  # times the target
+SHARED = 0.6  # of what a base parameter costs alone where others help to take its place: where tuning starts
 RULER_STEPS, LONGEST_STEP, UNMOVED = 3, 6.0, 0.1  # of the base parameters, in prior deviations
 FALLEN = 0.8  # of d'^2 from one step to the next: then it has settled
 TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equations are not trusted
@@ -222,7 +223,7 @@ class Ruler:
         The linear equations err by a few hundredths of what they take up, and by more at the leakage's peaks, which may
         be more than what is left: what a base parameter can stand for is first tried with that parameter in its place.
         """
-        point = self._twin(case)
+        point = self.shift(case)
         left, J, least = change, self.J, np.inf
         for k in range(RULER_STEPS + 1):
             if np.any(point):
@@ -244,7 +245,10 @@ class Ruler:
         return float(np.sqrt(least))
 
     def settled(self, case: Case, records: Records) -> float:
-        """The same by fitting the base to the noise-free records, as a diagnosis would."""
+        """The same by fitting the base to the noise-free records, as a diagnosis would.
+
+        What even the true cause leaves, fitted likewise, is the plant's and not what is hidden: it does not count.
+        """
         by_name = {run.name: k for k, run in enumerate(case.runs)}
         benches = []
         for bench, rest in zip(self.study.benches, self.at_rest, strict=True):
@@ -252,9 +256,17 @@ class Ruler:
             shown = {c: rest.readings[c] + records[k][c] - self.quiet[k][c] for c in bench.record.outputs}
             benches.append(replace(bench, record=replace(bench.record, values={**bench.record.values, **shown})))
         study = replace(self.study, benches=tuple(benches))
-        starts = [np.zeros(self.J.shape[1]), *([twin] if np.any(twin := self._twin(case)) else [])]
-        fits = [fit_from(study, evaluate(study, point, ())).fit for point in starts]
-        return float(np.sqrt(min(float(fit.residual @ fit.residual + fit.point @ fit.point) for fit in fits)))
+        starts = [np.zeros(self.J.shape[1]), *([twin] if np.any(twin := self.shift(case)) else [])]
+        bases = [fit_from(study, evaluate(study, point, ())) for point in starts]
+        base = min(bases, key=lambda one: one.fit.deviance)
+        left = evaluate(study, base.fit.point, ()).deviance  # with all samples in full
+        extras = true_extras(case, study)
+        if extras is None:
+            return float(np.sqrt(left))
+        on_bench = evaluate(study, np.zeros(self.J.shape[1]), extras)
+        fitted = refit(base, extras, on_bench.point, looks=ORACLE_LOOKS)
+        oracle = min(on_bench.deviance, evaluate(study, fitted.point, fitted.extras).deviance)
+        return float(np.sqrt(max(left - oracle, 0.0)))
 
     def _moved(self, views: Sequence[View]) -> np.ndarray:
         """Whitened readings (rows,) of other views less those at rest."""
@@ -263,7 +275,7 @@ class Ruler:
             moved.append({name: (seen.readings[name] - own)[:, None] for name, own in rest.readings.items()})
         return self.study.stack(moved)[:, 0]
 
-    def _twin(self, case: Case) -> np.ndarray:
+    def shift(self, case: Case) -> np.ndarray:
         """The point (p,) at which base parameters stand for what is hidden: zero where none can."""
         names = [parameter.name for parameter in self.study.base.parameters]
         point = np.zeros(len(names))
@@ -328,10 +340,11 @@ def tune(case: Case, target: float, folder: Path) -> Tuned:
     for k, (name, _) in enumerate(case.hidden):
         if name in TWINS:  # the linear equations would take it for far stronger than it is
             alone = scaled(case, np.where(np.arange(len(most)) == k, first, 0.0))
-            size[k] = rule.distance(alone, changes[k]) / first[k]
+            shift = SHARED * float(np.linalg.norm(rule.shift(alone)))  # in prior deviations: it costs no more than that
+            size[k] = (shift or rule.distance(alone, changes[k])) / first[k]
     overlap = float(G[0, -1] / np.sqrt(G[0, 0] * G[-1, -1])) if len(most) == 2 else 0.0
     if target == 0.0:
-        distance = rule.distance(trial, changes[0])
+        distance = min(rule.distance(trial, changes[0]), rule.settled(trial, records))
         return Tuned(trial, tuple(map(float, first)), distance, (distance,), overlap, records)
     direction = _factors(size, overlap, target, most)
     best: Tuned | None = None
@@ -339,7 +352,8 @@ def tune(case: Case, target: float, folder: Path) -> Tuned:
     for _ in range(TRIALS):
         factors, trial, records = _run(case, np.minimum(scale * direction, most))
         distance = rule.distance(trial, rule.change(trial, records))
-        if abs(distance / target - 1.0) < CLOSE or distance > STRANGE * target:  # before it is believed
+        taken = any(name in TWINS for name, _ in case.hidden)  # nearly all of it, by a base parameter
+        if taken or abs(distance / target - 1.0) < CLOSE or distance > STRANGE * target:  # before it is believed
             distance = min(distance, rule.settled(trial, records))
         if best is None or _miss(distance, target) < _miss(best.distance, target):
             alone = tuple(map(float, size * factors)) if len(most) == 2 else (distance,)

@@ -306,7 +306,8 @@ def _definitions() -> str:
 
 - **d'**: norm, whitened by the meters' true noise (AR(1), and rounding), of what the hidden adds to the noise-free
   training records, less what the base parameters can take up against their priors: by the linear equations about the
-  valve on the bench, and where they take up nearly all, again from where they get to. Cases are tuned to a target;
+  valve on the bench; where they take up nearly all, by a fit to the noise-free records, less what even the true
+  cause leaves, which is the plant's. Cases are tuned to a target;
   where the catalogue's bounds or the plant forbid it, the largest d' possible stands. All tables go by the measured d'.
 - **false alarm**: on an empty session, any verdict but `no_discrepancy`. **detected**: the same where something is
   hidden.

@@ -426,3 +426,14 @@ def test_in_slow_records_no_lag_shorter_than_a_sample_is_typical():
     step = 1.0 / min(record.rate for record in slow)
     assert fast[family].typical == pytest.approx(1e-3) and paced[family].typical == pytest.approx(step)
     assert paced[family.replace("lag", "bias")].typical == fast[family.replace("lag", "bias")].typical
+
+
+def test_in_short_records_no_lag_longer_than_they_are_is_typical():
+    session = small_session()
+    long = tuple(replace(r, time=np.linspace(0.0, 60.0, len(r.time))) for r in session.records)
+    short, usual = (
+        next(c for c in candidates_of(each, base_of(each)) if c.family == "thermal_lag")
+        for each in (session, replace(session, records=long))
+    )
+    longest = max(record.time[-1] - record.time[0] for record in session.records)
+    assert short.typical == pytest.approx(longest / 4.0) and usual.typical == 5.0

@@ -381,6 +381,7 @@ SPOOL = (
         name="spool_stribeck_friction",
         doc="dry friction that falls with speed: -F z with z' = (v - |v| z/g)/d, g = k + (1-k) exp(-(v/v_s)^2)",
         location=_FRICTION_PLACE,
+        plainer="spool_coulomb_friction",
         signature="stick and slip: steps at slow reversal, less loss when moving",
         parameters=(
             _amplitude("breakaway_force", "N", "force F at rest", (0.0, 100.0), 1.5),
@@ -395,6 +396,7 @@ SPOOL = (
         name="spool_silting",
         doc="particles settle at rest and are wiped off: -F s z with s' = (1 - s)/t_d - |v| s/d_b, z of Dahl",
         location=_FRICTION_PLACE,
+        plainer="spool_coulomb_friction",
         signature="breakaway after a hold that grows with its length; gone while the spool keeps moving",
         parameters=(
             _amplitude("friction_force", "N", "force F of a spool long at rest", (0.0, 100.0), 3.0),
@@ -409,6 +411,7 @@ SPOOL = (
         name="spool_thermal_pinch",
         doc="a spool warmer than its sleeve rubs: -k max(0, h_0 - radial clearance) z, z of Dahl",
         location=_FRICTION_PLACE,
+        plainer="spool_coulomb_friction",
         signature="friction that comes in a warm-up and goes when the sleeve has followed; none at even temperature",
         parameters=(
             _amplitude("friction_per_clearance", "N/m", "k, force per clearance lost", (0.0, 1e8), 1.5e7),

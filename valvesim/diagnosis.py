@@ -66,6 +66,7 @@ ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no mo
 LEFT_SHARE = 0.02  # of what the best explains may stay behind as a free term, for the same reason
 WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
+REFINED_PRICE = 2.0  # the same for an effect that is another, plainer one where its own feature does not show
 UNKNOWN_PRICE = 6.0  # the same for a cause that nobody has listed
 HOPELESS = 0.35  # share of the signal that stays unexplained where the records are not of this valve
 LIKELY = 0.9  # chance that the locked records get better, below which no extended model is offered
@@ -92,8 +93,7 @@ class Explained:
     def evidence(self) -> float:
         """`least` with the price of its freedom."""
         price = sum(
-            2.0 * np.log(10.0) + (PARAMETER_PRICE if e.candidate.effect is None else 0.0)
-            + (e.excess / (5.0 * e.candidate.typical)) ** 2
+            2.0 * np.log(10.0) + _rarity(e.candidate) + (e.excess / (5.0 * e.candidate.typical)) ** 2
             for e in self.fit.extras
         )  # fmt: skip
         return float(self.least + self.fit.occam + price)
@@ -112,6 +112,13 @@ class Explained:
     def means(self, other: Explained) -> bool:
         """Whether another hypothesis has just these candidates."""
         return len(self.candidates) == len(other.candidates) and self.is_within(other)
+
+
+def _rarity(candidate: Candidate) -> float:
+    """The price of what is rarer than an effect of the catalogue."""
+    if candidate.effect is None:
+        return PARAMETER_PRICE
+    return REFINED_PRICE if candidate.effect.plainer else 0.0
 
 
 def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], None] | None = None) -> Diagnosis:

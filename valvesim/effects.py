@@ -99,6 +99,7 @@ class Effect:
     `reading(reading, p) -> values` changes what the sensor of `channel` gives (see `on`).
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
+    `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
     """
 
     name: str
@@ -113,6 +114,7 @@ class Effect:
     reading: Callable[[Reading, Any], Any] | None = None
     channel: str = ""
     figure: str = ""
+    plainer: str = ""
 
     def on(self, channel: str) -> Effect:
         """This sensor effect on one channel, its parameters in that channel's unit. InputError for a wrong name."""

@@ -262,7 +262,7 @@ def candidates_of(session: Session, base: Base) -> tuple[Candidate, ...]:
         combinations: list[tuple[tuple[str, float], ...]] = [()]
         for name, values in shapes.items():
             combinations = [(*one, (name, value)) for one in combinations for value in values]
-        found += [Candidate(effect.name, effect, fixed) for fixed in combinations]
+        found += [Candidate(effect.name, _paced(effect, session), fixed) for fixed in combinations]
     found = [_with_twin(candidate, base) for candidate in found]
     found += [Candidate(f"parameter:{p.name}", parameter=p) for p in base.parameters if p.sensor is None]
     return tuple(found)
@@ -297,12 +297,17 @@ def _rate(candidate: Candidate, twin: BaseParameter, base: Base) -> float:
 
 
 def _paced(effect: Effect, session: Session) -> Effect:
-    """A sensor's effect whose amplitude is a time: no shorter one is typical than a sample of the slowest record."""
+    """An effect whose amplitude is a time: none is typical that the records could not tell from none, or from endless.
+
+    That is one shorter than a sample of the slowest record, or longer than a quarter of the longest.
+    """
     amplitude = effect.amplitude
     if amplitude.unit != "s" or amplitude.typical is None:
         return effect
     slowest = max(1.0 / record.rate for record in session.records)
-    paced = replace(amplitude, typical=min(max(amplitude.typical, slowest), amplitude.bounds[1]))
+    longest = max(float(record.time[-1] - record.time[0]) for record in session.records)
+    typical = min(max(amplitude.typical, slowest), max(0.25 * longest, slowest), amplitude.bounds[1])
+    paced = replace(amplitude, typical=typical)
     return replace(effect, parameters=tuple(paced if p is amplitude else p for p in effect.parameters))
 
 

@@ -28,7 +28,7 @@ from .study import SHAPE_DEVIATION, SHAPE_STEP, BaseFit, Fit, Study, each, own_s
 RATE = 1000.0  # Hz
 ENOUGH, LEAST = 0.95, 0.3  # power that a test should have, and below which none is offered
 NEEDED = 6.0  # difference of deviances that tells two hypotheses apart
-REPEATS = (1, 2, 4)
+REPEATS = (1, 2, 4, 8, 16)
 LOOKED_AT = 3  # tests of which refits are thought through: those whose plain differences are largest
 FULL, CHIRP, SMALL = 0.9, 0.45, 0.06  # of the rated current
 LOW_SUPPLY, LOAD = 0.4, 0.35  # of the nominal supply pressure
