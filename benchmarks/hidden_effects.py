@@ -349,10 +349,10 @@ def tune(case: Case, target: float, folder: Path) -> Tuned:
     direction = _factors(size, overlap, target, most)
     best: Tuned | None = None
     scale, tried = 1.0, [(0.0, 0.0)]  # (scale, d')
+    taken = any(name in TWINS for name, _ in case.hidden)  # nearly all of it, by a base parameter
     for _ in range(TRIALS):
         factors, trial, records = _run(case, np.minimum(scale * direction, most))
         distance = rule.distance(trial, rule.change(trial, records))
-        taken = any(name in TWINS for name, _ in case.hidden)  # nearly all of it, by a base parameter
         if taken or abs(distance / target - 1.0) < CLOSE or distance > STRANGE * target:  # before it is believed
             distance = min(distance, rule.settled(trial, records))
         if best is None or _miss(distance, target) < _miss(best.distance, target):

@@ -158,7 +158,8 @@ def recover(base: BaseFit, scene: Scene) -> Recovered | None:
         return None
     price = float(np.log(len(base.fit.residual)))
     least, best = base.fit.deviance - WORTH, None
-    fine = look(base, base.fit, searched=[f for f in scene.families if f.memory == NONE], knots=FINE_LOOK)
+    for_terms = replace(base, study=replace(base.study, candidates=()))  # `scene` has tested the candidates already
+    fine = look(for_terms, base.fit, searched=[f for f in scene.families if f.memory == NONE], knots=FINE_LOOK)
     looks = {KNOTS: scene, FINE_KNOTS: fine}
     ranked, margin = _ranked(looks)
     for family, count in ranked[:TRIED]:
@@ -470,8 +471,8 @@ def _with_formula(problem: _Problem, solution: _Solution, gained: float) -> tupl
         far = _difference(problem, held.values, state.values) > FORMULA_ERROR  # though the records may hardly know
         if far and rise > chance + FORMULA_ERROR**2 * gained:
             continue
-        a = np.linalg.lstsq(formula.F / np.max(np.abs(formula.F), axis=0), held.values, rcond=None)[0]
-        a = a / np.max(np.abs(formula.F), axis=0)
+        scale = np.max(np.abs(formula.F), axis=0)
+        a = np.linalg.lstsq(formula.F / scale, held.values, rcond=None)[0] / scale
         return replace(solution, state=held, covariance=covariance), _sentence(problem, formula.write(a), held.figure)
     return None
 
