@@ -1,5 +1,6 @@
 """The full suite of hidden effects: what valvesim's diagnosis finds in sessions of a plant that is not its model.
 
+    .venv/bin/python benchmarks/hidden_effects.py tune --workers 2  # strengths alone, kept: `run` does it else
     .venv/bin/python benchmarks/hidden_effects.py run --workers 2   # the same again after a break: it goes on
     .venv/bin/python benchmarks/hidden_effects.py report            # docs/hidden_effects.md from what there is
 
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import pickle
 import sys
 import tempfile
 import time
@@ -79,6 +81,8 @@ from valvesim.units import quantities  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results" / "hidden_effects.jsonl"
 DOCUMENT = ROOT / "docs" / "hidden_effects.md"
+KEPT = Path(tempfile.gettempdir()) / "valvesim_tuned"
+PLANT = crc32(Path(hidden_plant.__file__).read_bytes())
 KINDS = hidden_plant.KINDS
 
 TARGETS = (5.0, 8.0, 15.0, 40.0)
@@ -557,16 +561,39 @@ def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, fl
         return found, caught, (time.perf_counter() - begin, time.process_time() - worked)
 
 
-def run_case(spec: Spec, with_baselines: bool) -> dict[str, Any]:
+def tuned_case(spec: Spec, kept: Path) -> Tuned:
+    """The case at its strength: of an earlier run of the same plant where it is kept, else tuned now, and kept."""
+    path = kept / f"{PLANT:08x} {spec.key}.pickle"
+    if path.exists():
+        return pickle.loads(path.read_bytes())
+    with tempfile.TemporaryDirectory(prefix="valvesim_quiet_") as place:
+        tuned = tune(draw(spec.seed, spec.kind, name=spec.name), spec.target, Path(place))
+    kept.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".part")
+    part.write_bytes(pickle.dumps(tuned))
+    part.replace(path)
+    return tuned
+
+
+def kept_case(spec: Spec, kept: Path) -> str:
+    """Tune and keep a case; what came of it, in words (`run` will meet an error again, and tell it in its row)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return f"has d' = {tuned_case(spec, kept).distance:.1f}"
+        except Exception as error:  # as in run_case
+            return f"{type(error).__name__}: {error}"
+
+
+def run_case(spec: Spec, kept: Path, with_baselines: bool) -> dict[str, Any]:
     """The line of a case. What fails is told in it: `outcome` "error", with the message."""
     row: dict[str, Any] = {**asdict(spec), "key": spec.key, "outcome": "error"}
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="valvesim_hidden_") as place, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            case = draw(spec.seed, spec.kind, name=spec.name)
-            row |= _of_case(case)
-            tuned = tune(case, spec.target, Path(place) / "quiet")
+            row |= _of_case(draw(spec.seed, spec.kind, name=spec.name))
+            tuned = tuned_case(spec, kept)
             row |= _of_case(tuned.case) | {
                 "factors": tuned.factors, "distance": tuned.distance, "alone": tuned.alone, "overlap": tuned.overlap,
             }  # fmt: skip
@@ -697,8 +724,40 @@ def read_results(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def run(todo: Sequence[Spec], path: Path, workers: int, with_baselines: bool) -> None:
+def tune_all(todo: Sequence[Spec], kept: Path, workers: int) -> None:
+    """Tune cases and keep them, so that a later `run` only diagnoses."""
+    _over(todo, len(todo), workers, lambda spec: (kept_case, spec, kept), lambda spec, message: f"{spec.key} {message}")
+
+
+def run(todo: Sequence[Spec], path: Path, kept: Path, workers: int, with_baselines: bool) -> None:
     """Run cases that the results do not hold yet; this process alone writes, a line at a time."""
+    done = {row["key"] for row in read_results(path)}
+    left = [spec for spec in todo if spec.key not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists() and path.read_bytes()[-1:] not in (b"", b"\n"):  # an interruption within a line
+        with path.open("a", encoding="utf-8") as file:
+            file.write("\n")
+    with path.open("a", encoding="utf-8") as file:
+
+        def job(spec: Spec) -> tuple[Any, ...]:
+            return run_case, spec, kept, with_baselines and crc32(spec.key.encode()) % BASELINE_EVERY == 0
+
+        def add(spec: Spec, row: dict[str, Any]) -> str:
+            file.write(json.dumps(row, ensure_ascii=False, allow_nan=False) + "\n")
+            file.flush()
+            return _told(spec, row)
+
+        _over(left, len(todo), workers, job, add)
+
+
+def _over(
+    left: Sequence[Spec],
+    total: int,
+    workers: int,
+    job: Callable[[Spec], tuple[Any, ...]],
+    tell: Callable[[Spec, Any], str],
+) -> None:
+    """Work through cases in processes of their own, with progress: `job` gives a function and its arguments."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -708,60 +767,54 @@ def run(todo: Sequence[Spec], path: Path, workers: int, with_baselines: bool) ->
         TimeRemainingColumn,
     )
 
-    done = {row["key"] for row in read_results(path)}
-    left = [spec for spec in todo if spec.key not in done]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.exists() and path.read_bytes()[-1:] not in (b"", b"\n"):  # an interruption within a line
-        with path.open("a", encoding="utf-8") as file:
-            file.write("\n")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                TextColumn("left"), TimeRemainingColumn())  # fmt: skip
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
-        with Progress(*columns, speed_estimate_period=600.0) as progress, path.open("a", encoding="utf-8") as file:
-            bar = progress.add_task("hidden effects", total=len(todo), completed=len(todo) - len(left))
+        with Progress(*columns, speed_estimate_period=600.0) as progress:
+            bar = progress.add_task("hidden effects", total=total, completed=total - len(left))
             waiting: dict[Future, Spec] = {}
             queue = iter(left)
             while True:
                 while len(waiting) < workers and (spec := next(queue, None)) is not None:
-                    beside = with_baselines and crc32(spec.key.encode()) % BASELINE_EVERY == 0
-                    waiting[pool.submit(run_case, spec, beside)] = spec
+                    waiting[pool.submit(*job(spec))] = spec
                 if not waiting:
                     break
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                    spec, row = waiting.pop(future), future.result()
-                    file.write(json.dumps(row, ensure_ascii=False, allow_nan=False) + "\n")
-                    file.flush()
-                    progress.update(bar, advance=1, description=_told(spec, row))
+                    spec = waiting.pop(future)
+                    progress.update(bar, advance=1, description=tell(spec, future.result())[:70].ljust(70))
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _told(spec: Spec, row: dict[str, Any]) -> str:
     answer = row.get("verdict", row.get("message", "error"))
-    return f"{spec.kind} {spec.name or ''}: {answer} {' + '.join(row.get('named', ()))}"[:70].ljust(70)
+    return f"{spec.kind} {spec.name or ''}: {answer} {' + '.join(row.get('named', ()))}"
 
 
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="The full suite of hidden effects.")
-    parser.add_argument("what", choices=("run", "report"))
+    parser.add_argument("what", choices=("tune", "run", "report"))
     parser.add_argument("--cases", type=int, help="only the first so many of the list")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, help="only these")
     parser.add_argument("--seed-offset", type=int, default=TABLE_SEEDS, help="10000 while the diagnosis is worked on")
     parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--kept", type=Path, default=KEPT, help="the folder of the cases that are tuned already")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--baselines", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT, help="the report's file")
     options = parser.parse_args()
     chosen = [spec for spec in cases(options.seed_offset) if options.kinds is None or spec.kind in options.kinds]
     chosen = chosen[: options.cases]
-    if options.what == "run":
-        try:
-            run(chosen, options.results, options.workers, options.baselines)
-        except KeyboardInterrupt:
-            sys.exit(f"interrupted; what is done stands in {options.results}, the same command goes on from there")
-        return
+    try:
+        if options.what == "tune":
+            return tune_all(chosen, options.kept, options.workers)
+        if options.what == "run":
+            return run(chosen, options.results, options.kept, options.workers, options.baselines)
+    except KeyboardInterrupt:
+        stands = {"tune": options.kept, "run": options.results}[options.what]
+        sys.exit(f"interrupted; what is done stands in {stands}, the same command goes on from there")
     keys = {spec.key for spec in chosen}
     rows = {row["key"]: row for row in read_results(options.results) if row["key"] in keys}
     if not rows:

@@ -90,13 +90,19 @@ class Explained:
         return self.fit.deviance - min(self.fit.promised, 2.0 * ENOUGH)
 
     @property
+    def price(self) -> float:
+        """What it costs to hold these candidates at all, whatever the data say."""
+        return sum(2.0 * np.log(10.0) + _rarity(candidate) for candidate in self.candidates)
+
+    @property
     def evidence(self) -> float:
         """`least` with the price of its freedom."""
-        price = sum(
-            2.0 * np.log(10.0) + _rarity(e.candidate) + (e.excess / (5.0 * e.candidate.typical)) ** 2
-            for e in self.fit.extras
-        )  # fmt: skip
-        return float(self.least + self.fit.occam + price)
+        strength = sum((e.excess / (5.0 * e.candidate.typical)) ** 2 for e in self.fit.extras)
+        return float(self.least + self.fit.occam + self.price + strength)
+
+    def weighed(self, heat: float) -> float:
+        """`evidence` times `heat` below what it would be beside prices in full, see `_heat`."""
+        return self.evidence + (heat - 1.0) * self.price
 
     @property
     def label(self) -> str:
@@ -148,6 +154,8 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
             if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
                 base, found, final = _with_peaks(base, found, final)
             quiet = _quiet(base, final)
+            found = _ranked(base, found)
+            final = final if found[0].fit is final.fit else look(base, found[0].fit)
     tell(STAGES[5], 0.9)
     return _answer(base, scene, final, found, alarm, quiet, level)
 
@@ -408,6 +416,22 @@ def _width(base: BaseFit, best: Explained) -> float:
     return max(ANSWER_RATIO, ANSWER_SHARE * (base.fit.deviance - best.fit.deviance))
 
 
+def _heat(base: BaseFit, best: Explained) -> float:
+    """By how much less a difference of deviance counts than it would if the model were the plant."""
+    return _width(base, best) / ANSWER_RATIO
+
+
+def _ranked(base: BaseFit, found: Sequence[Explained]) -> list[Explained]:
+    """The found with those that explain the data nearly as well as the best in the order of their probabilities.
+
+    Of two that fit alike for a model that is not the plant, the plainer goes first.
+    """
+    best = found[0]
+    heat, width = _heat(base, best), _width(base, best)
+    near = sorted((one for one in found if one.evidence - best.evidence < width), key=lambda one: one.weighed(heat))
+    return [*near, *(one for one in found if one not in near)]
+
+
 def _rivals(base: BaseFit, found: Sequence[Explained]) -> list[Explained]:
     """The best, and those that explain the data nearly as well."""
     if not found:
@@ -431,9 +455,10 @@ def _candidate_answers(
     if not found:
         return []
     gained, width = max(base.fit.deviance - found[0].fit.deviance, 0.0), _width(base, found[0])
-    unknown = found[0].evidence + UNKNOWN_PRICE + 0.25 * gained if quiet else found[0].evidence - 2.0 * width
-    heat = width / ANSWER_RATIO  # no model is the plant: evidence counts by so much less
-    values = np.array([*(one.evidence for one in found), unknown])
+    heat = _heat(base, found[0])
+    known = [one.weighed(heat) for one in found]
+    unknown = known[0] + UNKNOWN_PRICE + 0.25 * gained if quiet else known[0] - 2.0 * width
+    values = np.array([*known, unknown])
     weights = np.exp(-0.5 * (values - values.min()) / heat)
     weights /= weights.sum()
     answers = [

@@ -36,10 +36,10 @@ class Noise:
 
     def whiten(self, columns: np.ndarray, usable: np.ndarray) -> np.ndarray:
         """Columns (n, k) with the noise made white and of unit size, (rows, k); rows that touch unusable samples go."""
-        from scipy.signal import lfilter
-
-        white = lfilter(np.concatenate([[1.0], -np.asarray(self.lags)]), [1.0], columns, axis=0) / self.innovation
-        return white[self.kept(usable)]
+        white = np.array(columns, dtype=float)
+        for k, lag in enumerate(self.lags, start=1):  # many columns at once: a filter of the library takes one by one
+            white[k:] -= lag * columns[:-k]
+        return white[self.kept(usable)] / self.innovation
 
     def kept(self, usable: np.ndarray) -> np.ndarray:
         """True for the samples (n,) whose rows `whiten` gives back."""

@@ -98,6 +98,15 @@ class Bench:
             rough=True,
         )
 
+    def runs_like(self, other: Bench) -> bool:
+        """Whether any variant reads the same on both: they are of a record and its repeat, say."""
+        mine, others = self._inputs_of_a_run(), other._inputs_of_a_run()
+        return self.record.outputs == other.record.outputs and all(map(np.array_equal, mine, others))
+
+    def _inputs_of_a_run(self) -> tuple[np.ndarray, ...]:
+        path = (self.path.times, *(np.asarray(value) for _, value in _parts(self.path)))
+        return self.times, self.fine_times, self.fine_inputs, self.starts, self.rows, *path
+
     def model(self, effects: Sequence[ActiveEffect]) -> Model:
         """The equations with the one effect that has a balance; for several those with the universe, if they are in it.
 

@@ -23,7 +23,7 @@ from .errors import InputError, SolveError
 from .hypotheses import View
 from .prediction import Variant
 from .scene import Scene, argument, look
-from .study import BaseFit, Study, each, predict, see, whitened_residual
+from .study import BaseFit, Study, predict, see, whitened_residual
 from .terms import LAG, NONE, PATH, Family, hats, term_effect
 
 NAME = "recovered_term"
@@ -291,7 +291,7 @@ def _columns(problem: _Problem, views: Sequence[View], state: _State | None) -> 
         moved = seen.by_answer([bare.with_effect(problem.active(v, f)) for v, f in moves])
         return {name: columns / np.array(by) for name, columns in moved.items()}
 
-    return problem.study.stack(each(answers, views))
+    return problem.study.stack(problem.study.each(answers, views))
 
 
 def _size(base: BaseFit, V: np.ndarray) -> float | None:

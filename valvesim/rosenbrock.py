@@ -135,7 +135,7 @@ def integrate(
     c, stage_y, new, W = np.empty(n_c), np.empty(n), np.empty(n), np.empty((n, n))
     for k in range(n_c):
         c[k] = knots[0, k]
-    J, K, order = np.empty((n, n)), np.empty((STAGES, n)), np.empty(n, np.int64)
+    J, K, order, bend = np.empty((n, n)), np.empty((STAGES, n)), np.empty(n, np.int64), np.empty((3, n))
     t, h, at_out = clock[0], clock[1], int(clock[2])
     interval, at = 0, 0
     while interval + 1 < starts.shape[0] and starts[interval + 1] <= t:
@@ -225,22 +225,23 @@ def integrate(
                 break
             count[0] += 1
             end = limit if h == limit - t else t + h
+            if at_out < t_out.shape[0] and t_out[at_out] <= end:
+                for k in range(3):
+                    for i in range(n):
+                        bend[k, i] = 0.0
+                        for s in range(STAGES):
+                            bend[k, i] += DENSE[k, s] * K[s, i]
             while at_out < t_out.shape[0] and t_out[at_out] <= end:
                 share = (t_out[at_out] - t) / h
                 for i in range(n):
-                    d1, d2, d3 = 0.0, 0.0, 0.0
-                    for s in range(STAGES):
-                        d1 += DENSE[0, s] * K[s, i]
-                        d2 += DENSE[1, s] * K[s, i]
-                        d3 += DENSE[2, s] * K[s, i]
-                    bent = (1.0 - share) * (d1 + share * (d2 + share * d3))
+                    bent = (1.0 - share) * (bend[0, i] + share * (bend[1, i] + share * bend[2, i]))
                     out[at_out, i] = (1.0 - share) * y[i] + share * (new[i] + bent)
                 at_out += 1
             for i in range(n):
                 y[i] = new[i]
             t = end
             grown = h * min(max(0.85 * max(error, 1e-10) ** -0.2, 0.2), 3.0)
-            h = max(grown, free) if h < free else grown  # a break had shortened the step, not the error
+            h = free if h < free else grown  # a step that a break has shortened says nothing of longer ones
         if status != DONE:
             break
         interval += 1

@@ -10,7 +10,7 @@ import numpy as np
 from .evidence import Gram, Projected, alarm_level, block_statistic, project
 from .hypotheses import Candidate, View
 from .sensitivity import relax
-from .study import BaseFit, Fit, Study, each, gram_of, own_columns, see, shown
+from .study import BaseFit, Fit, Study, gram_of, own_columns, see, shown
 from .terms import LAG, PATH, Family, families, hats, term_effect
 
 KNOTS = 6  # of each family's function while it is looked for
@@ -112,7 +112,7 @@ def look(base: BaseFit, fit: Fit, *, searched: Sequence[Family] = families(), kn
     changed = [c.add_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
     S = shown(study, views, J, candidates, changed)
     spans = _spans(views, searched)
-    T = each(lambda seen: family_columns(seen, searched, spans, knots), views)
+    T = study.each(lambda seen: family_columns(seen, searched, spans, knots), views)
     own = own_columns(study, fit, views, J)
     gram = gram_of(study, views, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point, ())
     q, f = len(candidates), len(searched) * knots

@@ -61,6 +61,7 @@ class Study:
     base: Base
     candidates: tuple[Candidate, ...]
     benches: tuple[Bench, ...]
+    firsts: tuple[int, ...]  # of each bench, the first that runs like it
     noise: dict[tuple[str, float], Noise] = field(default_factory=dict)
     weights: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (record, channel): of its whitened rows
 
@@ -73,6 +74,12 @@ class Study:
     def coarse(self) -> Study:
         """The study with its views at the samples alone: the same readings, and answers that will do on the way."""
         return replace(self, benches=tuple(bench.coarse() for bench in self.benches))
+
+    def each(self, function: Callable, *over: Sequence) -> list:
+        """The function over the benches or what belongs to them, on threads; what runs alike is worked out once."""
+        own = sorted(set(self.firsts))
+        found = dict(zip(own, each(function, *([one[k] for k in own] for one in over)), strict=True))
+        return [found[k] for k in self.firsts]
 
     def whiten(self, bench: Bench, columns: dict[str, np.ndarray]) -> list[np.ndarray]:
         """Whitened columns (n, k) of a record, channel by channel."""
@@ -108,7 +115,8 @@ def prepare_study(session: Session, more: Sequence = ()) -> Study:
     base = base_of(session)
     universe = (*CATALOGUE.values(), *session.user_effects, *more)
     benches = tuple(prepare(session, record, universe) for record in session.training)
-    return Study(session, base, candidates_of(session, base), benches)
+    firsts = tuple(next(k for k, first in enumerate(benches) if first.runs_like(bench)) for bench in benches)
+    return Study(session, base, candidates_of(session, base), benches, firsts)
 
 
 # ---------------------------------------------------------------- noise
@@ -247,7 +255,7 @@ def evaluate(study: Study, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit:
 
 def predict(study: Study, variant: Variant) -> tuple[dict[str, np.ndarray], ...]:
     """What each training record's sensors would read of a variant, by running it."""
-    return tuple(each(lambda bench: bench.readings(bench.run(variant), variant), study.benches))
+    return tuple(study.each(lambda bench: bench.readings(bench.run(variant), variant), study.benches))
 
 
 def whitened_residual(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
@@ -472,9 +480,10 @@ def _repeated(study: Study) -> bool:
 
 def see(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.ndarray]]]:
     """Each training record seen from a variant, and its answers (n_samples, p) to the base parameters by channel."""
-    views = each(lambda bench: view(bench, variant), study.benches)
+    views = study.each(lambda bench: view(bench, variant), study.benches)
     beside = neighbours(study.base, variant)
-    return views, each(lambda seen: parameter_columns(seen, study.base, beside), views)
+    columns = study.each(lambda seen: parameter_columns(seen, study.base, beside), views)
+    return [replace(seen, bench=bench) for seen, bench in zip(views, study.benches, strict=True)], columns
 
 
 def within_tolerance(base: BaseFit) -> Fit:
@@ -639,7 +648,11 @@ def shown(
     candidates: Sequence[Candidate], changed: Sequence[Variant],
 ) -> list[dict[str, np.ndarray]]:  # fmt: skip
     """The `candidate_columns` of all views; `columns` are those of the base parameters."""
-    return each(lambda seen, known: candidate_columns(seen, candidates, changed, study.base, known), views, columns)
+
+    def columns_of(seen: View, known: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return candidate_columns(seen, candidates, changed, study.base, known)
+
+    return study.each(columns_of, views, columns)
 
 
 def own_columns(
