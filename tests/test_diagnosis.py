@@ -1,6 +1,7 @@
 """What is hidden in a session is found: the plant is not the model, and the diagnosis sees only the folder."""
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,11 @@ from hidden_plant import draw, truth, write_session
 
 import valvesim as vs
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
+from valvesim.catalogue import CATALOGUE
+from valvesim.diagnosis import ANSWER_SHARE, Explained, _ranked, _rivals
+from valvesim.hypotheses import Candidate
 from valvesim.session import load_session
+from valvesim.study import Extra, Fit
 
 
 def diagnosed(folder, seed, kind, name=None, strength=1.0):
@@ -112,3 +117,37 @@ def test_records_of_another_valve_are_said_to_be_that_before_anything_is_named(t
     found = vs.diagnose(tmp_path)
     assert found.verdict == "unknown" and not found.causes and not found.parameters
     assert "cannot come near these records" in found.summary
+
+
+# ---------------------------------------------------------------- the order of answers
+
+
+def explained(deviance, *names):
+    """A hypothesis fitted, of catalogue effects at their typical strength."""
+    candidates = [Candidate(name, CATALOGUE[name]) for name in names]
+    extras = tuple(Extra(candidate, candidate.typical) for candidate in candidates)
+    return Explained(Fit(np.zeros(1), extras, deviance, (), np.zeros(1), 1.0))
+
+
+def order(base, *found):
+    return [one.label for one in _ranked(base, sorted(found, key=lambda one: one.evidence))]
+
+
+def test_among_those_that_fit_alike_the_plainer_goes_first():
+    coulomb, stribeck = (f"spool_{kind}_friction" for kind in ("coulomb", "stribeck"))
+    strong, weak = (SimpleNamespace(fit=SimpleNamespace(deviance=1000.0 + gained)) for gained in (1600.0, 64.0))
+    both = explained(1000.0, coulomb), explained(991.0, stribeck)
+    assert order(strong, *both) == [coulomb, stribeck]  # 9 of 1600 are less than a model that is not the plant errs by
+    assert order(weak, *both) == [stribeck, coulomb]
+    assert order(strong, explained(1000.0, coulomb), explained(900.0, stribeck)) == [stribeck, coulomb]
+
+
+def test_one_more_cause_that_explains_next_to_nothing_is_left_out():
+    base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
+    alone, pair = explained(1030.0, "spool_lap"), explained(1000.0, "spool_lap", "entrained_air")
+    assert ANSWER_SHARE * 1500.0 > 30.0
+    ranked = _ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in _rivals(base, ranked)] == ["spool_lap"]
+    pair = explained(900.0, "spool_lap", "entrained_air")
+    ranked = _ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in _rivals(base, ranked)] == ["spool_lap + entrained_air"]

@@ -109,6 +109,13 @@ def test_whitening_leaves_white_noise_of_unit_size(lags):
         assert np.abs(correlations(series)).max() > 0.5
 
 
+def test_whitening_is_the_filter_of_the_lags():
+    columns, noise = np.random.default_rng(1).normal(size=(200, 3)), Noise(0.3, AR2, True, "a test")
+    filtered = lfilter([1.0, *(-a for a in AR2)], [1.0], columns, axis=0) / 0.3
+    assert noise.whiten(columns, np.ones(200, dtype=bool)) == pytest.approx(filtered[2:], abs=1e-12)
+    assert np.ptp(columns) > 1.0  # they are left as they were
+
+
 def test_rows_that_touch_an_unusable_sample_are_dropped_and_no_others():
     series = np.column_stack([coloured(AR2, count=60), coloured(AR2, count=60, seed=1)])
     noise, usable = Noise(1.0, AR2, True, ""), np.ones(60, dtype=bool)

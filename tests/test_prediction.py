@@ -133,6 +133,20 @@ def test_a_coarse_bench_reads_the_same_and_is_seen_at_the_samples_alone():
             assert np.array_equal(column, read(name, variant)[channel])
 
 
+def test_a_repeat_runs_like_its_record_and_nothing_else_does():
+    session, fast = small_session(), bench_of("fast")
+
+    def like(**changed):
+        values = {**fast.record.values, **changed}
+        return prepare(session, replace(fast.record, name="again", values=values), UNIVERSE).runs_like(fast)
+
+    assert like(spool_position=fast.record.values["spool_position"] + 1e-6)  # what was read does not matter
+    assert not like(current=1.001 * fast.record.values["current"])
+    assert not like(oil_temperature=fast.record.values["oil_temperature"] + 1.0)
+    assert not like(load_pressure=fast.record.values["load_pressure"] + 1e5)
+    assert not bench_of("slow").runs_like(fast)
+
+
 def test_courses_of_long_records_are_kept_at_wider_spacing():
     session = small_session()
     fast = next(record for record in session.records if record.name.startswith("fast"))

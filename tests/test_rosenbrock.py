@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from valvesim import rosenbrock
-from valvesim.commands import Constant, Pulse, Ramp, Sine, Step, Sum, merge
+from valvesim.commands import Constant, Pulse, Ramp, Sine, Step, Sum, Table, merge
 from valvesim.rosenbrock import DONE, STEP_TOO_SMALL, TOO_MANY_STEPS, back_substitute, factor
 
 NO_KNOTS = (np.array([0.0]), np.zeros((1, 1)))
@@ -233,6 +233,14 @@ def test_stiff_lag_needs_few_steps_once_it_has_settled():
 
 
 # ---------------------------------------------------------------- breaks
+
+
+def test_a_step_that_a_break_has_shortened_says_nothing_of_longer_ones():
+    """Grown by its own small error, the step after every corner of a table was tried too long, and failed."""
+    times = np.arange(41) * 1e-3
+    zigzag = Table(times=tuple(times), values=tuple(np.where(np.arange(41) % 2, 1.0, -1.0)))
+    run = Run(*lag(8e-4), [-1.0], commands=[zigzag], end=0.04, rtol=1e-3, atol=1e-5)
+    assert run.status == DONE and run.count[0] == pytest.approx(80, abs=5) and run.count[1] < 5
 
 
 def test_jump_of_a_command_is_not_stepped_over():

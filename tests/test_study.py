@@ -5,7 +5,7 @@ import pytest
 from hidden_plant import draw, write_session
 
 from valvesim.session import load_session
-from valvesim.study import SETTLED, TOLERANCE, Extra, fit_base, prepare_study, refit, within_tolerance
+from valvesim.study import SETTLED, TOLERANCE, Extra, fit_base, predict, prepare_study, refit, within_tolerance
 
 
 @pytest.fixture(scope="module")
@@ -46,3 +46,23 @@ def test_a_refit_takes_the_stretched_parameter_back_and_finds_the_bias(biased):
     assert abs(fit.point[at(base, "sensor_bias@load_flow")]) < 0.5
     assert fit.extras[0].excess == pytest.approx(bias, rel=0.1)
     assert fit.deviance < base.fit.deviance - 100.0
+
+
+def test_what_runs_alike_is_worked_out_once_and_reads_as_each_alone(biased):
+    study, asked = biased[0].study, []
+    names = [bench.record.name for bench in study.benches]
+    assert study.firsts == (0, 1, 2, 0)  # the fourth repeats the first
+    found = study.each(lambda bench: asked.append(bench.record.name) or bench.record.name, study.benches)
+    assert sorted(asked) == sorted(names[:3]) and found == [names[k] for k in study.firsts]
+    variant = study.base.variant
+    for read, bench in zip(predict(study, variant), study.benches, strict=True):
+        alone = bench.readings(bench.run(variant), variant)
+        assert all(np.array_equal(read[name], alone[name]) for name in alone)
+
+
+def test_views_of_a_repeat_have_its_own_readings(biased):
+    base = biased[0]
+    for seen, bench in zip(base.views, base.study.benches, strict=True):
+        assert seen.bench is bench
+        for name, left in seen.residual().items():
+            assert np.array_equal(left, bench.record.values[name] - seen.readings[name])
