@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from valvesim.evidence import DRAWS, Gram, Projected, alarm_level, block_statistic, project
+from valvesim.evidence import DRAWS, Gram, Projected, alarm_level, block_statistic, inverse_of, project
 
 N, P, Q = 120, 4, 5
 T_NOW = np.array([0.5, -1.0, 0.0, 2.0])
@@ -203,3 +203,15 @@ def test_the_alarm_leaves_out_what_the_data_do_not_see():
 def test_the_alarm_is_the_same_for_a_seed():
     two_sided = np.zeros(12, dtype=bool)
     assert alarm_level(alike(0.3), two_sided, 0.05, seed=1) == alarm_level(alike(0.3), two_sided, 0.05, seed=1)
+
+
+def test_the_inverse_minds_neither_sizes_nor_what_nothing_is_known_of():
+    sizes = np.array([1e-9, 1.0, 1e12])
+    root = np.random.default_rng(3).normal(size=(3, 3))
+    plain, scale = root @ root.T + np.eye(3), np.outer(sizes, sizes)
+    H = scale * plain
+    assert inverse_of(H) * scale == pytest.approx(np.linalg.inv(plain), rel=1e-9)
+    blind = np.zeros((4, 4))
+    blind[:3, :3] = H
+    assert inverse_of(blind)[:3, :3] == pytest.approx(inverse_of(H), rel=1e-9)
+    assert not inverse_of(blind)[3].any()

@@ -32,6 +32,7 @@ from .answer import (
     Trace,
 )
 from .channels import SIGNAL_CHANNELS, STATE_CHANNELS
+from .evidence import inverse_of
 from .extension import effect_files, scenario_text
 from .hypotheses import Candidate
 from .next_test import design
@@ -101,7 +102,7 @@ class Explained:
         return float(self.least + self.fit.occam + self.price + strength)
 
     def weighed(self, heat: float) -> float:
-        """`evidence` times `heat` below what it would be beside prices in full, see `_heat`."""
+        """`evidence` where differences of deviance count so many times less, and prices do not, see `_heat`."""
         return self.evidence + (heat - 1.0) * self.price
 
     @property
@@ -511,8 +512,7 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
     for k, (_, shape) in enumerate(fit.kinds):
         H[p + k, p + k] += np.log(SHAPE_STEP) ** 2 if shape else 0.0
     H[np.arange(p), np.arange(p)] += 1.0
-    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    C = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    C = inverse_of(H)
     # parts of records that disagree widen the interval: no model is the plant (a sandwich over the parts)
     pushes = C @ np.array([part[at, 0] for part in gram.products]).T
     parts = len(gram.products)

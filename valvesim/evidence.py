@@ -55,6 +55,12 @@ class Gram:
         return np.linalg.inv(_H(self.total, self.parameters))
 
 
+def inverse_of(H: np.ndarray) -> np.ndarray:
+    """The inverse of a normal matrix of quantities of very different size; zero along what nothing is known of."""
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    return np.linalg.pinv(H / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
+
+
 def _H(G: np.ndarray, p: int) -> np.ndarray:
     return G[1 : 1 + p, 1 : 1 + p] + np.eye(p)
 

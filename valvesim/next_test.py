@@ -19,6 +19,7 @@ import numpy as np
 
 from .answer import NextTest
 from .errors import InputError, SolveError
+from .evidence import inverse_of
 from .hypotheses import measured, neighbours, parameter_columns, view
 from .noise import Noise
 from .prediction import Bench, Variant, prepare
@@ -265,9 +266,7 @@ def _judge(
         squares = []
         for (G, g), P in zip(products, known, strict=True):
             H = P + n * G
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-            inverse = np.linalg.pinv(H * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
-            squares.append(n * float(delta @ delta) - n * n * float(g @ inverse @ g))
+            squares.append(n * float(delta @ delta) - n * n * float(g @ inverse_of(H) @ g))
         d = float(np.sqrt(max(min(squares), 0.0)))
         found.append(_Judged(trial, n, d, _power(d)))
     return found

@@ -20,6 +20,7 @@ import numpy as np
 from .answer import Term
 from .effects import ActiveEffect
 from .errors import InputError, SolveError
+from .evidence import inverse_of
 from .hypotheses import View
 from .prediction import Variant
 from .scene import Scene, argument, look
@@ -246,7 +247,7 @@ def _estimate(base: BaseFit, family: Family, count: int, below: float) -> tuple[
     J = base.J
     for _ in range(STEPS):
         H, gradient = _normal(problem, state, J, V)
-        inverse = _inverse(H)
+        inverse = inverse_of(H)
         step = inverse @ gradient
         promised, gained = float(gradient @ step), base.fit.deviance - state.deviance
         if state.deviance - 2.0 * promised > below:
@@ -319,11 +320,6 @@ def _normal(problem: _Problem, state: _State, J: np.ndarray, V: np.ndarray) -> t
     prior[p + k :, p + k :] = MEMORY_DEVIATION**-2
     at = np.concatenate([state.point, state.values, [state.figure] * (columns.shape[1] - p - k)])
     return columns.T @ columns + prior, columns.T @ state.residual - prior @ at
-
-
-def _inverse(H: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.diag(H))
-    return np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
 
 
 def _stepped(problem: _Problem, state: _State, step: np.ndarray, p: int) -> _State | None:
@@ -486,7 +482,7 @@ def _held(problem: _Problem, solution: _Solution, held: _State, F: np.ndarray) -
     J, V = solution.J, solution.V
     for _ in range(HELD_STEPS):
         H, gradient = _normal(problem, held, J, V)
-        inverse = T @ _inverse(T.T @ H @ T) @ T.T
+        inverse = T @ inverse_of(T.T @ H @ T) @ T.T
         new = _stepped(problem, held, inverse @ gradient, p)
         if new is None:
             break
