@@ -81,7 +81,7 @@ from valvesim.units import quantities  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results" / "hidden_effects.jsonl"
 DOCUMENT = ROOT / "docs" / "hidden_effects.md"
-KEPT = Path(tempfile.gettempdir()) / "valvesim_tuned"
+KEPT = ROOT / "benchmarks" / ".tuned"  # not of the temporary folder: whoever writes there could run code here
 PLANT = crc32(Path(hidden_plant.__file__).read_bytes())
 KINDS = hidden_plant.KINDS
 
