@@ -61,6 +61,8 @@ from .study import (
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 NOT_QUIET = 0.01  # of a free term's being chance in what the best hypothesis leaves: naming asks for more than an alarm
 SINGLES, PAIRS = 5, 3  # how many are refitted
+MOST_AT_ONCE = 2  # causes
+SECONDS, NEAR = 3, 0.8  # how many are tried beside a first cause, of those whose z is so large a share of the largest
 PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
@@ -292,14 +294,20 @@ def _extra(scene: Scene, k: int, amount: float) -> Extra:
 
 
 def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[list[Explained], Scene]:
-    """The found with a further effect each time one shows in what the best leaves: up to three in all."""
-    while len(final.fit.extras) < 3:
+    """The found with a second effect where one shows in what the best leaves.
+
+    A third is not looked for: what two leave over tells that one of them is not it, rather than of three at once.
+    """
+    while len(final.fit.extras) < MOST_AT_ONCE:
         z, level = final.z(), final.level(ALARM)
         best = found[0]
         share = 0.0 if _leftover(final.fit, base.study) else LEFT_SHARE
         if z.max(initial=0.0) ** 2 < max(level**2, share * (base.fit.deviance - best.fit.deviance)):
             break
-        p, near = final.projected, [int(k) for k in np.argsort(-z, kind="stable")[:2] if z[k] > 0.9 * z.max()]
+        p, nearest = final.projected, dict[str, int]()
+        for k in (int(k) for k in np.argsort(-z, kind="stable") if z[k] > NEAR * z.max()):
+            nearest.setdefault(final.candidates[k].family, k)
+        near = list(nearest.values())[:SECONDS]
         starts = [(*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k])) for k in near]
         more = _settled(_refitted(base, starts, best.fit.point))
         merged = _settled([*found, *more])
@@ -325,7 +333,8 @@ def _with_peaks(base: BaseFit, found: list[Explained], final: Scene) -> tuple[Ba
 
 
 def _quiet(base: BaseFit, final: Scene) -> bool:
-    """Whether the best hypothesis leaves nothing that a free term, or an amplitude that wanders, would explain."""
+    """Whether the best hypothesis leaves nothing that a free term, an amplitude that wanders or, beside two causes, a
+    third one would explain."""
     from scipy.stats import chi2
 
     gained = max(base.fit.deviance - final.fit.deviance, 0.0)
@@ -335,7 +344,9 @@ def _quiet(base: BaseFit, final: Scene) -> bool:
     families_quiet = least * max(len(tests), 1) > NOT_QUIET
     wander, freedom = final.constancy()
     constant = freedom == 0 or float(chi2.sf(max(wander - allowance, 0.0), freedom)) > 1e-3
-    return families_quiet and constant and not _leftover(final.fit, base.study)
+    full = len(final.fit.extras) == MOST_AT_ONCE
+    third = full and final.z().max(initial=0.0) ** 2 > max(final.level(ALARM) ** 2, allowance)
+    return families_quiet and constant and not third and not _leftover(final.fit, base.study)
 
 
 # ---------------------------------------------------------------- the answer
