@@ -10,7 +10,7 @@ from hidden_plant import draw, truth, write_session
 import valvesim as vs
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
-from valvesim.diagnosis import ANSWER_SHARE, Explained, _ranked, _rivals
+from valvesim.diagnosis import ANSWER_SHARE, LEFT_SHARE, MOST_AT_ONCE, Explained, _quiet, _ranked, _rivals
 from valvesim.hypotheses import Candidate
 from valvesim.session import load_session
 from valvesim.study import Extra, Fit
@@ -151,3 +151,24 @@ def test_one_more_cause_that_explains_next_to_nothing_is_left_out():
     pair = explained(900.0, "spool_lap", "entrained_air")
     ranked = _ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
     assert [one.label for one in _rivals(base, ranked)] == ["spool_lap + entrained_air"]
+
+
+def leaving(z, *names, gained=1000.0):
+    """(base, final scene) of a hypothesis that leaves one further candidate at z, and no free term."""
+    noise = {"any": SimpleNamespace(verified=True)}
+    base = SimpleNamespace(fit=SimpleNamespace(deviance=1.0 + gained), study=SimpleNamespace(noise=noise))
+    scene = SimpleNamespace(
+        fit=explained(1.0, *names).fit, z=lambda: np.array([z]), level=lambda probability: 4.0,
+        family_tests=lambda: [(3.0, 5), (0.0, 0)], constancy=lambda: (0.0, 0),
+    )  # fmt: skip
+    return base, scene
+
+
+def test_two_causes_that_leave_a_third_one_are_not_named():
+    both = ("spool_lap", "entrained_air")
+    assert len(both) == MOST_AT_ONCE and LEFT_SHARE * 1000.0 > 4.0**2
+    assert _quiet(*leaving(4.4, *both))  # 4.4^2 are less than a model that is not the plant leaves of 1000
+    assert not _quiet(*leaving(4.6, *both))
+    assert not _quiet(*leaving(4.4, *both, gained=500.0))  # here the alarm level is higher
+    assert _quiet(*leaving(3.9, *both, gained=500.0))
+    assert _quiet(*leaving(4.6, "spool_lap"))  # beside one cause it has been tried as the second
