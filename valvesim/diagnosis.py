@@ -7,7 +7,7 @@ A cause is named only where nothing else explains the data nearly as well and no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -54,13 +54,17 @@ from .study import (
     own_step,
     prepare_study,
     refit,
+    refit_afresh,
     residual_of,
     within_tolerance,
 )
 
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 NOT_QUIET = 0.01  # of a free term's being chance in what the best hypothesis leaves: naming asks for more than an alarm
-SINGLES, PAIRS = 5, 3  # how many are refitted
+SINGLES, PAIRS = 5, 3  # how many are refitted ...
+LINEAR = 0.5  # ... of those that explain so large a share of what the best does: far off, linear answers err by so much
+NOTHING = 0.02  # of what is typical
+STRETCHED = 5.0  # prior deviations: a base parameter so far out may stand in a cause's way
 MOST_AT_ONCE = 2  # causes
 SECONDS, NEAR = 3, 0.8  # how many are tried beside a first cause, of those whose z is so large a share of the largest
 PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
@@ -157,6 +161,9 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
             if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
                 base, found, final = _with_peaks(base, found, final)
             quiet = _quiet(base, final)
+            if not quiet and np.abs(base.fit.point).max() > STRETCHED:
+                found, final = _afresh(base, scene, found, final)
+                quiet = _quiet(base, final)
             found = _ranked(base, found)
             final = final if found[0].fit is final.fit else look(base, found[0].fit)
     tell(STAGES[5], 0.9)
@@ -198,7 +205,12 @@ def _worst_family(scene: Scene) -> float:
 
 def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], None]) -> list[Explained]:
     """Hypotheses of one and of two candidates, refitted, best evidence first."""
-    found = _refitted(base, _starts(scene), tell=tell)
+    found, failed = list[Explained](), set[str]()
+    while starts := _starts(scene, failed):
+        found, likeliest = _refitted(base, starts, tell=tell), starts[0][0].candidate.family
+        if any(likeliest == candidate.family for one in found for candidate in one.candidates):
+            break
+        failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
     found = _with_fewer(base, _settled(found))
     return [one for one in found if base.fit.deviance - one.fit.deviance > WORTH * level**2]
 
@@ -214,7 +226,10 @@ def _refitted(
     for k, start in enumerate(starts):
         tell(k / len(starts))
         fit = refit(base, start, point)
-        if np.isfinite(fit.deviance):
+        something = tuple(extra for extra in fit.extras if not _is_nothing(extra))
+        if 0 < len(something) < len(fit.extras):  # from there, one alone may get where it could not before
+            fit = refit(base, something, fit.point)
+        if _ran(fit):
             found.append(Explained(fit))
     return found
 
@@ -235,20 +250,32 @@ def _settled(found: Sequence[Explained]) -> list[Explained]:
     """Best evidence first: one of each meaning, without pairs that hold an effect which has come to nothing."""
     kept: list[Explained] = []
     for one in sorted(found, key=lambda one: one.evidence):
-        nothing = len(one.fit.extras) > 1 and any(abs(e.excess) < 0.02 * e.candidate.typical for e in one.fit.extras)
+        nothing = len(one.fit.extras) > 1 and any(map(_is_nothing, one.fit.extras))
         if not nothing and not any(map(one.means, kept)):
             kept.append(one)
     return kept
 
 
-def _starts(scene: Scene) -> list[tuple[Extra, ...]]:
-    """Where to start refits: the best single candidates, and the best pairs where two explain much more than one."""
+def _ran(fit: Fit) -> bool:
+    return bool(np.isfinite(fit.deviance))
+
+
+def _is_nothing(extra: Extra) -> bool:
+    """Whether an amplitude has come to nothing."""
+    return abs(extra.excess) < NOTHING * extra.candidate.typical
+
+
+def _starts(scene: Scene, failed: Set[str], share: float = LINEAR) -> list[tuple[Extra, ...]]:
+    """Where to start refits: the best single candidates, and the best pairs where two explain much more than one.
+
+    Families that have `failed` are left out, and singles that explain less than this share of what the best does.
+    """
     z, projected = scene.z(), scene.projected
-    fall = z**2
+    fall = np.where([c.family in failed for c in scene.candidates], 0.0, z**2)
     order = [int(k) for k in np.argsort(-fall, kind="stable") if fall[k] > 0.0]
     if not order:
         return []
-    worth = fall[order[0]] - (10.0 + 0.2 * fall[order[0]])
+    worth = share * fall[order[0]] - 10.0
     singles: list[int] = []
     seen: set[str] = set()
     for k in order:
@@ -263,6 +290,8 @@ def _starts(scene: Scene) -> list[tuple[Extra, ...]]:
     twice = [any(map(c.is_same_as, scene.candidates)) and not z[k] for k, c in enumerate(scene.candidates)]
     for i, j in combinations(map(int, np.flatnonzero(scene.visible() & ~np.array(twice))), 2):
         first, second = scene.candidates[i], scene.candidates[j]
+        if failed & {first.family, second.family}:
+            continue
         if first.excludes(second) or first.is_same_as(second):
             continue
         both = projected.overlap[np.ix_([i, j], [i, j])]
@@ -316,6 +345,15 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
         found = _with_fewer(base, merged)
         final = look(base, found[0].fit)
     return found, final
+
+
+def _afresh(base: BaseFit, scene: Scene, found: list[Explained], final: Scene) -> tuple[list[Explained], Scene]:
+    """The found with single candidates fitted from where no base parameter is stretched, if one of these is better."""
+    alone = [start for start in _starts(scene, set(), share=0.5 * LINEAR) if len(start) == 1]
+    merged = _settled([*found, *(Explained(fit) for start in alone if _ran(fit := refit_afresh(base, start)))])
+    if merged[0] is found[0]:
+        return found, final
+    return _with_more(base, look(base, merged[0].fit), merged)
 
 
 def _with_peaks(base: BaseFit, found: list[Explained], final: Scene) -> tuple[BaseFit, list[Explained], Scene]:

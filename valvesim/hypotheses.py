@@ -41,6 +41,7 @@ SHAPES: dict[str, dict[str, tuple[float, ...]]] = {  # shape parameters at which
     "eddy_current_lag": {"time_constant": (5e-4, 2e-3, 2e-2)},
     "magnetic_hysteresis": {"turning_current": (1e-3, 4e-3)},
 }
+BEYOND = 5.0  # times the longest record: a time that is typical of what hardly moves in it
 WHOLE = ("side",)  # shape parameters that are not fitted
 
 
@@ -141,7 +142,8 @@ class Candidate:
     def key(self) -> str:
         """A text that no other candidate has."""
         at = f"@{self.effect.channel}" if self.effect is not None and self.effect.channel else ""
-        return self.name + at + "".join(f"[{name}={value:g}]" for name, value in self.fixed)
+        pace = f"~{self.typical:g} s" if self.effect is not None and self.unit == "s" else ""
+        return self.name + at + "".join(f"[{name}={value:g}]" for name, value in self.fixed) + pace
 
     @property
     def family(self) -> str:
@@ -254,7 +256,7 @@ def candidates_of(session: Session, base: Base) -> tuple[Candidate, ...]:
     found = []
     for effect in (*CATALOGUE.values(), *session.user_effects):
         if effect.reading is not None:
-            found += [Candidate(effect.name, _paced(effect.on(channel), session)) for channel in measured(session)]
+            found += [Candidate(effect.name, one) for on in measured(session) for one in _paced(effect.on(on), session)]
             continue
         if effect.name in known:
             continue
@@ -262,7 +264,7 @@ def candidates_of(session: Session, base: Base) -> tuple[Candidate, ...]:
         combinations: list[tuple[tuple[str, float], ...]] = [()]
         for name, values in shapes.items():
             combinations = [(*one, (name, value)) for one in combinations for value in values]
-        found += [Candidate(effect.name, _paced(effect, session), fixed) for fixed in combinations]
+        found += [Candidate(effect.name, one, fixed) for fixed in combinations for one in _paced(effect, session)]
     found = [_with_twin(candidate, base) for candidate in found]
     found += [Candidate(f"parameter:{p.name}", parameter=p) for p in base.parameters if p.sensor is None]
     return tuple(found)
@@ -296,19 +298,26 @@ def _rate(candidate: Candidate, twin: BaseParameter, base: Base) -> float:
     return ratio * small / excess if alike.all() else 0.0
 
 
-def _paced(effect: Effect, session: Session) -> Effect:
-    """An effect whose amplitude is a time: none is typical that the records could not tell from none, or from endless.
+def _paced(effect: Effect, session: Session) -> tuple[Effect, ...]:
+    """An effect whose amplitude is a time: looked for at one that the records can tell from none and from endless.
 
-    That is one shorter than a sample of the slowest record, or longer than a quarter of the longest.
+    That is no shorter than a sample of the slowest record, and no longer than a quarter of the longest. Where it is
+    usually longer than that record, it is looked for beyond its end as well: there it shows something else.
     """
     amplitude = effect.amplitude
     if amplitude.unit != "s" or amplitude.typical is None:
-        return effect
+        return (effect,)
     slowest = max(1.0 / record.rate for record in session.records)
     longest = max(float(record.time[-1] - record.time[0]) for record in session.records)
-    typical = min(max(amplitude.typical, slowest), max(0.25 * longest, slowest), amplitude.bounds[1])
-    paced = replace(amplitude, typical=typical)
-    return replace(effect, parameters=tuple(paced if p is amplitude else p for p in effect.parameters))
+    times = [min(max(amplitude.typical, slowest), max(0.25 * longest, slowest))]
+    if amplitude.typical > longest:
+        times.append(BEYOND * longest)
+
+    def at(time: float) -> Effect:
+        paced = replace(amplitude, typical=min(time, amplitude.bounds[1]))
+        return replace(effect, parameters=tuple(paced if p is amplitude else p for p in effect.parameters))
+
+    return tuple(map(at, times))
 
 
 # ---------------------------------------------------------------- what each shows

@@ -506,7 +506,7 @@ def within_tolerance(base: BaseFit) -> Fit:
 def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None, looks: int = LOOKS) -> Fit:
     """The base with candidates, all fitted together, from `start`; its deviance is infinite where that cannot be run.
 
-    The answers are those of the base first; where they no longer hold, they are taken anew from the fit itself.
+    The answers are those of the base first.
     """
     study, fit = base.study, None
     for shrink in (1.0, 0.3, 0.1):
@@ -524,8 +524,31 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
         key=lambda pair: pair[0].deviance - 0.5 * _promise(*pair),  # promises are half kept
     )  # fmt: skip
     if fit.deviance > ASTRAY * fit.rows:
-        fit, views, columns = _approach(study.coarse(), fit)
-        answers = _answers(study, fit, views, columns)
+        return _led_near(study, fit, looks)
+    return _descended(study, fit, answers, looks)
+
+
+def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
+    """The same from where no base parameter is beyond its tolerance, with nothing of what the base fit has found.
+
+    Where it has stretched parameters to where no valve runs, or none that has the cause besides, there is no way back
+    from there.
+    """
+    held = np.clip(base.fit.point, -TOLERANCE, TOLERANCE)
+    try:
+        return _led_near(base.study, evaluate(base.study, held, tuple(start)), LOOKS)
+    except (SolveError, InputError):
+        return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
+
+
+def _led_near(study: Study, fit: Fit, looks: int) -> Fit:
+    """A fit from afar fitted: first coarsely, see `_approach`."""
+    fit, views, columns = _approach(study.coarse(), fit)
+    return _descended(study, fit, _answers(study, fit, views, columns), looks)
+
+
+def _descended(study: Study, fit: Fit, answers: np.ndarray, looks: int) -> Fit:
+    """A fit fitted by its answers; where they no longer hold, they are taken anew from the fit itself."""
     for look in range(looks):
         new, answers = _descend(study, fit, answers, ENOUGH)
         stuck, fit = look > 0 and new.deviance > fit.deviance - ENOUGH, new
