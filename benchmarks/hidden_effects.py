@@ -565,12 +565,12 @@ def tuned_case(spec: Spec, kept: Path) -> Tuned:
     """The case at its strength: of an earlier run of the same plant where it is kept, else tuned now, and kept."""
     path = kept / f"{PLANT:08x} {spec.key}.pickle"
     if path.exists():
-        return pickle.loads(path.read_bytes())
+        return Tuned(**pickle.loads(path.read_bytes()))
     with tempfile.TemporaryDirectory(prefix="valvesim_quiet_") as place:
         tuned = tune(draw(spec.seed, spec.kind, name=spec.name), spec.target, Path(place))
     kept.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(".part")
-    part.write_bytes(pickle.dumps(tuned))
+    part.write_bytes(pickle.dumps(vars(tuned)))  # not as a class of this script, which has another name in each use
     part.replace(path)
     return tuned
 

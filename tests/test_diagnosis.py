@@ -1,6 +1,7 @@
 """What is hidden in a session is found: the plant is not the model, and the diagnosis sees only the folder."""
 
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,9 +9,21 @@ import pytest
 from hidden_plant import draw, truth, write_session
 
 import valvesim as vs
+from valvesim import diagnosis as engine
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
-from valvesim.diagnosis import ANSWER_SHARE, LEFT_SHARE, MOST_AT_ONCE, Explained, _quiet, _ranked, _rivals
+from valvesim.diagnosis import (
+    ANSWER_SHARE,
+    LEFT_SHARE,
+    MOST_AT_ONCE,
+    STRETCHED,
+    Explained,
+    _afresh,
+    _quiet,
+    _ranked,
+    _refitted,
+    _rivals,
+)
 from valvesim.hypotheses import Candidate
 from valvesim.session import load_session
 from valvesim.study import Extra, Fit
@@ -172,3 +185,38 @@ def test_two_causes_that_leave_a_third_one_are_not_named():
     assert not _quiet(*leaving(4.4, *both, gained=500.0))  # here the alarm level is higher
     assert _quiet(*leaving(3.9, *both, gained=500.0))
     assert _quiet(*leaving(4.6, "spool_lap"))  # beside one cause it has been tried as the second
+
+
+def test_a_pair_of_which_one_comes_to_nothing_is_fitted_as_the_other_from_where_it_got(monkeypatch):
+    lap, air = explained(0.0, "spool_lap", "entrained_air").fit.extras
+    asked = []
+
+    def refit(base, start, point):
+        asked.append(([extra.candidate.name for extra in start], point))
+        left = (start[0], replace(start[1], excess=1e-3 * air.candidate.typical)) if len(start) == 2 else tuple(start)
+        return Fit(np.full(1, 7.0), left, 10.0, (), np.zeros(1), 1.0)
+
+    monkeypatch.setattr(engine, "refit", refit)
+    assert [one.label for one in _refitted(None, [(lap, air)])] == ["spool_lap"]
+    assert asked == [(["spool_lap", "entrained_air"], None), (["spool_lap"], np.full(1, 7.0))]
+
+
+def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypatch):
+    old, new = explained(900.0, "entrained_air"), explained(100.0, "spool_lap")
+    starts = [old.fit.extras, new.fit.extras, (*old.fit.extras, *new.fit.extras)]
+    deviances, tried = {"entrained_air": np.inf, "spool_lap": 100.0}, []
+
+    def afresh(base, start):
+        (extra,) = start
+        tried.append(extra.candidate.name)
+        return replace(new.fit, extras=tuple(start), deviance=deviances[extra.candidate.name])
+
+    monkeypatch.setattr(engine, "_starts", lambda scene, failed, share: starts)
+    monkeypatch.setattr(engine, "refit_afresh", afresh)
+    monkeypatch.setattr(engine, "look", lambda base, fit: fit)
+    monkeypatch.setattr(engine, "_with_more", lambda base, final, found: (found, final))
+    found, final = _afresh(None, None, [old], "before")
+    assert tried == ["entrained_air", "spool_lap"] and found[0].label == "spool_lap" and final is found[0].fit
+    deviances["spool_lap"] = 950.0
+    assert _afresh(None, None, [old], "before") == ([old], "before")
+    assert STRETCHED > 2.0  # beyond a tolerance
