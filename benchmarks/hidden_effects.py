@@ -267,7 +267,10 @@ class Ruler:
         extras = true_extras(case, study)
         if extras is None:
             return float(np.sqrt(left))
-        on_bench = evaluate(study, np.zeros(self.J.shape[1]), extras)
+        try:
+            on_bench = evaluate(study, np.zeros(self.J.shape[1]), extras)
+        except (vs.SolveError, vs.InputError):  # the model cannot follow so strong an effect
+            return float(np.sqrt(left))
         fitted = refit(base, extras, on_bench.point, looks=ORACLE_LOOKS)
         oracle = min(on_bench.deviance, evaluate(study, fitted.point, fitted.extras).deviance)
         return float(np.sqrt(max(left - oracle, 0.0)))
