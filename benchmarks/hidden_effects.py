@@ -60,6 +60,7 @@ import valvesim as vs  # noqa: E402
 from valvesim import diagnosis as engine  # noqa: E402
 from valvesim.answer import Diagnosis, NextTest, Term, plain_json  # noqa: E402
 from valvesim.catalogue import CATALOGUE  # noqa: E402
+from valvesim.files import write_atomically  # noqa: E402
 from valvesim.hypotheses import Candidate, View  # noqa: E402
 from valvesim.noise import Noise  # noqa: E402
 from valvesim.prediction import prepare  # noqa: E402
@@ -264,16 +265,19 @@ class Ruler:
         bases = [fit_from(study, evaluate(study, point, ())) for point in starts]
         base = min(bases, key=lambda one: one.fit.deviance)
         left = evaluate(study, base.fit.point, ()).deviance  # with all samples in full
+        return float(np.sqrt(max(left - self._left_by_cause(case, study, base), 0.0)))
+
+    def _left_by_cause(self, case: Case, study: Study, base: BaseFit) -> float:
+        """The deviance that even the true cause leaves; zero where the model has none such, or none so strong."""
         extras = true_extras(case, study)
         if extras is None:
-            return float(np.sqrt(left))
+            return 0.0
         try:
             on_bench = evaluate(study, np.zeros(self.J.shape[1]), extras)
         except (vs.SolveError, vs.InputError):  # the model cannot follow so strong an effect
-            return float(np.sqrt(left))
+            return 0.0
         fitted = refit(base, extras, on_bench.point, looks=ORACLE_LOOKS)
-        oracle = min(on_bench.deviance, evaluate(study, fitted.point, fitted.extras).deviance)
-        return float(np.sqrt(max(left - oracle, 0.0)))
+        return min(on_bench.deviance, evaluate(study, fitted.point, fitted.extras).deviance)
 
     def _moved(self, views: Sequence[View]) -> np.ndarray:
         """Whitened readings (rows,) of other views less those at rest."""
@@ -571,10 +575,8 @@ def tuned_case(spec: Spec, kept: Path) -> Tuned:
         return Tuned(**pickle.loads(path.read_bytes()))
     with tempfile.TemporaryDirectory(prefix="valvesim_quiet_") as place:
         tuned = tune(draw(spec.seed, spec.kind, name=spec.name), spec.target, Path(place))
-    kept.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_bytes(pickle.dumps(vars(tuned)))  # not as a class of this script, which has another name in each use
-    part.replace(path)
+    plain = pickle.dumps(vars(tuned))  # not as a class of this script, which has another name in each use
+    write_atomically(path, lambda part: part.write_bytes(plain))
     return tuned
 
 

@@ -203,7 +203,7 @@ def test_a_pair_of_which_one_comes_to_nothing_is_fitted_as_the_other_from_where_
 
 def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypatch):
     old, new = explained(900.0, "entrained_air"), explained(100.0, "spool_lap")
-    starts = [old.fit.extras, new.fit.extras, (*old.fit.extras, *new.fit.extras)]
+    scene = SimpleNamespace(z=lambda: np.zeros(2))
     deviances, tried = {"entrained_air": np.inf, "spool_lap": 100.0}, []
 
     def afresh(base, start):
@@ -211,12 +211,12 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
         tried.append(extra.candidate.name)
         return replace(new.fit, extras=tuple(start), deviance=deviances[extra.candidate.name])
 
-    monkeypatch.setattr(engine, "_starts", lambda scene, failed, share: starts)
+    monkeypatch.setattr(engine, "_singles", lambda scene, fall, share: [old.fit.extras, new.fit.extras])
     monkeypatch.setattr(engine, "refit_afresh", afresh)
     monkeypatch.setattr(engine, "look", lambda base, fit: fit)
     monkeypatch.setattr(engine, "_with_more", lambda base, final, found: (found, final))
-    found, final = _afresh(None, None, [old], "before")
+    found, final = _afresh(None, scene, [old], "before")
     assert tried == ["entrained_air", "spool_lap"] and found[0].label == "spool_lap" and final is found[0].fit
     deviances["spool_lap"] = 950.0
-    assert _afresh(None, None, [old], "before") == ([old], "before")
+    assert _afresh(None, scene, [old], "before") == ([old], "before")
     assert STRETCHED > 2.0  # beyond a tolerance

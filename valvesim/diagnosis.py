@@ -265,33 +265,42 @@ def _is_nothing(extra: Extra) -> bool:
     return abs(extra.excess) < NOTHING * extra.candidate.typical
 
 
-def _starts(scene: Scene, failed: Set[str], share: float = LINEAR) -> list[tuple[Extra, ...]]:
+def _starts(scene: Scene, failed: Set[str]) -> list[tuple[Extra, ...]]:
     """Where to start refits: the best single candidates, and the best pairs where two explain much more than one.
 
-    Families that have `failed` are left out, and singles that explain less than this share of what the best does.
+    Families that have `failed` are left out.
     """
-    z, projected = scene.z(), scene.projected
-    fall = np.where([c.family in failed for c in scene.candidates], 0.0, z**2)
-    order = [int(k) for k in np.argsort(-fall, kind="stable") if fall[k] > 0.0]
-    if not order:
-        return []
-    worth = share * fall[order[0]] - 10.0
-    singles: list[int] = []
-    seen: set[str] = set()
-    for k in order:
-        family = scene.candidates[k].family
-        if fall[k] >= worth and family not in seen:
-            seen.add(family)
-            singles.append(k)
-    starts: list[tuple[Extra, ...]] = [
-        (_extra(scene, k, projected.score[k] / projected.overlap[k, k]),) for k in singles[:SINGLES]
-    ]
+    fall = np.where([c.family in failed for c in scene.candidates], 0.0, scene.z() ** 2)
+    singles = _singles(scene, fall, LINEAR)
+    return [*singles, *_pairs(scene, fall, failed)] if singles else []
+
+
+def _singles(scene: Scene, fall: np.ndarray, share: float) -> list[tuple[Extra, ...]]:
+    """The best single candidates by the fall (q,) of the deviance, those near that share of the largest."""
+    p = scene.projected
+    likeliest = _best_of_families(scene, fall, share * fall.max(initial=0.0) - 10.0)[:SINGLES]
+    return [(_extra(scene, k, p.score[k] / p.overlap[k, k]),) for k in likeliest]
+
+
+def _best_of_families(scene: Scene, value: np.ndarray, least: float) -> list[int]:
+    """The candidates, one of each family, whose value (q,) is positive and no lower than `least`; largest first."""
+    best: dict[str, int] = {}
+    for k in map(int, np.argsort(-value, kind="stable")):
+        if value[k] > 0.0 and value[k] >= least:
+            best.setdefault(scene.candidates[k].family, k)
+    return list(best.values())
+
+
+def _pairs(scene: Scene, fall: np.ndarray, failed: Set[str]) -> list[tuple[Extra, ...]]:
+    """The best pairs whose fall of the deviance is much larger than that of the best alone (q,)."""
+    z, projected, best = scene.z(), scene.projected, fall.max()
     pairs = []
-    twice = [any(map(c.is_same_as, scene.candidates)) and not z[k] for k, c in enumerate(scene.candidates)]
-    for i, j in combinations(map(int, np.flatnonzero(scene.visible() & ~np.array(twice))), 2):
+    barred = [
+        c.family in failed or (any(map(c.is_same_as, scene.candidates)) and not z[k])
+        for k, c in enumerate(scene.candidates)
+    ]
+    for i, j in combinations(map(int, np.flatnonzero(scene.visible() & ~np.array(barred))), 2):
         first, second = scene.candidates[i], scene.candidates[j]
-        if failed & {first.family, second.family}:
-            continue
         if first.excludes(second) or first.is_same_as(second):
             continue
         both = projected.overlap[np.ix_([i, j], [i, j])]
@@ -302,15 +311,13 @@ def _starts(scene: Scene, failed: Set[str], share: float = LINEAR) -> list[tuple
             continue
         pairs.append((float(a @ projected.score[[i, j]]), i, j, a))
     pairs.sort(key=lambda pair: (-pair[0], pair[1], pair[2]))
-    used: set[str] = set()
+    used: dict[str, tuple[Extra, ...]] = {}
     for value, i, j, a in pairs:
-        if value < fall[order[0]] + max(PAIR_PRICE, 0.1 * fall[order[0]]) or len(used) >= PAIRS:
+        if value < best + max(PAIR_PRICE, 0.1 * best) or len(used) >= PAIRS:
             break
         label = " + ".join(sorted((scene.candidates[i].family, scene.candidates[j].family)))
-        if label not in used:
-            used.add(label)
-            starts.append(tuple(_extra(scene, k, v) for k, v in zip((i, j), a, strict=True)))
-    return starts
+        used.setdefault(label, tuple(_extra(scene, k, v) for k, v in zip((i, j), a, strict=True)))
+    return list(used.values())
 
 
 def _extra(scene: Scene, k: int, amount: float) -> Extra:
@@ -333,10 +340,7 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
         share = 0.0 if _leftover(final.fit, base.study) else LEFT_SHARE
         if z.max(initial=0.0) ** 2 < max(level**2, share * (base.fit.deviance - best.fit.deviance)):
             break
-        p, nearest = final.projected, dict[str, int]()
-        for k in (int(k) for k in np.argsort(-z, kind="stable") if z[k] > NEAR * z.max()):
-            nearest.setdefault(final.candidates[k].family, k)
-        near = list(nearest.values())[:SECONDS]
+        p, near = final.projected, _best_of_families(final, z, NEAR * z.max())[:SECONDS]
         starts = [(*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k])) for k in near]
         more = _settled(_refitted(base, starts, best.fit.point))
         merged = _settled([*found, *more])
@@ -349,7 +353,7 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
 
 def _afresh(base: BaseFit, scene: Scene, found: list[Explained], final: Scene) -> tuple[list[Explained], Scene]:
     """The found with single candidates fitted from where no base parameter is stretched, if one of these is better."""
-    alone = [start for start in _starts(scene, set(), share=0.5 * LINEAR) if len(start) == 1]
+    alone = _singles(scene, scene.z() ** 2, 0.5 * LINEAR)
     merged = _settled([*found, *(Explained(fit) for start in alone if _ran(fit := refit_afresh(base, start)))])
     if merged[0] is found[0]:
         return found, final

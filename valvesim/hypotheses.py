@@ -256,7 +256,8 @@ def candidates_of(session: Session, base: Base) -> tuple[Candidate, ...]:
     found = []
     for effect in (*CATALOGUE.values(), *session.user_effects):
         if effect.reading is not None:
-            found += [Candidate(effect.name, one) for on in measured(session) for one in _paced(effect.on(on), session)]
+            for channel in measured(session):
+                found += [Candidate(effect.name, one) for one in _paced(effect.on(channel), session)]
             continue
         if effect.name in known:
             continue

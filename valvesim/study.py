@@ -517,7 +517,7 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
         except (SolveError, InputError):
             continue
     if fit is None:
-        return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
+        return _not_run(base, start)
     fit, answers = min(
         ((at, np.column_stack([base.J, _added_columns(base, at)]))
          for at in (fit, _leap(base, tuple(start))) if at is not None),
@@ -538,7 +538,12 @@ def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
     try:
         return _led_near(base.study, evaluate(base.study, held, tuple(start)), LOOKS)
     except (SolveError, InputError):
-        return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
+        return _not_run(base, start)
+
+
+def _not_run(base: BaseFit, start: Sequence[Extra]) -> Fit:
+    """In place of a fit that no valve could be run for."""
+    return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
 
 
 def _led_near(study: Study, fit: Fit, looks: int) -> Fit:
