@@ -49,6 +49,7 @@ from .study import (
     Extra,
     Fit,
     Study,
+    falls_afresh,
     fit_base,
     in_full,
     own_step,
@@ -63,8 +64,8 @@ ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hid
 NOT_QUIET = 0.01  # of a free term's being chance in what the best hypothesis leaves: naming asks for more than an alarm
 SINGLES, PAIRS = 5, 3  # how many are refitted ...
 LINEAR = 0.5  # ... of those that explain so large a share of what the best does: far off, linear answers err by so much
-NOTHING = 0.02  # of what is typical
-STRETCHED = 5.0  # prior deviations: a base parameter so far out may stand in a cause's way
+NOTHING = 0.002  # of what is typical: where leakage peaks are measured a hundredth may show
+STRETCHED = 3.0  # prior deviations: a base parameter so far out may stand in a cause's way
 MOST_AT_ONCE = 2  # causes
 SECONDS, NEAR = 3, 0.8  # how many are tried beside a first cause, of those whose z is so large a share of the largest
 PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
@@ -154,16 +155,16 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
     if alarm:
         tell(STAGES[3], 0.4)
         found = _explain(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share))
+        tell(STAGES[4], 0.75)
         if found:
-            tell(STAGES[4], 0.75)
-            final = look(base, found[0].fit)
-            found, final = _with_more(base, final, found)
+            found, final = _with_more(base, look(base, found[0].fit), found)
             if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
                 base, found, final = _with_peaks(base, found, final)
-            quiet = _quiet(base, final)
-            if not quiet and np.abs(base.fit.point).max() > STRETCHED:
-                found, final = _afresh(base, scene, found, final)
-                quiet = _quiet(base, final)
+        quiet = bool(found) and _quiet(base, final)
+        if not quiet and np.abs(base.fit.point).max() > STRETCHED:
+            found, final = _afresh(base, scene, level, found, final)
+            quiet = bool(found) and _quiet(base, final)
+        if found:
             found = _ranked(base, found)
             final = final if found[0].fit is final.fit else look(base, found[0].fit)
     tell(STAGES[5], 0.9)
@@ -211,7 +212,11 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
         if any(likeliest == candidate.family for one in found for candidate in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
-    found = _with_fewer(base, _settled(found))
+    return _worth(base, _with_fewer(base, _settled(found)), level)
+
+
+def _worth(base: BaseFit, found: Sequence[Explained], level: float) -> list[Explained]:
+    """Those that explain enough to be hypotheses at all."""
     return [one for one in found if base.fit.deviance - one.fit.deviance > WORTH * level**2]
 
 
@@ -351,13 +356,29 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
     return found, final
 
 
-def _afresh(base: BaseFit, scene: Scene, found: list[Explained], final: Scene) -> tuple[list[Explained], Scene]:
+def _afresh(
+    base: BaseFit, scene: Scene, level: float, found: list[Explained], final: Scene
+) -> tuple[list[Explained], Scene]:
     """The found with single candidates fitted from where no base parameter is stretched, if one of these is better."""
-    alone = _singles(scene, scene.z() ** 2, 0.5 * LINEAR)
-    merged = _settled([*found, *(Explained(fit) for start in alone if _ran(fit := refit_afresh(base, start)))])
-    if merged[0] is found[0]:
+    alone = [*_typical(base, scene), *_singles(scene, scene.z() ** 2, 0.5 * LINEAR)]
+    starts = list({start[0].candidate.family: start for start in reversed(alone)}.values())[::-1]
+    fits = [fit for start in starts[:SINGLES] if _ran(fit := refit_afresh(base, start))]
+    merged = _settled([*found, *_worth(base, list(map(Explained, fits)), level)])
+    if merged[:1] == found[:1]:
         return found, final
     return _with_more(base, look(base, merged[0].fit), merged)
+
+
+def _typical(base: BaseFit, scene: Scene) -> list[tuple[Extra, ...]]:
+    """The best few effects at their typical amplitudes: where a base is stretched, linear answers may miss them all."""
+    typical = [
+        _extra(scene, k, sign * candidate.typical / scene.sizes[k])
+        for k, candidate in enumerate(scene.candidates)
+        if candidate.effect is not None
+        for sign in ((1.0,) if candidate.one_sided else (1.0, -1.0))
+    ]
+    falls = falls_afresh(base, typical)
+    return [(typical[k],) for k in np.argsort(-falls, kind="stable")[:SECONDS] if falls[k] > 0.0]
 
 
 def _with_peaks(base: BaseFit, found: list[Explained], final: Scene) -> tuple[BaseFit, list[Explained], Scene]:

@@ -35,9 +35,10 @@ from .session import Record, Session
 MOST_ROWS = 300_000  # whitened rows that are kept: of longer sessions every second, third ... one
 SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
 SHAPE_STEP = 1.1  # by which a shape parameter is moved to see what it shows
+SHAPE_STRIDE = 4.5  # times, by which a step may change it
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
 ASTRAY = 1.5  # times the rows: a refit that leaves so much is led nearer first, as the base is
-BASE_LOOKS, LOOKS = 24, 4  # how often the answers may be taken anew: in the base fit, in a refit
+BASE_LOOKS, LOOKS, MORE_LOOKS = 24, 4, 12  # how often answers may be taken anew: in the base fit, a refit, a good one
 STEPS, FAILURES = 20, 4  # with the same answers: all, and those that bring much less than they promise
 FAR_OFF, ROUGH, ROBUST_LOOKS = 3.0, 0.1, 8  # times the median misfit; share of the deviance not worth a look; looks
 EDGE = 0.98  # share of its limits that an excess keeps to while it is fitted
@@ -404,13 +405,18 @@ def _settle(base: BaseFit, enough: float, tell: Callable[[float], None]) -> Base
 
 
 def _without_peaks(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
-    """The base fitted with samples next to a sharp peak of a reading counting less.
+    """The base fitted with samples next to a sharp peak of a reading counting less."""
+    return _settle(_under(_less_peaks(base.study, base.views), base), NEARLY, tell)
+
+
+def _less_peaks(study: Study, views: Sequence[View]) -> Study:
+    """The study with samples next to a sharp peak of a reading counting less.
 
     Where a closing land passes null, leakage rises and falls within a tenth of a millisecond: there a sample tells more
     of sensor and solver than of the valve, and it says nothing of where the peak should be.
     """
-    study, weights = base.study, []
-    for seen in base.views:
+    study, weights = replace(study, weights={}), []
+    for seen in views:
         record = seen.bench.record
         bends = seen.bench.bends(seen.at_valve, seen.course, seen.variant)
         for name in record.outputs:
@@ -419,7 +425,7 @@ def _without_peaks(base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
             for _ in noise.lags:  # a row holds samples before its own
                 row[1:] = np.minimum(row[1:], row[:-1])
             weights.append(row[noise.kept(record.usable[name])][:: study.stride])
-    return _settle(_under(study.weighed(weights), base), NEARLY, tell)
+    return study.weighed(weights)
 
 
 def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
@@ -431,16 +437,16 @@ def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tupl
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
     for _ in range(STEPS):
         H, gradient = _normal(fit, answers)
-        promised = max(float(gradient @ _solve(H, gradient)), 0.0)
+        room = _room(fit)
         if fit is best:
-            best = fit = replace(fit, promised=promised)
+            best = fit = replace(fit, promised=_promise(H, gradient, room))
             stale = best.deviance < start.deviance and (failures > 0 or _far(start, best))
-            if promised < enough or stale or failures == FAILURES:
+            if best.promised < enough or stale or failures == FAILURES:
                 break
-        step, held = _solve(H + damping * np.diag(metric), gradient), damping
+        step, held = _step(H + damping * np.diag(metric), gradient, room), damping
         while np.max(np.abs(step[: len(fit.point)])) > LONGEST_STEP:
             held = max(2.0 * held, 0.01)
-            step = _solve(H + held * np.diag(metric), gradient)
+            step = _step(H + held * np.diag(metric), gradient, room)
         try:
             new = evaluate(study, fit.point + step[: len(fit.point)], _moved(fit, step[len(fit.point) :]))
         except (SolveError, InputError):  # no valve can have these figures
@@ -461,10 +467,10 @@ def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tupl
     return best, answers
 
 
-def _promise(fit: Fit, answers: np.ndarray) -> float:
-    """By how much the linear equations would lower a fit's deviance."""
-    H, gradient = _normal(fit, answers)
-    return float(gradient @ _solve(H, gradient))
+def _promise(H: np.ndarray, gradient: np.ndarray, room: np.ndarray) -> float:
+    """By how much the linear equations would lower the deviance."""
+    step = _step(H, gradient, room)
+    return max(float((2.0 * gradient - H @ step) @ step), 0.0)
 
 
 def _far(start: Fit, fit: Fit) -> bool:
@@ -503,7 +509,7 @@ def within_tolerance(base: BaseFit) -> Fit:
     return base.fit if not held.any() else evaluate(base.study, point, ())
 
 
-def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None, looks: int = LOOKS) -> Fit:
+def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None, looks: int = MORE_LOOKS) -> Fit:
     """The base with candidates, all fitted together, from `start`; its deviance is infinite where that cannot be run.
 
     The answers are those of the base first.
@@ -521,11 +527,11 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
     fit, answers = min(
         ((at, np.column_stack([base.J, _added_columns(base, at)]))
          for at in (fit, _leap(base, tuple(start))) if at is not None),
-        key=lambda pair: pair[0].deviance - 0.5 * _promise(*pair),  # promises are half kept
+        key=lambda pair: pair[0].deviance - 0.5 * _promise(*_normal(*pair), _room(pair[0])),  # promises are half kept
     )  # fmt: skip
     if fit.deviance > ASTRAY * fit.rows:
-        return _led_near(study, fit, looks)
-    return _descended(study, fit, answers, looks)
+        return _led_near(base, fit, looks)
+    return _descended(study, fit, answers, ENOUGH, looks, _good(base))
 
 
 def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
@@ -534,11 +540,36 @@ def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
     Where it has stretched parameters to where no valve runs, or none that has the cause besides, there is no way back
     from there.
     """
-    held = np.clip(base.fit.point, -TOLERANCE, TOLERANCE)
     try:
-        return _led_near(base.study, evaluate(base.study, held, tuple(start)), LOOKS)
+        fit = evaluate(base.study, np.clip(base.fit.point, -TOLERANCE, TOLERANCE), tuple(start))
+        return _led_near(base, fit, MORE_LOOKS)
     except (SolveError, InputError):
         return _not_run(base, start)
+
+
+def falls_afresh(base: BaseFit, starts: Sequence[Extra]) -> np.ndarray:
+    """(len(starts),) fall of the deviance by each start alone, from the same point; -inf where it cannot be run.
+
+    Each is run, and the base parameters follow by the linear equations; samples that are far off count less.
+    """
+    study = base.study.coarse()
+    fit = evaluate(study, np.clip(base.fit.point, -TOLERANCE, TOLERANCE), ())
+    robust = _robust(study, fit.readings)
+    J = robust.stack(see(study, fit.variant(study.base))[1])
+    H = J.T @ J + np.eye(len(fit.point))
+
+    def left(readings: Sequence[dict[str, np.ndarray]]) -> float:
+        residual = whitened_residual(robust, readings)
+        gradient = J.T @ residual - fit.point
+        return float(residual @ residual - gradient @ _solve(H, gradient))
+
+    def fall(start: Extra) -> float:
+        try:
+            return left(fit.readings) - left(evaluate(study, fit.point, (start,)).readings)
+        except (SolveError, InputError):
+            return -np.inf
+
+    return np.array([fall(start) for start in starts])
 
 
 def _not_run(base: BaseFit, start: Sequence[Extra]) -> Fit:
@@ -546,18 +577,30 @@ def _not_run(base: BaseFit, start: Sequence[Extra]) -> Fit:
     return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
 
 
-def _led_near(study: Study, fit: Fit, looks: int) -> Fit:
-    """A fit from afar fitted: first coarsely, see `_approach`."""
-    fit, views, columns = _approach(study.coarse(), fit)
-    return _descended(study, fit, _answers(study, fit, views, columns), looks)
+def _led_near(base: BaseFit, fit: Fit, looks: int) -> Fit:
+    """A fit from afar fitted as the base was: coarsely, see `_approach`, then without peaks, then as the base is."""
+    study, coarse = base.study, base.study.coarse()
+    fit, views, columns = _approach(coarse, fit)
+    if not study.weights:
+        between = _less_peaks(coarse, views)
+        start = _weighed(between, fit.point, fit.extras, fit.readings)
+        near = _descended(between, start, _answers(between, fit, views, columns), NEARLY, looks, np.inf)
+        fit = _weighed(study, near.point, near.extras, near.readings)
+        views, columns = see(study, fit.variant(study.base))
+    return _descended(study, fit, _answers(study, fit, views, columns), ENOUGH, looks, _good(base))
 
 
-def _descended(study: Study, fit: Fit, answers: np.ndarray, looks: int) -> Fit:
+def _good(base: BaseFit) -> float:
+    """The deviance of a refit that is worth more looks."""
+    return max(base.fit.deviance, ASTRAY * base.fit.rows)
+
+
+def _descended(study: Study, fit: Fit, answers: np.ndarray, enough: float, looks: int, good: float) -> Fit:
     """A fit fitted by its answers; where they no longer hold, they are taken anew from the fit itself."""
-    for look in range(looks):
-        new, answers = _descend(study, fit, answers, ENOUGH)
-        stuck, fit = look > 0 and new.deviance > fit.deviance - ENOUGH, new
-        if fit.promised < ENOUGH or stuck or look == looks - 1:
+    for look in range(1, looks + 1):
+        new, answers = _descend(study, fit, answers, enough)
+        stuck, fit = look > 1 and new.deviance > fit.deviance - enough, new
+        if fit.promised < enough or stuck or look == looks or (look >= LOOKS and fit.deviance > good):
             break
         answers = _answers(study, fit, *see(study, fit.variant(study.base)))
     return replace(fit, occam=_occam(_normal(fit, answers)[0], fit))
@@ -571,10 +614,9 @@ def _leap(base: BaseFit, start: tuple[Extra, ...]) -> Fit | None:
     own = [k for k, (_, shape) in enumerate(absent.kinds) if not shape]
     plain = replace(base.fit, extras=tuple(replace(e, shapes=()) for e in start))
     H, gradient = _normal(plain, np.column_stack([base.J, S[:, own]]))
-    step = _solve(H, gradient)
-    extras = tuple(
-        replace(e, excess=float(np.clip(a, *_inside(e.candidate)))) for e, a in zip(start, step[p:], strict=True)
-    )
+    room = np.transpose([(-np.inf, np.inf)] * p + [_inside(e.candidate) for e in start])
+    step = _step(H, gradient, room)
+    extras = tuple(replace(e, excess=float(a)) for e, a in zip(start, step[p:], strict=True))
     try:
         return evaluate(study, base.fit.point + step[:p], extras)
     except (SolveError, InputError):
@@ -585,6 +627,30 @@ def _inside(candidate: Candidate) -> tuple[float, float]:
     """The limits of an excess while it is fitted: never quite off, for there a step would not see where to go."""
     low, high = candidate.limits
     return (1e-3 * candidate.typical if candidate.one_sided else EDGE * low), EDGE * high
+
+
+def _room(fit: Fit) -> np.ndarray:
+    """(2, n): how far down and up each of a fit's `place` may go, base parameters freely."""
+    room = [(-np.inf, np.inf)] * len(fit.point)
+    for extra, shape in fit.kinds:
+        if shape:
+            bounds = next(p.bounds for p in extra.candidate.shapes() if p.name == shape)
+            times = np.clip(np.array(bounds) / dict(extra.shapes)[shape], 1.0 / SHAPE_STRIDE, SHAPE_STRIDE)
+            room.append(tuple(np.log(times)))
+        else:
+            low, high = _inside(extra.candidate)
+            room.append((low - extra.excess, high - extra.excess))
+    return np.transpose(room)
+
+
+def _step(H: np.ndarray, gradient: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """The step that lowers the deviance most inside the room: what would leave it goes to its limit, the rest along."""
+    step, held = _solve(H, gradient), np.zeros(len(gradient), dtype=bool)
+    while (beyond := ~held & ((step < room[0]) | (step > room[1]))).any():
+        held |= beyond
+        step = np.where(held, np.clip(step, *room), 0.0)
+        step[~held] = _solve(H[np.ix_(~held, ~held)], (gradient - H @ step)[~held])
+    return step
 
 
 def _solve(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -619,14 +685,13 @@ def _occam(H: np.ndarray, fit: Fit) -> float:
 
 
 def _moved(fit: Fit, step: np.ndarray) -> tuple[Extra, ...]:
-    """The extras after a step of amplitudes and of logarithms of shapes, held inside their limits."""
+    """The extras after a step of amplitudes and of logarithms of shapes."""
     excesses = {id(extra): extra.excess for extra in fit.extras}
     shapes = {id(extra): dict(extra.shapes) for extra in fit.extras}
     for (extra, shape), by in zip(fit.kinds, step, strict=True):
         if shape:
             bounds = next(p.bounds for p in extra.candidate.shapes() if p.name == shape)
-            value = shapes[id(extra)][shape] * np.exp(np.clip(by, -1.5, 1.5))
-            shapes[id(extra)][shape] = float(np.clip(value, *bounds))
+            shapes[id(extra)][shape] = float(np.clip(shapes[id(extra)][shape] * np.exp(by), *bounds))
         else:
             excesses[id(extra)] = float(np.clip(extra.excess + by, *_inside(extra.candidate)))
     return tuple(replace(e, excess=excesses[id(e)], shapes=tuple(shapes[id(e)].items())) for e in fit.extras)
