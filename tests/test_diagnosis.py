@@ -17,6 +17,7 @@ from valvesim.diagnosis import (
     LEFT_SHARE,
     MOST_AT_ONCE,
     STRETCHED,
+    WORTH,
     Explained,
     _afresh,
     _quiet,
@@ -203,7 +204,7 @@ def test_a_pair_of_which_one_comes_to_nothing_is_fitted_as_the_other_from_where_
 
 def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypatch):
     old, new = explained(900.0, "entrained_air"), explained(100.0, "spool_lap")
-    scene = SimpleNamespace(z=lambda: np.zeros(2))
+    scene, base = SimpleNamespace(z=lambda: np.zeros(2)), SimpleNamespace(fit=SimpleNamespace(deviance=1000.0))
     deviances, tried = {"entrained_air": np.inf, "spool_lap": 100.0}, []
 
     def afresh(base, start):
@@ -211,12 +212,17 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
         tried.append(extra.candidate.name)
         return replace(new.fit, extras=tuple(start), deviance=deviances[extra.candidate.name])
 
-    monkeypatch.setattr(engine, "_singles", lambda scene, fall, share: [old.fit.extras, new.fit.extras])
+    monkeypatch.setattr(engine, "_singles", lambda scene, fall, share: [old.fit.extras])
+    monkeypatch.setattr(engine, "_typical", lambda base, scene: [new.fit.extras])
     monkeypatch.setattr(engine, "refit_afresh", afresh)
     monkeypatch.setattr(engine, "look", lambda base, fit: fit)
     monkeypatch.setattr(engine, "_with_more", lambda base, final, found: (found, final))
-    found, final = _afresh(None, scene, [old], "before")
-    assert tried == ["entrained_air", "spool_lap"] and found[0].label == "spool_lap" and final is found[0].fit
+    found, final = _afresh(base, scene, 4.0, [old], "before")
+    assert tried == ["spool_lap", "entrained_air"] and found[0].label == "spool_lap" and final is found[0].fit
+    found, final = _afresh(base, scene, 4.0, [], "before")
+    assert [one.label for one in found] == ["spool_lap"] and final is found[0].fit
     deviances["spool_lap"] = 950.0
-    assert _afresh(None, scene, [old], "before") == ([old], "before")
+    assert _afresh(base, scene, 4.0, [old], "before") == ([old], "before")
+    deviances["spool_lap"] = 990.0
+    assert 1000.0 - 990.0 < WORTH * 4.0**2 and _afresh(base, scene, 4.0, [], "before") == ([], "before")
     assert STRETCHED > 2.0  # beyond a tolerance

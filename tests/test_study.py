@@ -3,9 +3,30 @@
 import numpy as np
 import pytest
 from hidden_plant import draw, write_session
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 
+import valvesim.study as engine
+from valvesim.errors import SolveError
 from valvesim.session import load_session
-from valvesim.study import SETTLED, TOLERANCE, Extra, fit_base, predict, prepare_study, refit, within_tolerance
+from valvesim.study import (
+    SETTLED,
+    SHAPE_STRIDE,
+    TOLERANCE,
+    Extra,
+    Fit,
+    _moved,
+    _promise,
+    _room,
+    _step,
+    falls_afresh,
+    fit_base,
+    predict,
+    prepare_study,
+    refit,
+    within_tolerance,
+)
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +69,23 @@ def test_a_refit_takes_the_stretched_parameter_back_and_finds_the_bias(biased):
     assert fit.deviance < base.fit.deviance - 100.0
 
 
+def test_at_typical_amplitudes_the_hidden_bias_explains_most(biased, monkeypatch):
+    base, bias = biased
+    named = {c.family: c for c in base.study.candidates}
+    right = Extra(named["sensor_bias@load_flow"], bias)
+    others = [Extra(named[name], named[name].typical) for name in ("coil_turns_loss", "spool_coulomb_friction")]
+    falls = falls_afresh(base, [right, *others])
+    assert falls[0] > 100.0 and falls[0] > 2.0 * falls[1:].max()
+
+    def evaluate(study, point, extras):
+        if extras:
+            raise SolveError("no such valve")
+        return base.fit
+
+    monkeypatch.setattr(engine, "evaluate", evaluate)
+    assert falls_afresh(base, others).tolist() == [-np.inf, -np.inf]
+
+
 def test_what_runs_alike_is_worked_out_once_and_reads_as_each_alone(biased):
     study, asked = biased[0].study, []
     names = [bench.record.name for bench in study.benches]
@@ -66,3 +104,35 @@ def test_views_of_a_repeat_have_its_own_readings(biased):
         assert seen.bench is bench
         for name, left in seen.residual().items():
             assert np.array_equal(left, bench.record.values[name] - seen.readings[name])
+
+
+# ---------------------------------------------------------------- steps inside limits
+
+NUMBERS = st.floats(-3.0, 3.0)
+
+
+@given(st.lists(NUMBERS, min_size=20, max_size=20), st.lists(NUMBERS, min_size=8, max_size=8), st.floats(0.01, 2.0))
+def test_a_step_to_a_limit_is_the_least_squares_step_inside_it(entries, residual, limit):
+    J = np.vstack([np.reshape(entries, (5, 4)), np.eye(4)])
+    r = np.array([*residual, 0.0])
+    room = np.array([[-np.inf, -np.inf, -np.inf, -limit], [np.inf, np.inf, np.inf, limit]])
+    step = _step(J.T @ J, J.T @ r, room)
+    best = lsq_linear(J, r, (room[0], room[1]), tol=1e-14).x
+    left = np.sum((r - J @ step) ** 2)
+    assert abs(step[3]) <= limit and left == pytest.approx(np.sum((r - J @ best) ** 2), rel=1e-6, abs=1e-9)
+    assert _promise(J.T @ J, J.T @ r, room) == pytest.approx(r @ r - left, abs=1e-9)
+
+
+def test_room_is_up_to_the_limits_of_an_amplitude_and_a_stride_of_a_shape(biased):
+    hysteresis = next(c for c in biased[0].study.candidates if c.family == "magnetic_hysteresis")
+    (shape,) = hysteresis.shapes()
+    low, high = shape.bounds
+    extra = Extra(hysteresis, hysteresis.typical, ((shape.name, 1.1 * low),))
+    fit = Fit(np.zeros(2), (extra,), 0.0, (), np.zeros(0), 0.0)
+    room = _room(fit)
+    assert room.shape == (2, 4) and np.all(np.isinf(room[:, :2]))
+    for step in room[:, 2:]:
+        (moved,) = _moved(fit, step)
+        assert 0.0 < moved.excess < hysteresis.limits[1] and low <= dict(moved.shapes)[shape.name] <= high
+    assert np.exp(room[:, 3]) == pytest.approx([1.0 / 1.1, SHAPE_STRIDE])
+    assert _moved(fit, room[1, 2:])[0].excess == pytest.approx(0.98 * hysteresis.limits[1])
