@@ -360,9 +360,10 @@ def _afresh(
     base: BaseFit, scene: Scene, level: float, found: list[Explained], final: Scene
 ) -> tuple[list[Explained], Scene]:
     """The found with single candidates fitted from where no base parameter is stretched, if one of these is better."""
-    alone = [*_typical(base, scene), *_singles(scene, scene.z() ** 2, 0.5 * LINEAR)]
-    starts = list({start[0].candidate.family: start for start in reversed(alone)}.values())[::-1]
-    fits = [fit for start in starts[:SINGLES] if _ran(fit := refit_afresh(base, start))]
+    starts: dict[str, tuple[Extra, ...]] = {}
+    for start in [*_typical(base, scene), *_singles(scene, scene.z() ** 2, 0.5 * LINEAR)]:
+        starts.setdefault(start[0].candidate.family, start)
+    fits = [fit for start in list(starts.values())[:SINGLES] if _ran(fit := refit_afresh(base, start))]
     merged = _settled([*found, *_worth(base, list(map(Explained, fits)), level)])
     if merged[:1] == found[:1]:
         return found, final
