@@ -277,6 +277,18 @@ def test_neighbours_are_a_little_off_in_one_parameter(base):
         assert replace(variant.valve, **{p.name: p.nominal}) == nominal().valve
 
 
+def test_a_parameter_at_its_most_is_moved_down_and_shows_the_same(base, seen):
+    free = Base(base.variant, tuple(p for p in base.parameters if p.name in ("nozzle_arm", "spool_area")))
+    at_most = replace(free, parameters=tuple(replace(p, bounds=(0.0, p.nominal)) for p in free.parameters))
+    beside = neighbours(at_most, nominal())
+    for p, variant in zip(at_most.parameters, beside, strict=True):
+        assert 0.0 < getattr(variant.valve, p.name) < p.nominal
+    shown, known = parameter_columns(seen, at_most, beside), parameter_columns(seen, free, neighbours(free, nominal()))
+    for channel in CHANNELS:
+        for k in range(len(free.parameters)):
+            assert rms(shown[channel][:, k] - known[channel][:, k]) <= 0.02 * rms(known[channel][:, k])
+
+
 def test_columns_of_base_parameters_are_differences_of_true_runs(base, seen):
     """To first order, so at a tenth of their deviations; those that act within a step of the grid are run."""
     names = ("nozzle_arm", "null_gap_difference", "port_flow_coefficient", "chamber_volume", *RUN)

@@ -74,6 +74,16 @@ def test_a_memory_that_rests_does_no_harm():
     assert np.abs(answers - expected).max(axis=0) == pytest.approx(0.0, abs=1e-7 * np.abs(expected).max())
 
 
+def test_an_answer_that_grows_without_end_is_none_and_the_others_stay():
+    A = np.diag([800.0 / (79 * STEP), -50.0, -5.0])  # to e^800: beyond all numbers
+    g = np.zeros((80, 3, 3))
+    g[1:, 0, 0] = g[1:, 1, 1] = g[1:, 2, 2] = 1.0
+    answers = system(A).respond(g)
+    assert np.isfinite(answers).all() and not answers[:, :, 0].any()
+    tame = np.diag([-1.0, -50.0, -5.0])
+    assert answers[:, :, 1:] == pytest.approx(np.stack([exact(tame, g[:, :, k]) for k in (1, 2)], axis=2))
+
+
 def test_answers_add_up():
     linear, rng = system(SYSTEMS["soft"]), np.random.default_rng(1)
     f, g = rng.normal(size=(2, 80, 3, 1))

@@ -69,6 +69,15 @@ def test_a_refit_takes_the_stretched_parameter_back_and_finds_the_bias(biased):
     assert fit.deviance < base.fit.deviance - 100.0
 
 
+def test_a_refit_begun_where_a_nozzle_would_be_closed_shrinks_its_start(biased):
+    base, _ = biased
+    (gap,) = [c for c in base.study.candidates if c.family == "parameter:null_gap_difference"]
+    null_gap = base.fit.variant(base.study.base).valve.null_gap
+    assert 2.5 * null_gap < gap.limits[1]  # inside its own bounds, and none of this valve
+    fit = refit(base, (Extra(gap, 2.5 * null_gap),))
+    assert abs(fit.extras[0].excess) < null_gap and fit.deviance <= base.fit.deviance
+
+
 def test_at_typical_amplitudes_the_hidden_bias_explains_most(biased, monkeypatch):
     base, bias = biased
     named = {c.family: c for c in base.study.candidates}

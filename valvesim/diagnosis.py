@@ -282,9 +282,8 @@ def _starts(scene: Scene, failed: Set[str]) -> list[tuple[Extra, ...]]:
 
 def _singles(scene: Scene, fall: np.ndarray, share: float) -> list[tuple[Extra, ...]]:
     """The best single candidates by the fall (q,) of the deviance, those near that share of the largest."""
-    p = scene.projected
     likeliest = _best_of_families(scene, fall, share * fall.max(initial=0.0) - 10.0)[:SINGLES]
-    return [(_extra(scene, k, p.score[k] / p.overlap[k, k]),) for k in likeliest]
+    return [(_alone(scene, k),) for k in likeliest]
 
 
 def _best_of_families(scene: Scene, value: np.ndarray, least: float) -> list[int]:
@@ -325,6 +324,11 @@ def _pairs(scene: Scene, fall: np.ndarray, failed: Set[str]) -> list[tuple[Extra
     return list(used.values())
 
 
+def _alone(scene: Scene, k: int) -> Extra:
+    """A candidate in the amount by which the linear equations explain most with it alone."""
+    return _extra(scene, k, scene.projected.score[k] / scene.projected.overlap[k, k])
+
+
 def _extra(scene: Scene, k: int, amount: float) -> Extra:
     """A candidate at an amount of its column, inside its limits, with its shapes where they were looked for."""
     candidate = scene.candidates[k]
@@ -345,8 +349,8 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
         share = 0.0 if _leftover(final.fit, base.study) else LEFT_SHARE
         if z.max(initial=0.0) ** 2 < max(level**2, share * (base.fit.deviance - best.fit.deviance)):
             break
-        p, near = final.projected, _best_of_families(final, z, NEAR * z.max())[:SECONDS]
-        starts = [(*best.fit.extras, _extra(final, k, p.score[k] / p.overlap[k, k])) for k in near]
+        near = _best_of_families(final, z, NEAR * z.max())[:SECONDS]
+        starts = [(*best.fit.extras, _alone(final, k)) for k in near]
         more = _settled(_refitted(base, starts, best.fit.point))
         merged = _settled([*found, *more])
         if not more or merged[0] is best or merged[0].evidence > best.evidence - 6.0:

@@ -494,15 +494,17 @@ def neighbours(base: Base, variant: Variant) -> list[Variant]:
     """The variant with each base parameter of the valve moved by a little, see `_step`."""
     valve = variant.valve
     return [
-        replace(variant, valve=replace(valve, **{p.name: getattr(valve, p.name) + _step(p) * p.deviation}))
+        replace(variant, valve=replace(valve, **{p.name: getattr(valve, p.name) + _step(p, valve) * p.deviation}))
         for p in base.parameters
         if p.sensor is None
     ]
 
 
-def _step(parameter: BaseParameter) -> float:
-    """By how many prior standard deviations a parameter is moved to see what it shows."""
-    return FAR if parameter.name in RUN else NEAR
+def _step(parameter: BaseParameter, valve: Valve) -> float:
+    """By how many prior standard deviations a parameter is moved to see what it shows: down where it is at its most."""
+    size = FAR if parameter.name in RUN else NEAR
+    most = parameter.bounds[1]
+    return size if getattr(valve, parameter.name) + size * parameter.deviation <= most else -size
 
 
 def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -> dict[str, np.ndarray]:
@@ -510,7 +512,7 @@ def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -
 
     None where the bench is rough and the parameter fast: a fit that followed such answers ends in a wrong resonance.
     """
-    plant = [p for p in base.parameters if p.sensor is None]
+    plant, valve = [p for p in base.parameters if p.sensor is None], seen.variant.valve
     held = FAST if seen.bench.rough else ()
     slow = [k for k, p in enumerate(plant) if p.name not in (*RUN, *held)]
     moved = seen.by_answer([neighbouring[k] for k in slow])
@@ -524,7 +526,7 @@ def parameter_columns(seen: View, base: Base, neighbouring: Sequence[Variant]) -
             if p.name in held or (p.sensor is not None and p.sensor.channel != name):
                 columns.append(np.zeros_like(read))
             elif p.sensor is None:
-                columns.append((run[p.name][name] if p.name in run else answered[p.name]) / _step(p))
+                columns.append((run[p.name][name] if p.name in run else answered[p.name]) / _step(p, valve))
             else:
                 columns.append(_sensor_slope(seen, p, name) * p.deviation)
         out[name] = np.column_stack(columns)

@@ -24,6 +24,7 @@ from .compiled import compile_model
 from .model import Model
 from .prediction import Bench, Course
 
+ENDLESS = 1e100  # scaled: squares of what is larger overflow
 FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0])
 
 
@@ -134,11 +135,15 @@ class Linearised:
     slopes: dict[str, np.ndarray]  # channel -> (n, s), d(channel)/d(scaled state)
 
     def respond(self, forcing: np.ndarray) -> np.ndarray:
-        """Answers (n, s, k) of the scaled states to forcings (n, s, k) of the scaled rates, at rest with the first."""
+        """Answers (n, s, k) of the scaled states to forcings (n, s, k) of the scaled rates, at rest with the first.
+
+        Zero where one grows without end: along a course that limit cycles the linear equations tell nothing.
+        """
         g = np.ascontiguousarray(forcing)
         d = np.empty_like(g)
         d[0] = -np.linalg.lstsq(self.A[0], g[0], rcond=1e-12)[0]  # a memory at rest stays where it is
         _machine()[1](self.E, self.early, self.late, g, d)
+        d[:, :, ~(np.abs(d).max(axis=(0, 1)) < ENDLESS)] = 0.0
         return d
 
     def channel(self, name: str, answers: np.ndarray, direct: np.ndarray | float = 0.0) -> np.ndarray:

@@ -415,7 +415,7 @@ def _less_peaks(study: Study, views: Sequence[View]) -> Study:
     Where a closing land passes null, leakage rises and falls within a tenth of a millisecond: there a sample tells more
     of sensor and solver than of the valve, and it says nothing of where the peak should be.
     """
-    study, weights = replace(study, weights={}), []
+    weights = []
     for seen in views:
         record = seen.bench.record
         bends = seen.bench.bends(seen.at_valve, seen.course, seen.variant)
@@ -524,11 +524,11 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
             continue
     if fit is None:
         return _not_run(base, start)
-    fit, answers = min(
-        ((at, np.column_stack([base.J, _added_columns(base, at)]))
-         for at in (fit, _leap(base, tuple(start))) if at is not None),
-        key=lambda pair: pair[0].deviance - 0.5 * _promise(*_normal(*pair), _room(pair[0])),  # promises are half kept
-    )  # fmt: skip
+    begun = [pair for at in (fit, _leap(base, tuple(start))) if at and (pair := _with_added(base, at))]
+    if not begun:
+        return _not_run(base, start)
+    # promises are half kept
+    fit, answers = min(begun, key=lambda pair: pair[0].deviance - 0.5 * _promise(*_normal(*pair), _room(pair[0])))
     if fit.deviance > ASTRAY * fit.rows:
         return _led_near(base, fit, looks)
     return _descended(study, fit, answers, ENOUGH, looks, _good(base))
@@ -541,8 +541,7 @@ def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
     from there.
     """
     try:
-        fit = evaluate(base.study, np.clip(base.fit.point, -TOLERANCE, TOLERANCE), tuple(start))
-        return _led_near(base, fit, MORE_LOOKS)
+        return _led_near(base, evaluate(base.study, _unstretched(base), tuple(start)), MORE_LOOKS)
     except (SolveError, InputError):
         return _not_run(base, start)
 
@@ -553,23 +552,29 @@ def falls_afresh(base: BaseFit, starts: Sequence[Extra]) -> np.ndarray:
     Each is run, and the base parameters follow by the linear equations; samples that are far off count less.
     """
     study = base.study.coarse()
-    fit = evaluate(study, np.clip(base.fit.point, -TOLERANCE, TOLERANCE), ())
+    fit = evaluate(study, _unstretched(base), ())
     robust = _robust(study, fit.readings)
     J = robust.stack(see(study, fit.variant(study.base))[1])
     H = J.T @ J + np.eye(len(fit.point))
 
-    def left(readings: Sequence[dict[str, np.ndarray]]) -> float:
-        residual = whitened_residual(robust, readings)
-        gradient = J.T @ residual - fit.point
-        return float(residual @ residual - gradient @ _solve(H, gradient))
+    def left(fit: Fit) -> float:
+        gradient = J.T @ fit.residual - fit.point
+        return float(fit.deviance - gradient @ _solve(H, gradient))
+
+    before = left(_weighed(robust, fit.point, (), fit.readings))
 
     def fall(start: Extra) -> float:
         try:
-            return left(fit.readings) - left(evaluate(study, fit.point, (start,)).readings)
+            return before - left(evaluate(robust, fit.point, (start,)))
         except (SolveError, InputError):
             return -np.inf
 
     return np.array([fall(start) for start in starts])
+
+
+def _unstretched(base: BaseFit) -> np.ndarray:
+    """The base's point (p,) with each parameter that is beyond its tolerance back at the end of it."""
+    return np.clip(base.fit.point, -TOLERANCE, TOLERANCE)
 
 
 def _not_run(base: BaseFit, start: Sequence[Extra]) -> Fit:
@@ -608,18 +613,26 @@ def _descended(study: Study, fit: Fit, answers: np.ndarray, enough: float, looks
 
 def _leap(base: BaseFit, start: tuple[Extra, ...]) -> Fit | None:
     """Where the linear equations put everything at once: a base parameter stretched by the cause goes back at once."""
-    study, p = base.study, base.J.shape[1]
+    p = base.J.shape[1]
     absent = replace(base.fit, extras=start)  # its residual is that without the extras
-    S = _added_columns(base, absent)
-    own = [k for k, (_, shape) in enumerate(absent.kinds) if not shape]
-    plain = replace(base.fit, extras=tuple(replace(e, shapes=()) for e in start))
-    H, gradient = _normal(plain, np.column_stack([base.J, S[:, own]]))
-    room = np.transpose([(-np.inf, np.inf)] * p + [_inside(e.candidate) for e in start])
-    step = _step(H, gradient, room)
-    extras = tuple(replace(e, excess=float(a)) for e, a in zip(start, step[p:], strict=True))
     try:
-        return evaluate(study, base.fit.point + step[:p], extras)
+        S = _added_columns(base, absent)
+        own = [k for k, (_, shape) in enumerate(absent.kinds) if not shape]
+        plain = replace(base.fit, extras=tuple(replace(e, shapes=()) for e in start))
+        H, gradient = _normal(plain, np.column_stack([base.J, S[:, own]]))
+        room = np.transpose([(-np.inf, np.inf)] * p + [_inside(e.candidate) for e in start])
+        step = _step(H, gradient, room)
+        extras = tuple(replace(e, excess=float(a)) for e, a in zip(start, step[p:], strict=True))
+        return evaluate(base.study, base.fit.point + step[:p], extras)
     except (SolveError, InputError):
+        return None
+
+
+def _with_added(base: BaseFit, fit: Fit) -> tuple[Fit, np.ndarray] | None:
+    """A fit with the base's answers to what it fits; None where no valve has its extras at the base's own figures."""
+    try:
+        return fit, np.column_stack([base.J, _added_columns(base, fit)])
+    except InputError:
         return None
 
 
@@ -629,13 +642,19 @@ def _inside(candidate: Candidate) -> tuple[float, float]:
     return (1e-3 * candidate.typical if candidate.one_sided else EDGE * low), EDGE * high
 
 
+def _bounds(extra: Extra, shape: str) -> tuple[float, float]:
+    """Of a shape parameter."""
+    return next(p.bounds for p in extra.candidate.shapes() if p.name == shape)
+
+
 def _room(fit: Fit) -> np.ndarray:
     """(2, n): how far down and up each of a fit's `place` may go, base parameters freely."""
     room = [(-np.inf, np.inf)] * len(fit.point)
     for extra, shape in fit.kinds:
         if shape:
-            bounds = next(p.bounds for p in extra.candidate.shapes() if p.name == shape)
-            times = np.clip(np.array(bounds) / dict(extra.shapes)[shape], 1.0 / SHAPE_STRIDE, SHAPE_STRIDE)
+            times = np.clip(
+                np.array(_bounds(extra, shape)) / dict(extra.shapes)[shape], 1.0 / SHAPE_STRIDE, SHAPE_STRIDE
+            )
             room.append(tuple(np.log(times)))
         else:
             low, high = _inside(extra.candidate)
@@ -690,8 +709,8 @@ def _moved(fit: Fit, step: np.ndarray) -> tuple[Extra, ...]:
     shapes = {id(extra): dict(extra.shapes) for extra in fit.extras}
     for (extra, shape), by in zip(fit.kinds, step, strict=True):
         if shape:
-            bounds = next(p.bounds for p in extra.candidate.shapes() if p.name == shape)
-            shapes[id(extra)][shape] = float(np.clip(shapes[id(extra)][shape] * np.exp(by), *bounds))
+            value = shapes[id(extra)][shape] * np.exp(by)
+            shapes[id(extra)][shape] = float(np.clip(value, *_bounds(extra, shape)))
         else:
             excesses[id(extra)] = float(np.clip(extra.excess + by, *_inside(extra.candidate)))
     return tuple(replace(e, excess=excesses[id(e)], shapes=tuple(shapes[id(e)].items())) for e in fit.extras)
