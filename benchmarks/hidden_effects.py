@@ -359,22 +359,29 @@ def tune(case: Case, target: float, folder: Path) -> Tuned:
         return Tuned(trial, tuple(map(float, first)), distance, (distance,), overlap, records)
     direction = _factors(size, overlap, target, most)
     best: Tuned | None = None
-    scale, tried = 1.0, [(0.0, 0.0)]  # (scale, d')
+    scale, tried, believed = 1.0, [(0.0, 0.0)], False  # (scale, d')
     taken = any(name in TWINS for name, _ in case.hidden)  # nearly all of it, by a base parameter
     for _ in range(TRIALS):
         factors, trial, records = _run(case, np.minimum(scale * direction, most))
         distance = rule.distance(trial, rule.change(trial, records))
-        if taken or abs(distance / target - 1.0) < CLOSE or distance > STRANGE * target:  # before it is believed
+        sure = taken or abs(distance / target - 1.0) < CLOSE or distance > STRANGE * target
+        if sure:
             distance = min(distance, rule.settled(trial, records))
         if best is None or _miss(distance, target) < _miss(best.distance, target):
             alone = tuple(map(float, size * factors)) if len(most) == 2 else (distance,)
-            best = Tuned(trial, tuple(map(float, factors)), distance, alone, overlap, records)
+            best, believed = Tuned(trial, tuple(map(float, factors)), distance, alone, overlap, records), sure
         tried.append((scale, distance))
         scale = _next_scale(tried, target)
         if abs(distance / target - 1.0) < CLOSE or np.allclose(np.minimum(scale * direction, most), factors, rtol=0.02):
             break
     assert best is not None
-    return best
+    return best if believed else confirmed(rule, best)
+
+
+def confirmed(rule: Ruler, tuned: Tuned) -> Tuned:
+    """A case with a d' that a fit to its noise-free records bears out."""
+    distance = min(tuned.distance, rule.settled(tuned.case, tuned.records))
+    return replace(tuned, distance=distance, alone=tuned.alone if len(tuned.alone) == 2 else (distance,))
 
 
 def _next_scale(tried: Sequence[tuple[float, float]], target: float) -> float:

@@ -306,9 +306,9 @@ def _definitions() -> str:
 
 - **d'**: norm, whitened by the meters' true noise (AR(1), and rounding), of what the hidden adds to the noise-free
   training records, less what the base parameters can take up against their priors: by the linear equations about the
-  valve on the bench; where they take up nearly all, by a fit to the noise-free records, less what even the true
-  cause leaves, which is the plant's. Cases are tuned to a target;
-  where the catalogue's bounds or the plant forbid it, the largest d' possible stands. All tables go by the measured d'.
+  valve on the bench, and no more than a fit to the noise-free records leaves (less what even the true cause leaves
+  then, which is the plant's). Cases are tuned to a target; where the catalogue's bounds or the plant forbid
+  it, the largest d' possible stands. All tables go by the measured d'.
 - **false alarm**: on an empty session, any verdict but `no_discrepancy`. **detected**: the same where something is
   hidden.
 - **right cause first**: the most probable candidate has the true names, sensor and side included. By definition the
@@ -539,13 +539,15 @@ def _wrong(done: Sequence[Row]) -> str:
             " + ".join(row["labels"]) or "nothing",
             " + ".join(row["named"]),
             f"{row['candidates'][0]['probability']:.2f}" if row["candidates"] else "",
+            f"{row['candidates'][0]['deviance_fall'] / row['distance'] ** 2:.2f}" if row["distance"] > 1.0 else "",
             ", ".join(row["channels"]),
         )
         for row in sorted(rows, key=lambda row: row["kind"])
     ]
-    return "## Unique and wrong\n\nEvery one.\n\n" + table(
-        ("case", "d'", "hidden", "named", "probability", "measured"), lines
-    )
+    return (
+        "## Unique and wrong\n\nEvery one. **Explains**: the fall of the deviance by what is named over d'^2; about 1 "
+        "where it shows in these records all that is hidden would, whatever its name.\n\n"
+    ) + table(("case", "d'", "hidden", "named", "probability", "explains", "measured"), lines)
 
 
 def _abstentions(done: Sequence[Row]) -> str:
