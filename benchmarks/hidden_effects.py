@@ -1,8 +1,8 @@
 """The full suite of hidden effects: what valvesim's diagnosis finds in sessions of a plant that is not its model.
 
-    .venv/bin/python benchmarks/hidden_effects.py tune --workers 2  # strengths alone, kept: `run` does it else
-    .venv/bin/python benchmarks/hidden_effects.py run --workers 2   # the same again after a break: it goes on
-    .venv/bin/python benchmarks/hidden_effects.py report            # docs/hidden_effects.md from what there is
+    .venv/bin/python benchmarks/hidden_effects.py run --workers 2  # the same again after a break: it goes on
+    .venv/bin/python benchmarks/hidden_effects.py report           # docs/hidden_effects.md from what there is
+    .venv/bin/python benchmarks/hidden_effects.py run --results new.jsonl  # another engine at the strengths of the old
 
 A case is drawn by tests/hidden_plant.py, its strength tuned to a distance d', its session written to a folder, and
 diagnosed from that folder alone. Each case adds one line of JSON to the results. The table has seeds of its own
@@ -19,13 +19,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import pickle
 import sys
 import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
@@ -60,7 +59,6 @@ import valvesim as vs  # noqa: E402
 from valvesim import diagnosis as engine  # noqa: E402
 from valvesim.answer import Diagnosis, NextTest, Term, plain_json  # noqa: E402
 from valvesim.catalogue import CATALOGUE  # noqa: E402
-from valvesim.files import write_atomically  # noqa: E402
 from valvesim.hypotheses import Candidate, View  # noqa: E402
 from valvesim.noise import Noise  # noqa: E402
 from valvesim.prediction import prepare  # noqa: E402
@@ -82,8 +80,7 @@ from valvesim.units import quantities  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results" / "hidden_effects.jsonl"
 DOCUMENT = ROOT / "docs" / "hidden_effects.md"
-KEPT = ROOT / "benchmarks" / ".tuned"  # not of the temporary folder: whoever writes there could run code here
-PLANT = crc32(Path(hidden_plant.__file__).read_bytes())
+PLANT = f"{crc32(Path(hidden_plant.__file__).read_bytes()):08x}"
 KINDS = hidden_plant.KINDS
 
 TARGETS = (5.0, 8.0, 15.0, 40.0)
@@ -179,6 +176,7 @@ def cases(offset: int = TABLE_SEEDS) -> list[Spec]:
 
 
 Records = list[dict[str, np.ndarray]]
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -575,37 +573,25 @@ def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, fl
         return found, caught, (time.perf_counter() - begin, time.process_time() - worked)
 
 
-def tuned_case(spec: Spec, kept: Path) -> Tuned:
-    """The case at its strength: of an earlier run of the same plant where it is kept, else tuned now, and kept."""
-    path = kept / f"{PLANT:08x} {spec.key}.pickle"
-    if path.exists():
-        return Tuned(**pickle.loads(path.read_bytes()))
-    with tempfile.TemporaryDirectory(prefix="valvesim_quiet_") as place:
-        tuned = tune(draw(spec.seed, spec.kind, name=spec.name), spec.target, Path(place))
-    plain = pickle.dumps(vars(tuned))  # not as a class of this script, which has another name in each use
-    write_atomically(path, lambda part: part.write_bytes(plain))
-    return tuned
+def tuned_case(spec: Spec, earlier: Row | None, folder: Path) -> Tuned:
+    """The case at its strength: that of an earlier row if the plant is the same, else tuned now."""
+    case = draw(spec.seed, spec.kind, name=spec.name)
+    if earlier is None or earlier.get("plant") != PLANT or "distance" not in earlier:
+        return tune(case, spec.target, folder)
+    case = scaled(case, earlier["factors"])
+    own = {name: tuple(earlier[name]) for name in ("factors", "alone")}
+    return Tuned(case, distance=earlier["distance"], overlap=earlier["overlap"], records=responses(case), **own)
 
 
-def kept_case(spec: Spec, kept: Path) -> str:
-    """Tune and keep a case; what came of it, in words (`run` will meet an error again, and tell it in its row)."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            return f"has d' = {tuned_case(spec, kept).distance:.1f}"
-        except Exception as error:  # as in run_case
-            return f"{type(error).__name__}: {error}"
-
-
-def run_case(spec: Spec, kept: Path, with_baselines: bool) -> dict[str, Any]:
+def run_case(spec: Spec, earlier: Row | None, with_baselines: bool) -> Row:
     """The line of a case. What fails is told in it: `outcome` "error", with the message."""
-    row: dict[str, Any] = {**asdict(spec), "key": spec.key, "outcome": "error"}
+    row: Row = {**asdict(spec), "key": spec.key, "plant": PLANT, "outcome": "error"}
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="valvesim_hidden_") as place, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             row |= _of_case(draw(spec.seed, spec.kind, name=spec.name))
-            tuned = tuned_case(spec, kept)
+            tuned = tuned_case(spec, earlier, Path(place) / "quiet")
             row |= _of_case(tuned.case) | {
                 "factors": tuned.factors, "distance": tuned.distance, "alone": tuned.alone, "overlap": tuned.overlap,
             }  # fmt: skip
@@ -630,7 +616,7 @@ def run_case(spec: Spec, kept: Path, with_baselines: bool) -> dict[str, Any]:
     return plain_json(row)
 
 
-def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> dict[str, Any]:
+def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> Row:
     """What the diagnosis says once the test that it has asked for has been made on the plant."""
     inputs = test.inputs
     run = Run(
@@ -649,7 +635,7 @@ def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> dict[str, An
     }
 
 
-def _of_case(case: Case) -> dict[str, Any]:
+def _of_case(case: Case) -> Row:
     hidden = hidden_plant.truth(case)
     return {
         "labels": truth_labels(case), "truth": hidden["parameters"], "channels": case.channels, "drive": case.drive,
@@ -657,7 +643,7 @@ def _of_case(case: Case) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _of_diagnosis(case: Case, found: Diagnosis) -> dict[str, Any]:
+def _of_diagnosis(case: Case, found: Diagnosis) -> Row:
     named = [one.label for one in found.candidates if one.names == found.causes and one.in_set]
     return {
         "verdict": found.verdict,
@@ -684,7 +670,7 @@ def _of_diagnosis(case: Case, found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _errors(tuned: Tuned, found: Diagnosis, caught: Caught, session: Session, row: dict[str, Any]) -> dict[str, Any]:
+def _errors(tuned: Tuned, found: Diagnosis, caught: Caught, session: Session, row: Row) -> Row:
     """True errors on the locked records, in noise deviations: of base, extension and oracle."""
     truth = {run.name: record for run, record in zip(tuned.case.runs, tuned.records, strict=True)}
     sigma = {meter.channel: deviation(meter) for meter in tuned.case.meters}
@@ -695,7 +681,7 @@ def _errors(tuned: Tuned, found: Diagnosis, caught: Caught, session: Session, ro
 
     offered = found.extension_offered
     locked = [trace for trace in found.traces if trace.role == "test" and trace.channel in sigma]
-    errors: dict[str, Any] = {
+    errors: Row = {
         "error_before": pooled((t.record, t.channel, t.base) for t in locked),
         "error_after": pooled((t.record, t.channel, t.extended if offered else t.base) for t in locked),
     }
@@ -725,7 +711,7 @@ def _oracle(case: Case, base: BaseFit, extras: tuple[Extra, ...], fits: Sequence
 # ---------------------------------------------------------------- all of them
 
 
-def read_results(path: Path) -> list[dict[str, Any]]:
+def read_results(path: Path) -> list[Row]:
     """The lines of a results file; a last line that was cut off by an interruption is left out."""
     rows = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
@@ -736,13 +722,11 @@ def read_results(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def tune_all(todo: Sequence[Spec], kept: Path, workers: int) -> None:
-    """Tune cases and keep them, so that a later `run` only diagnoses."""
-    _over(todo, len(todo), workers, lambda spec: (kept_case, spec, kept), lambda spec, message: f"{spec.key} {message}")
+def run(todo: Sequence[Spec], path: Path, earlier: Mapping[str, Row], workers: int, with_baselines: bool) -> None:
+    """Run cases that the results do not hold yet; this process alone writes, a line at a time.
 
-
-def run(todo: Sequence[Spec], path: Path, kept: Path, workers: int, with_baselines: bool) -> None:
-    """Run cases that the results do not hold yet; this process alone writes, a line at a time."""
+    `earlier` are rows by key, whose strengths are taken over.
+    """
     done = {row["key"] for row in read_results(path)}
     left = [spec for spec in todo if spec.key not in done]
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -752,9 +736,10 @@ def run(todo: Sequence[Spec], path: Path, kept: Path, workers: int, with_baselin
     with path.open("a", encoding="utf-8") as file:
 
         def job(spec: Spec) -> tuple[Any, ...]:
-            return run_case, spec, kept, with_baselines and crc32(spec.key.encode()) % BASELINE_EVERY == 0
+            also_baselines = with_baselines and crc32(spec.key.encode()) % BASELINE_EVERY == 0
+            return run_case, spec, earlier.get(spec.key), also_baselines
 
-        def add(spec: Spec, row: dict[str, Any]) -> str:
+        def add(spec: Spec, row: Row) -> str:
             file.write(json.dumps(row, ensure_ascii=False, allow_nan=False) + "\n")
             file.flush()
             return _told(spec, row)
@@ -799,7 +784,7 @@ def _over(
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _told(spec: Spec, row: dict[str, Any]) -> str:
+def _told(spec: Spec, row: Row) -> str:
     answer = row.get("verdict", row.get("message", "error"))
     return f"{spec.kind} {spec.name or ''}: {answer} {' + '.join(row.get('named', ()))}"
 
@@ -807,12 +792,12 @@ def _told(spec: Spec, row: dict[str, Any]) -> str:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="The full suite of hidden effects.")
-    parser.add_argument("what", choices=("tune", "run", "report"))
+    parser.add_argument("what", choices=("run", "report"))
     parser.add_argument("--cases", type=int, help="only the first so many of the list")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, help="only these")
     parser.add_argument("--seed-offset", type=int, default=TABLE_SEEDS, help="10000 while the diagnosis is worked on")
     parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--kept", type=Path, default=KEPT, help="the folder of the cases that are tuned already")
+    parser.add_argument("--strengths", type=Path, default=RESULTS, help="rows whose strengths need no tuning again")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--baselines", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT, help="the report's file")
@@ -820,13 +805,11 @@ def main() -> None:
     chosen = [spec for spec in cases(options.seed_offset) if options.kinds is None or spec.kind in options.kinds]
     chosen = chosen[: options.cases]
     try:
-        if options.what == "tune":
-            return tune_all(chosen, options.kept, options.workers)
         if options.what == "run":
-            return run(chosen, options.results, options.kept, options.workers, options.baselines)
+            earlier = {row["key"]: row for row in read_results(options.strengths)}
+            return run(chosen, options.results, earlier, options.workers, options.baselines)
     except KeyboardInterrupt:
-        stands = {"tune": options.kept, "run": options.results}[options.what]
-        sys.exit(f"interrupted; what is done stands in {stands}, the same command goes on from there")
+        sys.exit(f"interrupted; what is done stands in {options.results}, the same command goes on from there")
     keys = {spec.key for spec in chosen}
     rows = {row["key"]: row for row in read_results(options.results) if row["key"] in keys}
     if not rows:

@@ -63,10 +63,8 @@ def found_first(row: Row) -> bool:
 
 
 def in_set(row: Row) -> bool:
-    """Whether the truth is among the candidates of the answer set, or another name of one."""
-    sets = [each["labels"] for each in row["candidates"] if each["in_set"]]
-    sets += [other.split(" + ") for each in row["candidates"] if each["in_set"] for other in each.get("same_as", ())]
-    return any(known(labels) == known(row["labels"]) for labels in sets)
+    """Whether the truth is among the candidates of the answer set."""
+    return any(known(each["labels"]) == known(row["labels"]) for each in row["candidates"] if each["in_set"])
 
 
 def right(row: Row) -> bool:
@@ -313,7 +311,7 @@ def _definitions() -> str:
   hidden.
 - **right cause first**: the most probable candidate has the true names, sensor and side included. By definition the
   same hypothesis, and so right: {same}.
-- **in the answer set**: a candidate of the set has the true names, or counts them among its other names.
+- **in the answer set**: a candidate of the set has the true names.
 - **unique and wrong**: verdict `cause`, and any named cause is not there. **half**: one of two that are there, and no
   other.
 - **E**: root mean square over the locked records of prediction less the plant's noise-free readings, in noise

@@ -35,7 +35,7 @@ def answer(**changed):
         candidates=(
             CandidateAnswer(
                 names=("spool_coulomb_friction",), label="friction", location="spool force balance",
-                probability=np.float64(0.98), deviance_fall=400.0, in_set=np.bool_(True), same_as=("spool_silting",),
+                probability=np.float64(0.98), deviance_fall=400.0, in_set=np.bool_(True),
             ),
         ),
         parameters=(
@@ -99,7 +99,7 @@ def test_the_dictionary_has_every_field_but_traces_and_what_only_python_can_use(
     }
     assert set(table["next_test"]) == {f.name for f in dataclasses.fields(NextTest)} - {"inputs"}
     assert table["verdict"] == "cause" and table["causes"] == ["spool_coulomb_friction"]
-    assert table["candidates"][0]["same_as"] == ["spool_silting"]
+    assert table["candidates"][0]["in_set"] is True
     assert table["parameters"][0] == {
         "name": "friction_force", "cause": "spool_coulomb_friction", "value": 2.0, "low": 1.9, "high": 2.1,
         "unit": "N", "doc": "",

@@ -13,17 +13,25 @@ from valvesim import diagnosis as engine
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
 from valvesim.diagnosis import (
+    ANSWER_RATIO,
     ANSWER_SHARE,
     LEFT_SHARE,
     MOST_AT_ONCE,
     STRETCHED,
+    UNSETTLED,
     WORTH,
     Explained,
     _afresh,
+    _candidate_answers,
+    _chance,
+    _from_within,
     _quiet,
     _ranked,
     _refitted,
     _rivals,
+    _summary,
+    _verdict,
+    _width,
 )
 from valvesim.hypotheses import Candidate
 from valvesim.session import load_session
@@ -140,7 +148,7 @@ def explained(deviance, *names):
     """A hypothesis fitted, of catalogue effects at their typical strength."""
     candidates = [Candidate(name, CATALOGUE[name]) for name in names]
     extras = tuple(Extra(candidate, candidate.typical) for candidate in candidates)
-    return Explained(Fit(np.zeros(1), extras, deviance, (), np.zeros(1), 1.0))
+    return Explained(Fit(np.zeros(1), extras, deviance, (), np.zeros(1), 5000.0))
 
 
 def order(base, *found):
@@ -165,6 +173,45 @@ def test_one_more_cause_that_explains_next_to_nothing_is_left_out():
     pair = explained(900.0, "spool_lap", "entrained_air")
     ranked = _ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
     assert [one.label for one in _rivals(base, ranked)] == ["spool_lap + entrained_air"]
+    pair = explained(930.0, "spool_lap", "entrained_air")  # a model that is not the plant may need as much: either
+    ranked = _ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in _rivals(base, ranked)] == ["spool_lap + entrained_air", "spool_lap"]
+
+
+def test_what_leaves_something_over_stands_beside_what_says_more():
+    base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
+    found = [explained(1030.0, "spool_lap"), explained(1000.0, "spool_lap", "entrained_air")]
+    assert [one.label for one in _rivals(base, found, whole=True)] == ["spool_lap"]
+    assert [one.label for one in _rivals(base, found, whole=False)] == ["spool_lap", "spool_lap + entrained_air"]
+
+
+def test_the_share_that_does_not_count_goes_by_the_law_and_never_beyond_the_noise():
+    base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
+    lap, loop = explained(1000.0, "spool_lap"), explained(1000.0, "magnetic_hysteresis")
+    law_error = CATALOGUE["magnetic_hysteresis"].law_error
+    assert _width(base, lap) == pytest.approx(ANSWER_SHARE * 1500.0)
+    assert law_error > ANSWER_SHARE and _width(base, loop) == pytest.approx(law_error * 1500.0)
+    astray = SimpleNamespace(fit=SimpleNamespace(deviance=1e7))
+    assert _width(astray, lap) == pytest.approx(ANSWER_SHARE * lap.fit.rows)
+
+
+def test_what_explains_too_little_stands_beside_noise_alone():
+    lap, level = explained(1000.0, "spool_lap"), 4.0
+
+    def answer(fall):
+        base = SimpleNamespace(fit=replace(lap.fit, deviance=1000.0 + fall, extras=()))
+        in_set = [lap, *_chance(base, [lap], level)]
+        answers = _candidate_answers(base, [lap], in_set, level)
+        members = {a.label: a.probability for a in answers if a.in_set}
+        return _verdict(True, in_set), members, _summary(_verdict(True, in_set), in_set, None, ())
+
+    verdict, members, summary = answer(level**2 + ANSWER_RATIO + 0.1)
+    assert verdict == CAUSE and list(members) == ["spool_lap"] and summary == "The cause is spool lap."
+    verdict, members, summary = answer(level**2 + ANSWER_RATIO - 0.1)
+    assert verdict == AMBIGUOUS and list(members) == ["spool_lap", "nothing but noise"]
+    assert summary == "Something may be wrong, or noise alone shows it; it would be spool lap."
+    _, members, _ = answer(level**2)  # no more than what passes the alarm by chance
+    assert members["spool_lap"] == pytest.approx(members["nothing but noise"])
 
 
 def leaving(z, *names, gained=1000.0):
@@ -200,6 +247,24 @@ def test_a_pair_of_which_one_comes_to_nothing_is_fitted_as_the_other_from_where_
     monkeypatch.setattr(engine, "refit", refit)
     assert [one.label for one in _refitted(None, [(lap, air)])] == ["spool_lap"]
     assert asked == [(["spool_lap", "entrained_air"], None), (["spool_lap"], np.full(1, 7.0))]
+
+
+def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeypatch):
+    asked = []
+
+    def unsettled(deviance, promised):
+        return replace(explained(deviance, "spool_lap").fit, promised=promised)
+
+    def refit(base, extras, point):
+        asked.append(point)
+        return unsettled(100.0 - 10.0 * len(asked), UNSETTLED + 1.0 if len(asked) == 1 else 0.0)
+
+    monkeypatch.setattr(engine, "unstretched", lambda base: "within")
+    monkeypatch.setattr(engine, "refit", refit)
+    monkeypatch.setattr(engine, "refit_afresh", lambda base, extras: unsettled(np.inf, 0.0))  # no valve runs there
+    assert _from_within(None, unsettled(100.0, 0.0)) == [] and not asked
+    again = _from_within(None, unsettled(100.0, UNSETTLED + 1.0))
+    assert asked == ["within"] * 2 and [one.fit.deviance for one in again] == [90.0, 80.0]
 
 
 def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypatch):

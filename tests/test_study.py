@@ -1,5 +1,7 @@
 """Fits of a session: the base inside its tolerances, refits from the linear equations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden_plant import draw, write_session
@@ -75,7 +77,27 @@ def test_a_refit_begun_where_a_nozzle_would_be_closed_shrinks_its_start(biased):
     null_gap = base.fit.variant(base.study.base).valve.null_gap
     assert 2.5 * null_gap < gap.limits[1]  # inside its own bounds, and none of this valve
     fit = refit(base, (Extra(gap, 2.5 * null_gap),))
-    assert abs(fit.extras[0].excess) < null_gap and fit.deviance <= base.fit.deviance
+    assert abs(fit.extras[0].excess) < null_gap
+    assert fit.deviance < base.fit.deviance + engine.ENOUGH  # it is not there: less is not worth a step
+
+
+def test_a_refit_begun_far_off_begins_with_the_best_of_smaller_starts(biased, monkeypatch):
+    base, bias = biased
+    (candidate,) = [c for c in base.study.candidates if c.family == "sensor_bias@load_flow"]
+    asked, begun = [], []
+
+    def evaluate(study, point, extras):
+        asked.append(extras[0].excess / bias)
+        return replace(base.fit, extras=extras, deviance=base.fit.deviance * (30.0 if asked[-1] > 0.5 else 0.9))
+
+    monkeypatch.setattr(engine, "evaluate", evaluate)
+    monkeypatch.setattr(engine, "_leap", lambda base, start: None)
+    monkeypatch.setattr(engine, "_with_added", lambda base, fit: begun.append(fit))
+    assert refit(base, (Extra(candidate, bias),)).deviance == np.inf  # here nothing is begun
+    assert asked == pytest.approx([1.0, 0.3]) and begun[0].extras[0].excess == pytest.approx(0.3 * bias)
+    asked.clear()
+    refit(base, (Extra(candidate, 0.4 * bias),))
+    assert asked == pytest.approx([0.4])
 
 
 def test_at_typical_amplitudes_the_hidden_bias_explains_most(biased, monkeypatch):

@@ -32,7 +32,7 @@ class Estimate:
 class CandidateAnswer:
     """A hypothesis that was fitted: the cause or the causes together, and how probable it is among all.
 
-    `in_set` tells whether it explains the data nearly as well as the best; `same_as` are other names of it.
+    `in_set` tells whether it explains the data nearly as well as the best. Without `names` it is noise alone.
     """
 
     names: tuple[str, ...]
@@ -41,7 +41,6 @@ class CandidateAnswer:
     probability: float
     deviance_fall: float
     in_set: bool = True
-    same_as: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

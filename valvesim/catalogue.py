@@ -110,6 +110,7 @@ MOTOR = (
         ),
         memory=(Channel("magnetic_hysteresis_state", "1", "share of the coercive current that acts", 1.0),),
         balance=_hysteresis,
+        law_error=0.2,  # measured against play operators: 0.07 to 0.18
     ),
     Effect(
         name="magnetic_saturation",

@@ -57,6 +57,7 @@ from .study import (
     refit,
     refit_afresh,
     residual_of,
+    unstretched,
     within_tolerance,
 )
 
@@ -72,6 +73,7 @@ PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be 
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
 LEFT_SHARE = 0.02  # of what the best explains may stay behind as a free term, for the same reason
+UNSETTLED, AGAIN = 2.0 * ENOUGH, 3  # deviance still promised at which the likeliest is fitted again; how often
 WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
 REFINED_PRICE = 1.0  # the same for an effect that is another, plainer one where its own feature does not show
@@ -115,7 +117,7 @@ class Explained:
     @property
     def label(self) -> str:
         """The candidates' families."""
-        return " + ".join(c.family for c in self.candidates) or "nominal"
+        return " + ".join(c.family for c in self.candidates) or "nothing but noise"
 
     def is_within(self, other: Explained) -> bool:
         """Whether another hypothesis has all these candidates, by whatever name."""
@@ -151,7 +153,7 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
     scene = look(base, base.fit)
     alarm, level = _alarm(scene)
     found: list[Explained] = []
-    final, quiet = scene, True
+    final, quiet, whole = scene, True, True
     if alarm:
         tell(STAGES[3], 0.4)
         found = _explain(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share))
@@ -166,9 +168,12 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
             quiet = bool(found) and _quiet(base, final)
         if found:
             found = _ranked(base, found)
-            final = final if found[0].fit is final.fit else look(base, found[0].fit)
+            if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
+                final = look(base, found[0].fit)
+                whole = _quiet(base, final)
     tell(STAGES[5], 0.9)
-    return _answer(base, scene, final, found, alarm, quiet, level)
+    rivals = _rivals(base, found, whole) if quiet else []  # where even the best leaves something over, none of them is
+    return _answer(base, scene, final, found, rivals, alarm, level)
 
 
 # ---------------------------------------------------------------- alarm
@@ -212,7 +217,19 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
         if any(likeliest == candidate.family for one in found for candidate in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
+    found += [again for one in found if one.label == likeliest for again in _from_within(base, one.fit)]
     return _worth(base, _with_fewer(base, _settled(found)), level)
+
+
+def _from_within(base: BaseFit, fit: Fit) -> list[Explained]:
+    """A fit that has not settled, fitted again from where no base parameter is stretched: its valley may be bent."""
+    tried = [fit]
+    for _ in range(AGAIN):
+        best = min(tried, key=lambda one: one.deviance)
+        if best.promised < UNSETTLED:
+            break
+        tried += [refit(base, best.extras, unstretched(base)), refit_afresh(base, best.extras)]
+    return [Explained(one) for one in tried[1:] if _ran(one)]
 
 
 def _worth(base: BaseFit, found: Sequence[Explained], level: float) -> list[Explained]:
@@ -421,14 +438,20 @@ def _quiet(base: BaseFit, final: Scene) -> bool:
 
 
 def _answer(
-    base: BaseFit, scene: Scene, final: Scene, found: list[Explained], alarm: bool, quiet: bool, level: float
+    base: BaseFit,
+    scene: Scene,
+    final: Scene,
+    found: Sequence[Explained],
+    rivals: Sequence[Explained],
+    alarm: bool,
+    level: float,
 ) -> Diagnosis:
     study, session = base.study, base.study.session
     best = found[0] if found else None
     chosen = best.fit if best is not None else base.fit
-    in_set = _rivals(base, found) if quiet else []  # where even the best leaves something over, none of them is
-    answers = _candidate_answers(base, found, in_set, quiet)
-    verdict = _verdict(alarm, quiet, found, in_set)
+    in_set = [*rivals, *_chance(base, rivals, level)]
+    answers = _candidate_answers(base, found, in_set, level)
+    verdict = _verdict(alarm, in_set)
     hopeless = _hopeless(base, chosen)
     term: Term | None = None
     notes = list(session.notes)
@@ -492,8 +515,13 @@ UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *SIGNAL_CHA
 
 
 def _width(base: BaseFit, best: Explained) -> float:
-    """The difference of evidence up to which another explains the data nearly as well as the best does."""
-    return max(ANSWER_RATIO, ANSWER_SHARE * (base.fit.deviance - best.fit.deviance))
+    """The difference of evidence up to which another explains the data nearly as well as the best does.
+
+    A fall beyond the noise itself tells how far astray the base was, not how much the best explains.
+    """
+    fall = min(base.fit.deviance - best.fit.deviance, best.fit.rows)
+    share = max([ANSWER_SHARE, *(c.effect.law_error for c in best.candidates if c.effect is not None)])
+    return max(ANSWER_RATIO, share * fall)
 
 
 def _heat(base: BaseFit, best: Explained) -> float:
@@ -512,35 +540,46 @@ def _ranked(base: BaseFit, found: Sequence[Explained]) -> list[Explained]:
     return [*near, *(one for one in found if one not in near)]
 
 
-def _rivals(base: BaseFit, found: Sequence[Explained]) -> list[Explained]:
-    """The best, and those that explain the data nearly as well."""
+def _rivals(base: BaseFit, found: Sequence[Explained], whole: bool = True) -> list[Explained]:
+    """The best, and those that explain the data nearly as well; `whole` tells that the best leaves nothing over."""
     if not found:
         return []
-    width = _width(base, found[0])
-    most = len(found[0].candidates)  # how wide a prior is does not tell two apart that fit alike
+    best, width, heat = found[0], _width(base, found[0]), _heat(base, found[0])
+    most = len(best.candidates)  # how wide a prior is does not tell two apart that fit alike
     near = [
         one
         for one in found
-        if one.evidence - found[0].evidence < width
-        or (len(one.candidates) <= most and one.least - found[0].least < width)
+        if one.weighed(heat) - best.weighed(heat) < width
+        or (len(one.candidates) <= most and one.least - best.least < width)
     ]
-    # what a better one says already, and something more besides, is no rival of it
-    return [one for k, one in enumerate(near) if not any(better.is_within(one) for better in near[:k])]
+    # what a better one says already, and something more besides, is no rival of it, unless there must be something more
+    return [one for k, one in enumerate(near) if not whole or not any(better.is_within(one) for better in near[:k])]
+
+
+def _doubt(base: BaseFit, best: Explained, level: float) -> float:
+    """The difference of evidence between noise alone and the best: at the alarm level the two are as likely."""
+    return base.fit.deviance - best.fit.deviance - level**2
+
+
+def _chance(base: BaseFit, rivals: Sequence[Explained], level: float) -> list[Explained]:
+    """The model as it is, where what the best explains is so little that it may be chance."""
+    return [Explained(base.fit)] if rivals and _doubt(base, rivals[0], level) < ANSWER_RATIO else []
 
 
 def _candidate_answers(
-    base: BaseFit, found: Sequence[Explained], in_set: Sequence[Explained], quiet: bool
+    base: BaseFit, found: Sequence[Explained], in_set: Sequence[Explained], level: float
 ) -> list[CandidateAnswer]:
-    """All hypotheses with their probabilities, likeliest first, and what is in no catalogue beside them."""
+    """All hypotheses with their probabilities, likeliest first; beside them what is in no catalogue, and chance."""
     if not found:
         return []
-    gained, width = max(base.fit.deviance - found[0].fit.deviance, 0.0), _width(base, found[0])
-    heat = _heat(base, found[0])
+    gained = max(base.fit.deviance - found[0].fit.deviance, 0.0)
+    width, heat = _width(base, found[0]), _heat(base, found[0])
     known = [one.weighed(heat) for one in found]
-    unknown = known[0] + UNKNOWN_PRICE + 0.25 * gained if quiet else known[0] - 2.0 * width
-    values = np.array([*known, unknown])
+    unknown = known[0] + UNKNOWN_PRICE + 0.25 * gained if in_set else known[0] - 2.0 * width
+    values = np.array([*known, known[0] + _doubt(base, found[0], level), unknown])
     weights = np.exp(-0.5 * (values - values.min()) / heat)
     weights /= weights.sum()
+    members = {one.label for one in in_set}
     answers = [
         CandidateAnswer(
             names=tuple(c.name for c in one.candidates),
@@ -548,20 +587,20 @@ def _candidate_answers(
             location=" and ".join(dict.fromkeys(c.location() for c in one.candidates)),
             probability=float(weight),
             deviance_fall=float(base.fit.deviance - one.fit.deviance),
-            in_set=one in in_set,
+            in_set=one.label in members,
         )
-        for one, weight in zip(found, weights[:-1], strict=True)
+        for one, weight in zip([*found, Explained(base.fit)], weights[:-1], strict=True)
     ]
     nothing = CandidateAnswer(names=("unknown",), label="none of the known causes", location="", deviance_fall=0.0,
-                              probability=float(weights[-1]), in_set=not quiet)  # fmt: skip
+                              probability=float(weights[-1]), in_set=not in_set)  # fmt: skip
     ranked = sorted([*answers, nothing], key=lambda a: -a.probability)
     return [a for a in ranked if a.in_set or a.probability > 1e-3]
 
 
-def _verdict(alarm: bool, quiet: bool, found: Sequence[Explained], in_set: Sequence[Explained]) -> str:
+def _verdict(alarm: bool, in_set: Sequence[Explained]) -> str:
     if not alarm:
         return NO_DISCREPANCY
-    if not found or not quiet:
+    if not in_set:
         return UNKNOWN
     return CAUSE if len(in_set) == 1 else AMBIGUOUS
 
@@ -656,7 +695,10 @@ def _summary(verdict: str, in_set: Sequence[Explained], term: Term | None, notes
     if verdict == CAUSE:
         return f"The cause is {_said(in_set[0])}."
     if verdict == AMBIGUOUS:
-        return "Something is wrong, and these cannot be told apart: " + "; ".join(map(_said, in_set)) + "."
+        causes = [*(_said(one) for one in in_set if one.candidates)]
+        if in_set[-1].candidates:
+            return f"Something is wrong, and these cannot be told apart: {'; '.join(causes)}."
+        return f"Something may be wrong, or noise alone shows it; it would be {' or '.join(causes)}."
     if notes and notes[0].startswith("the base model cannot"):
         return f"Nothing is named: {notes[0]}"
     if term is None:

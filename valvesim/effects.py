@@ -100,6 +100,7 @@ class Effect:
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
+    `law_error` is the share of what the effect explains by which another law of the same thing may do better.
     """
 
     name: str
@@ -115,6 +116,7 @@ class Effect:
     channel: str = ""
     figure: str = ""
     plainer: str = ""
+    law_error: float = 0.0
 
     def on(self, channel: str) -> Effect:
         """This sensor effect on one channel, its parameters in that channel's unit. InputError for a wrong name."""

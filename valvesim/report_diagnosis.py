@@ -37,7 +37,7 @@ MEASURED, BASE, EXTENDED = "0.35", COLOURS[1], COLOURS[0]
 VERDICTS = {  # words, edge and ground of the banner
     NO_DISCREPANCY: ("No discrepancy found", COLOURS[2], "#e3f2e9"),
     CAUSE: ("Cause found", COLOURS[1], "#fbe6e8"),
-    AMBIGUOUS: ("Several causes possible", COLOURS[3], "#fcf0dd"),
+    AMBIGUOUS: ("Several answers possible", COLOURS[3], "#fcf0dd"),
     UNKNOWN: ("Unknown mechanism", COLOURS[4], "#eee6f2"),
 }
 DPI = 140  # of the pictures: sharp on paper too
@@ -526,7 +526,7 @@ def _banner(diagnosis: Diagnosis) -> _Markup:
 
 def _facts(diagnosis: Diagnosis) -> _Markup:
     """What a reader in a hurry wants to know besides."""
-    first = [c for c in diagnosis.candidates if c.in_set and c.names != (UNKNOWN,)][:1]
+    first = [c for c in diagnosis.candidates if c.in_set and c.names not in ((), (UNKNOWN,))][:1]
     better, locked = sum(gain.claimed for gain in diagnosis.gain), len(diagnosis.gain)
     claimed = f"better on {better} of {locked} locked records" if diagnosis.gain_claimed else "none claimed"
     channels = {found.channel for found in diagnosis.noise}
@@ -561,7 +561,7 @@ def _causes(diagnosis: Diagnosis) -> _Markup:
 def _answer_set(diagnosis: Diagnosis) -> _Markup:
     """The candidates with their probabilities, where more than one was weighed."""
     candidates, ambiguous = diagnosis.candidates, diagnosis.verdict == AMBIGUOUS
-    if len(candidates) < 2 and not ambiguous and not any(c.same_as for c in candidates):
+    if len(candidates) < 2 and not ambiguous:
         return _Markup()
     ranked = sorted(candidates, key=lambda c: not c.in_set)  # the likeliest first, within each
     rows = [
@@ -569,11 +569,10 @@ def _answer_set(diagnosis: Diagnosis) -> _Markup:
             spoken(c.label), _bar(c.probability, _percent(c.probability)), "possible" if c.in_set else "less likely",
             c.location,
             _number(c.deviance_fall, max(1.0, 0.01 * c.deviance_fall)) if np.isfinite(c.deviance_fall) else "",
-            ", ".join(map(spoken, c.same_as)),
         )
         for c in ranked[:MOST_CANDIDATES]
     ]  # fmt: skip
-    headings = ("candidate", "probability", "answer", "where", "fall of deviance", "shows the same as")
+    headings = ("candidate", "probability", "answer", "where", "fall of deviance")
     told = "The data cannot tell the possible ones apart." if ambiguous else ""
     heading = "Possible causes" if ambiguous else "What was weighed"
     return _section(heading, _text(told), _table(headings, rows, (4,)))

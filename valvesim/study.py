@@ -514,17 +514,20 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
 
     The answers are those of the base first.
     """
-    study, fit = base.study, None
+    study, tried = base.study, list[Fit]()
     for shrink in (1.0, 0.3, 0.1):
         try:
             extras = tuple(replace(e, excess=e.excess * shrink) for e in start)
-            fit = evaluate(study, base.fit.point if point is None else point, extras)
-            break
+            tried.append(evaluate(study, base.fit.point if point is None else point, extras))
         except (SolveError, InputError):
             continue
-    if fit is None:
+        if tried[-1].deviance < _good(base):
+            break
+    if not tried:
         return _not_run(base, start)
-    begun = [pair for at in (fit, _leap(base, tuple(start))) if at and (pair := _with_added(base, at))]
+    fit = min(tried, key=lambda one: one.deviance)
+    leapt = _leap(base, tuple(start)) or _leap(base, fit.extras)
+    begun = [pair for at in (fit, leapt) if at and (pair := _with_added(base, at))]
     if not begun:
         return _not_run(base, start)
     # promises are half kept
@@ -541,7 +544,7 @@ def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
     from there.
     """
     try:
-        return _led_near(base, evaluate(base.study, _unstretched(base), tuple(start)), MORE_LOOKS)
+        return _led_near(base, evaluate(base.study, unstretched(base), tuple(start)), MORE_LOOKS)
     except (SolveError, InputError):
         return _not_run(base, start)
 
@@ -552,7 +555,7 @@ def falls_afresh(base: BaseFit, starts: Sequence[Extra]) -> np.ndarray:
     Each is run, and the base parameters follow by the linear equations; samples that are far off count less.
     """
     study = base.study.coarse()
-    fit = evaluate(study, _unstretched(base), ())
+    fit = evaluate(study, unstretched(base), ())
     robust = _robust(study, fit.readings)
     J = robust.stack(see(study, fit.variant(study.base))[1])
     H = J.T @ J + np.eye(len(fit.point))
@@ -572,7 +575,7 @@ def falls_afresh(base: BaseFit, starts: Sequence[Extra]) -> np.ndarray:
     return np.array([fall(start) for start in starts])
 
 
-def _unstretched(base: BaseFit) -> np.ndarray:
+def unstretched(base: BaseFit) -> np.ndarray:
     """The base's point (p,) with each parameter that is beyond its tolerance back at the end of it."""
     return np.clip(base.fit.point, -TOLERANCE, TOLERANCE)
 
