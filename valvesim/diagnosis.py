@@ -152,28 +152,36 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
     tell(STAGES[2], 0.3)
     scene = look(base, base.fit)
     alarm, level = _alarm(scene)
-    found: list[Explained] = []
-    final, quiet, whole = scene, True, True
+    found, rivals, final = list[Explained](), list[Explained](), scene
     if alarm:
-        tell(STAGES[3], 0.4)
-        found = _explain(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share))
-        tell(STAGES[4], 0.75)
-        if found:
-            found, final = _with_more(base, look(base, found[0].fit), found)
-            if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
-                base, found, final = _with_peaks(base, found, final)
-        quiet = bool(found) and _quiet(base, final)
-        if not quiet and np.abs(base.fit.point).max() > STRETCHED:
-            found, final = _afresh(base, scene, level, found, final)
-            quiet = bool(found) and _quiet(base, final)
-        if found:
-            found = _ranked(base, found)
-            if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
-                final = look(base, found[0].fit)
-                whole = _quiet(base, final)
+        base, found, rivals, final = _search(base, scene, level, tell)
     tell(STAGES[5], 0.9)
-    rivals = _rivals(base, found, whole) if quiet else []  # where even the best leaves something over, none of them is
     return _answer(base, scene, final, found, rivals, alarm, level)
+
+
+def _search(
+    base: BaseFit, scene: Scene, level: float, tell: Callable[[str, float], None]
+) -> tuple[BaseFit, list[Explained], list[Explained], Scene]:
+    """The base in the end, hypotheses best first, the answer set among them, and what the best leaves."""
+    tell(STAGES[3], 0.4)
+    found, final = _explain(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share)), scene
+    tell(STAGES[4], 0.75)
+    if found:
+        found, final = _with_more(base, look(base, found[0].fit), found)
+        if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
+            base, found, final = _with_peaks(base, found, final)
+    quiet = bool(found) and _quiet(base, final)
+    if not quiet and np.abs(base.fit.point).max() > STRETCHED:
+        found, final = _afresh(base, scene, level, found, final)
+        quiet = bool(found) and _quiet(base, final)
+    if not found:
+        return base, [], [], final
+    found, whole = _ranked(base, found), True
+    if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
+        final = look(base, found[0].fit)
+        whole = _quiet(base, final)
+    # where even the best leaves something over, none of them is the answer
+    return base, found, _rivals(base, found, whole) if quiet else [], final
 
 
 # ---------------------------------------------------------------- alarm
