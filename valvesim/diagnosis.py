@@ -73,7 +73,7 @@ PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be 
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
 LEFT_SHARE = 0.02  # of what the best explains may stay behind as a free term, for the same reason
-UNSETTLED, AGAIN = 2.0 * ENOUGH, 3  # deviance still promised at which the likeliest is fitted again; how often
+UNSETTLED, AGAIN = 2.0 * ENOUGH, 3  # deviance still promised at which what may be best is fitted again; how often
 WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
 REFINED_PRICE = 1.0  # the same for an effect that is another, plainer one where its own feature does not show
@@ -225,7 +225,11 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
         if any(likeliest == candidate.family for one in found for candidate in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
-    found += [again for one in found if one.label == likeliest for again in _from_within(base, one.fit)]
+    least = min((one.fit.deviance for one in found), default=np.inf)
+    might_be_best = [
+        one for one in found if one.label == likeliest or one.fit.deviance - one.fit.promised < least + ANSWER_RATIO
+    ]
+    found += [again for one in might_be_best for again in _from_within(base, one.fit)]
     return _worth(base, _with_fewer(base, _settled(found)), level)
 
 
