@@ -573,11 +573,10 @@ def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, fl
         return found, caught, (time.perf_counter() - begin, time.process_time() - worked)
 
 
-def tuned_case(spec: Spec, earlier: Row | None, folder: Path) -> Tuned:
+def tuned_case(case: Case, target: float, earlier: Row | None, folder: Path) -> Tuned:
     """The case at its strength: that of an earlier row if the plant is the same, else tuned now."""
-    case = draw(spec.seed, spec.kind, name=spec.name)
     if earlier is None or earlier.get("plant") != PLANT or "distance" not in earlier:
-        return tune(case, spec.target, folder)
+        return tune(case, target, folder)
     case = scaled(case, earlier["factors"])
     own = {name: tuple(earlier[name]) for name in ("factors", "alone")}
     return Tuned(case, distance=earlier["distance"], overlap=earlier["overlap"], records=responses(case), **own)
@@ -590,8 +589,9 @@ def run_case(spec: Spec, earlier: Row | None, with_baselines: bool) -> Row:
     with tempfile.TemporaryDirectory(prefix="valvesim_hidden_") as place, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            row |= _of_case(draw(spec.seed, spec.kind, name=spec.name))
-            tuned = tuned_case(spec, earlier, Path(place) / "quiet")
+            case = draw(spec.seed, spec.kind, name=spec.name)
+            row |= _of_case(case)
+            tuned = tuned_case(case, spec.target, earlier, Path(place) / "quiet")
             row |= _of_case(tuned.case) | {
                 "factors": tuned.factors, "distance": tuned.distance, "alone": tuned.alone, "overlap": tuned.overlap,
             }  # fmt: skip

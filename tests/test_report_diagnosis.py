@@ -440,9 +440,7 @@ HOSTILE = "<script>alert('a & b')</script>\"x\" $\\frac{1$ " + "long " * 20
 def test_a_hostile_name_stays_text_wherever_it_stands(tmp_path):
     d = ambiguous(term=replace(TERM, port=HOSTILE, variable=HOSTILE, memory=HOSTILE, formula=HOSTILE))
     estimate = replace(FRICTION, name=HOSTILE, cause=HOSTILE, unit="N", doc=HOSTILE)
-    candidates = tuple(
-        replace(c, label=HOSTILE, location=HOSTILE) for c in d.candidates
-    )
+    candidates = tuple(replace(c, label=HOSTILE, location=HOSTILE) for c in d.candidates)
     test = replace(
         d.next_test, description=HOSTILE, settings={HOSTILE: HOSTILE}, separates=(HOSTILE, HOSTILE),
         alternatives=(HOSTILE,)

@@ -502,7 +502,7 @@ def within_tolerance(base: BaseFit) -> Fit:
         if not beyond.any():
             break
         held |= beyond
-        shift = np.where(held, np.clip(base.fit.point, -TOLERANCE, TOLERANCE) - base.fit.point, 0.0)
+        shift = np.where(held, unstretched(base) - base.fit.point, 0.0)
         gradient = J.T @ base.fit.residual - base.fit.point - H @ shift
         shift[~held] = np.linalg.solve(H[np.ix_(~held, ~held)], gradient[~held])
         point = base.fit.point + shift
