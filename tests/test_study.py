@@ -81,23 +81,32 @@ def test_a_refit_begun_where_a_nozzle_would_be_closed_shrinks_its_start(biased):
     assert fit.deviance < base.fit.deviance + engine.ENOUGH  # it is not there: less is not worth a step
 
 
-def test_a_refit_begun_far_off_begins_with_the_best_of_smaller_starts(biased, monkeypatch):
+def test_a_refit_begun_far_off_begins_small_and_great_where_the_small_does_not_settle(biased, monkeypatch):
     base, bias = biased
     (candidate,) = [c for c in base.study.candidates if c.family == "sensor_bias@load_flow"]
-    asked, begun = [], []
+    asked, begun, promised = [], [], 0.0
 
     def evaluate(study, point, extras):
         asked.append(extras[0].excess / bias)
         return replace(base.fit, extras=extras, deviance=base.fit.deviance * (30.0 if asked[-1] > 0.5 else 0.9))
 
+    def ended(base, fit, *more):
+        begun.append(fit.extras[0].excess / bias)
+        return replace(fit, promised=promised)
+
     monkeypatch.setattr(engine, "evaluate", evaluate)
-    monkeypatch.setattr(engine, "_leap", lambda base, start: None)
-    monkeypatch.setattr(engine, "_with_added", lambda base, fit: begun.append(fit))
-    assert refit(base, (Extra(candidate, bias),)).deviance == np.inf  # here nothing is begun
-    assert asked == pytest.approx([1.0, 0.3]) and begun[0].extras[0].excess == pytest.approx(0.3 * bias)
+    monkeypatch.setattr(engine, "_refitted", ended)
+    monkeypatch.setattr(engine, "_led_near", ended)
+    refit(base, (Extra(candidate, bias),))
+    assert asked == pytest.approx([1.0, 0.3]) and begun == pytest.approx([0.3])
+    begun.clear()
+    promised = 2.0 * engine.UNSETTLED
+    least = refit(base, (Extra(candidate, bias),))
+    assert begun == pytest.approx([0.3, 1.0]) and least.extras[0].excess == pytest.approx(0.3 * bias)
     asked.clear()
+    begun.clear()
     refit(base, (Extra(candidate, 0.4 * bias),))
-    assert asked == pytest.approx([0.4])
+    assert asked == begun == pytest.approx([0.4])
 
 
 def test_at_typical_amplitudes_the_hidden_bias_explains_most(biased, monkeypatch):

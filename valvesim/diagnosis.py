@@ -8,7 +8,7 @@ A cause is named only where nothing else explains the data nearly as well and no
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from .answer import (
     Trace,
 )
 from .channels import SIGNAL_CHANNELS, STATE_CHANNELS
+from .errors import InputError, SolveError
 from .evidence import inverse_of
 from .extension import effect_files, scenario_text
 from .hypotheses import Candidate
@@ -43,19 +44,22 @@ from .session import Record, Session, load_session
 from .study import (
     ASTRAY,
     EDGE,
-    ENOUGH,
     SHAPE_STEP,
+    UNSETTLED,
     BaseFit,
     Extra,
     Fit,
     Study,
+    evaluate,
     falls_afresh,
     fit_base,
+    fit_from,
     in_full,
     own_step,
     prepare_study,
     refit,
     refit_afresh,
+    refit_from,
     residual_of,
     unstretched,
     within_tolerance,
@@ -73,7 +77,7 @@ PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be 
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
 LEFT_SHARE = 0.02  # of what the best explains may stay behind as a free term, for the same reason
-UNSETTLED, AGAIN = 2.0 * ENOUGH, 3  # deviance still promised at which what may be best is fitted again; how often
+AGAIN = 3  # times that what may be best is fitted again where it has not settled
 WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
 REFINED_PRICE = 1.0  # the same for an effect that is another, plainer one where its own feature does not show
@@ -97,7 +101,7 @@ class Explained:
     @property
     def least(self) -> float:
         """The deviance, with what is still promised taken off."""
-        return self.fit.deviance - min(self.fit.promised, 2.0 * ENOUGH)
+        return self.fit.deviance - min(self.fit.promised, UNSETTLED)
 
     @property
     def price(self) -> float:
@@ -154,20 +158,34 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
     alarm, level = _alarm(scene)
     found, rivals, final = list[Explained](), list[Explained](), scene
     if alarm:
-        base, found, rivals, final = _search(base, scene, level, tell)
+        base, scene, found = _explained(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share))
+        base, found, rivals, final = _search(base, scene, level, found, tell)
     tell(STAGES[5], 0.9)
     return _answer(base, scene, final, found, rivals, alarm, level)
 
 
+def _explained(
+    base: BaseFit, scene: Scene, level: float, tell: Callable[[float], None]
+) -> tuple[BaseFit, Scene, list[Explained]]:
+    """The base, what it leaves and the first hypotheses; again from where they show that its fit had stopped short."""
+    found = _explain(base, scene, level, tell)
+    for _ in range(AGAIN):
+        if (better := _better_base(base, found)) is None:
+            break
+        base, scene = better, look(better, better.fit)
+        found = _explain(base, scene, level, tell)
+    return base, scene, found
+
+
 def _search(
-    base: BaseFit, scene: Scene, level: float, tell: Callable[[str, float], None]
+    base: BaseFit, scene: Scene, level: float, found: list[Explained], tell: Callable[[str, float], None]
 ) -> tuple[BaseFit, list[Explained], list[Explained], Scene]:
     """The base in the end, hypotheses best first, the answer set among them, and what the best leaves."""
-    tell(STAGES[3], 0.4)
-    found, final = _explain(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share)), scene
+    final = scene
     tell(STAGES[4], 0.75)
     if found:
         found, final = _with_more(base, look(base, found[0].fit), found)
+        found, final = _with_others(base, found, final)
         if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
             base, found, final = _with_peaks(base, found, final)
     quiet = bool(found) and _quiet(base, final)
@@ -182,6 +200,24 @@ def _search(
         whole = _quiet(base, final)
     # where even the best leaves something over, none of them is the answer
     return base, found, _rivals(base, found, whole) if quiet else [], final
+
+
+def _better_base(base: BaseFit, found: Sequence[Explained]) -> BaseFit | None:
+    """The base fitted from where the hypothesis that explains most has gone, if that is better without its causes too.
+
+    Then most of what it explains is that the base fit had stopped short.
+    """
+    best = min((one.fit for one in found), key=lambda fit: fit.deviance, default=None)
+    if best is None or base.fit.deviance < ASTRAY * base.fit.rows:
+        return None
+    try:
+        fit = evaluate(base.study, best.point, ())
+        if fit.deviance > 0.5 * (base.fit.deviance + best.deviance):
+            return None
+        better = fit_from(in_full(base).study, fit)
+    except (SolveError, InputError):
+        return None
+    return better if in_full(better).fit.deviance < in_full(base).fit.deviance else None
 
 
 # ---------------------------------------------------------------- alarm
@@ -225,21 +261,48 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
         if any(likeliest == candidate.family for one in found for candidate in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
-    least = min((one.fit.deviance for one in found), default=np.inf)
-    might_be_best = [
-        one for one in found if one.label == likeliest or one.fit.deviance - one.fit.promised < least + ANSWER_RATIO
-    ]
-    found += [again for one in might_be_best for again in _from_within(base, one.fit)]
+    found += _beside_members(base, found)
+    least = min(found, key=lambda one: one.fit.deviance, default=None)
+    if least is not None:
+        found += _left_behind(base, found, least.fit)
+        enough = least.fit.deviance + ANSWER_RATIO
+        again = [one.fit for one in found if one.label == likeliest or one.fit.deviance - one.fit.promised < enough]
+        found += [new for fit in again for new in _from_within(base, fit)]
     return _worth(base, _with_fewer(base, _settled(found)), level)
+
+
+def _beside_members(base: BaseFit, found: Sequence[Explained]) -> list[Explained]:
+    """Pairs that have ended above one of their own two fitted again from it: two can explain no less than one."""
+    alone = {one.label: one.fit for one in found if len(one.candidates) == 1}
+    again = []
+    for pair in (one.fit for one in found if len(one.candidates) == 2):
+        first, second = pair.extras
+        for member, other in ((first, second), (second, first)):
+            fit = alone.get(member.candidate.family)
+            if fit is not None and fit.deviance < pair.deviance:
+                again.append(refit_from(base, replace(fit, extras=(*fit.extras, replace(other, excess=0.0)))))
+    return [Explained(fit) for fit in again if _ran(fit)]
+
+
+def _left_behind(base: BaseFit, found: Sequence[Explained], least: Fit) -> list[Explained]:
+    """Those that keep a base parameter stretched where the one that explains most does not, fitted from its figures."""
+    if not _stretch(least) < STRETCHED < _stretch(base.fit):
+        return []
+    return _refitted(base, [one.fit.extras for one in found if _stretch(one.fit) > STRETCHED], least.point)
+
+
+def _stretch(fit: Fit) -> float:
+    return float(np.abs(fit.point).max(initial=0.0))
 
 
 def _from_within(base: BaseFit, fit: Fit) -> list[Explained]:
     """A fit that has not settled, fitted again from where no base parameter is stretched: its valley may be bent."""
-    tried = [fit]
+    tried, reached = [fit], np.inf
     for _ in range(AGAIN):
         best = min(tried, key=lambda one: one.deviance)
-        if best.promised < UNSETTLED:
+        if best.promised < UNSETTLED or best.deviance > reached - UNSETTLED:
             break
+        reached = best.deviance
         tried += [refit(base, best.extras, unstretched(base)), refit_afresh(base, best.extras)]
     return [Explained(one) for one in tried[1:] if _ran(one)]
 
@@ -387,6 +450,23 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
         found = _with_fewer(base, merged)
         final = look(base, found[0].fit)
     return found, final
+
+
+def _with_others(base: BaseFit, found: list[Explained], final: Scene) -> tuple[list[Explained], Scene]:
+    """The found where the best has two causes, with what else would go well beside each of these."""
+    best, more = found[0].fit, list[Explained]()
+    for extra in best.extras if len(best.extras) > 1 else ():
+        beside = [one for one in _refitted(base, [(extra,)], best.point) if one.candidates]
+        if not beside:
+            continue
+        scene = look(base, beside[0].fit)
+        z = scene.z()
+        pairs = [(extra, _alone(scene, k)) for k in _best_of_families(scene, z, NEAR * z.max())]
+        tried = {frozenset(c.family for c in one.candidates) for one in found}
+        new = [pair for pair in pairs if frozenset(e.candidate.family for e in pair) not in tried]
+        more += _refitted(base, new[:SECONDS], best.point)
+    merged = _settled([*found, *more])
+    return merged, final if merged[0] is found[0] else look(base, merged[0].fit)
 
 
 def _afresh(

@@ -52,6 +52,7 @@ LONGEST_STEP = 3.0  # of a base parameter at once, in prior deviations
 NEARLY = 10.0  # fall of the deviance that is not worth a step on the way to the base fit ...
 SETTLED = 1.0  # ... nor at its end ...
 ENOUGH = 2.0  # ... nor of a candidate's refit: the answer set goes by several, and the rest is reckoned with
+UNSETTLED = 2.0 * ENOUGH  # what a refit still promises where it has not settled
 
 
 @dataclass(frozen=True, eq=False)
@@ -514,18 +515,27 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
 
     The answers are those of the base first.
     """
-    study, tried = base.study, list[Fit]()
+    tried = list[Fit]()
     for shrink in (1.0, 0.3, 0.1):
         try:
             extras = tuple(replace(e, excess=e.excess * shrink) for e in start)
-            tried.append(evaluate(study, base.fit.point if point is None else point, extras))
+            tried.append(evaluate(base.study, base.fit.point if point is None else point, extras))
         except (SolveError, InputError):
             continue
         if tried[-1].deviance < _good(base):
             break
     if not tried:
         return _not_run(base, start)
-    fit = min(tried, key=lambda one: one.deviance)
+    near = min(tried, key=lambda one: one.deviance)
+    fit = _refitted(base, near, start, looks)
+    if near is tried[0] or (fit.promised < UNSETTLED and fit.deviance < _good(base)):
+        return fit
+    afar = _led_near(base, tried[0], looks)  # small beginnings may crawl along a bent valley: the great one jumps it
+    return min(fit, afar, key=lambda one: one.deviance)
+
+
+def _refitted(base: BaseFit, fit: Fit, start: Sequence[Extra], looks: int) -> Fit:
+    """A refit from a fit that runs, or from where the linear equations put it, whichever promises to end lower."""
     leapt = _leap(base, tuple(start)) or _leap(base, fit.extras)
     begun = [pair for at in (fit, leapt) if at and (pair := _with_added(base, at))]
     if not begun:
@@ -534,7 +544,7 @@ def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None
     fit, answers = min(begun, key=lambda pair: pair[0].deviance - 0.5 * _promise(*_normal(*pair), _room(pair[0])))
     if fit.deviance > ASTRAY * fit.rows:
         return _led_near(base, fit, looks)
-    return _descended(study, fit, answers, ENOUGH, looks, _good(base))
+    return _descended(base.study, fit, answers, ENOUGH, looks, _good(base))
 
 
 def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
@@ -547,6 +557,17 @@ def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
         return _led_near(base, evaluate(base.study, unstretched(base), tuple(start)), MORE_LOOKS)
     except (SolveError, InputError):
         return _not_run(base, start)
+
+
+def refit_from(base: BaseFit, fit: Fit) -> Fit:
+    """A fit fitted further from where it is, by answers of its own; its deviance is infinite where it cannot be run."""
+    study = base.study
+    try:
+        fit = evaluate(study, fit.point, fit.extras)
+        answers = _answers(study, fit, *see(study, fit.variant(study.base)))
+    except (SolveError, InputError):
+        return _not_run(base, fit.extras)
+    return _descended(study, fit, answers, ENOUGH, MORE_LOOKS, _good(base))
 
 
 def falls_afresh(base: BaseFit, starts: Sequence[Extra]) -> np.ndarray:
