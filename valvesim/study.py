@@ -495,19 +495,10 @@ def see(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.n
 
 def within_tolerance(base: BaseFit) -> Fit:
     """The base fit with no parameter beyond its tolerance: what the model can do without an extension."""
-    point, J = base.fit.point.copy(), base.J
-    H = J.T @ J + np.eye(len(point))
-    held = np.zeros(len(point), dtype=bool)
-    for _ in range(len(point)):
-        beyond = ~held & (np.abs(point) > TOLERANCE)
-        if not beyond.any():
-            break
-        held |= beyond
-        shift = np.where(held, unstretched(base) - base.fit.point, 0.0)
-        gradient = J.T @ base.fit.residual - base.fit.point - H @ shift
-        shift[~held] = np.linalg.solve(H[np.ix_(~held, ~held)], gradient[~held])
-        point = base.fit.point + shift
-    return base.fit if not held.any() else evaluate(base.study, point, ())
+    if not np.any(np.abs(base.fit.point) > TOLERANCE):
+        return base.fit
+    room = np.outer((-TOLERANCE, TOLERANCE), np.ones_like(base.fit.point)) - base.fit.point
+    return evaluate(base.study, base.fit.point + _step(*_normal(base.fit, base.J), room), ())
 
 
 def refit(base: BaseFit, start: Sequence[Extra], point: np.ndarray | None = None, looks: int = MORE_LOOKS) -> Fit:
