@@ -53,7 +53,7 @@ from .study import (
     evaluate,
     falls_afresh,
     fit_base,
-    fit_from,
+    fit_base_from,
     in_full,
     own_step,
     prepare_study,
@@ -159,6 +159,8 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
     found, rivals, final = list[Explained](), list[Explained](), scene
     if alarm:
         base, scene, found = _explained(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share))
+        alarm, level = _alarm(scene)
+    if alarm:
         base, found, rivals, final = _search(base, scene, level, found, tell)
     tell(STAGES[5], 0.9)
     return _answer(base, scene, final, found, rivals, alarm, level)
@@ -173,7 +175,8 @@ def _explained(
         if (better := _better_base(base, found)) is None:
             break
         base, scene = better, look(better, better.fit)
-        found = _explain(base, scene, level, tell)
+        alarm, level = _alarm(scene)
+        found = _explain(base, scene, level, tell) if alarm else []
     return base, scene, found
 
 
@@ -208,13 +211,13 @@ def _better_base(base: BaseFit, found: Sequence[Explained]) -> BaseFit | None:
     Then most of what it explains is that the base fit had stopped short.
     """
     best = min((one.fit for one in found), key=lambda fit: fit.deviance, default=None)
-    if best is None or base.fit.deviance < ASTRAY * base.fit.rows:
+    if best is None:
         return None
     try:
         fit = evaluate(base.study, best.point, ())
         if fit.deviance > 0.5 * (base.fit.deviance + best.deviance):
             return None
-        better = fit_from(in_full(base).study, fit)
+        better = fit_base_from(base, fit)
     except (SolveError, InputError):
         return None
     return better if in_full(better).fit.deviance < in_full(base).fit.deviance else None

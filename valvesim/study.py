@@ -327,6 +327,15 @@ def fit_from(study: Study, fit: Fit, tell: Callable[[float], None] = lambda shar
     return _with_peaks(study, _afar(study, fit, tell), tell)
 
 
+def fit_base_from(base: BaseFit, fit: Fit) -> BaseFit:
+    """The base fitted, all samples in full, from where a fit without extras is: by its own answers, or from afar."""
+    study = replace(base.study, weights={})
+    start = _weighed(study, fit.point, (), fit.readings)
+    if start.deviance > ASTRAY * start.rows:
+        return fit_from(study, fit)
+    return _settle(seen_at(study, start), SETTLED, lambda share: None)
+
+
 def _afar(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
     """A coarse base from a fit, without peaks."""
     coarse = study.coarse()
