@@ -206,21 +206,21 @@ def _search(
 
 
 def _better_base(base: BaseFit, found: Sequence[Explained]) -> BaseFit | None:
-    """The base fitted from where the hypothesis that explains most has gone, if that is better without its causes too.
+    """The base fitted from where a hypothesis has gone, if that is better without its causes too.
 
-    Then most of what it explains is that the base fit had stopped short.
+    Then most of what this explains is that the base fit had stopped short.
     """
-    best = min((one.fit for one in found), key=lambda fit: fit.deviance, default=None)
-    if best is None:
-        return None
-    try:
-        fit = evaluate(base.study, best.point, ())
-        if fit.deviance > 0.5 * (base.fit.deviance + best.deviance):
-            return None
-        better = fit_base_from(base, fit)
-    except (SolveError, InputError):
-        return None
-    return better if in_full(better).fit.deviance < in_full(base).fit.deviance else None
+    for one in sorted((one.fit for one in found), key=lambda fit: fit.deviance):
+        try:
+            fit = evaluate(base.study, one.point, ())
+            if fit.deviance > 0.5 * (base.fit.deviance + one.deviance):
+                continue
+            better = fit_base_from(base, fit)
+        except (SolveError, InputError):
+            continue
+        if in_full(better).fit.deviance < in_full(base).fit.deviance:
+            return better
+    return None
 
 
 # ---------------------------------------------------------------- alarm
@@ -269,7 +269,8 @@ def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], 
     if least is not None:
         found += _left_behind(base, found, least.fit)
         enough = least.fit.deviance + ANSWER_RATIO
-        again = [one.fit for one in found if one.label == likeliest or one.fit.deviance - one.fit.promised < enough]
+        might = [one.fit.deviance - AGAIN * one.fit.promised < enough for one in found]  # promises may be renewed
+        again = [one.fit for one, may in zip(found, might, strict=True) if may or one.label == likeliest]
         found += [new for fit in again for new in _from_within(base, fit)]
     return _worth(base, _with_fewer(base, _settled(found)), level)
 
