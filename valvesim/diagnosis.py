@@ -44,6 +44,7 @@ from .session import Record, Session, load_session
 from .study import (
     ASTRAY,
     EDGE,
+    FLOOR,
     SHAPE_STEP,
     UNSETTLED,
     BaseFit,
@@ -69,7 +70,7 @@ ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hid
 NOT_QUIET = 0.01  # of a free term's being chance in what the best hypothesis leaves: naming asks for more than an alarm
 SINGLES, PAIRS = 5, 3  # how many are refitted ...
 LINEAR = 0.5  # ... of those that explain so large a share of what the best does: far off, linear answers err by so much
-NOTHING = 0.002  # of what is typical: where leakage peaks are measured a hundredth may show
+SLIGHT, NOTHING = 0.002, 2.0 * FLOOR  # of what is typical: where leakage peaks are measured a thousandth may show
 STRETCHED = 3.0  # prior deviations: a base parameter so far out may stand in a cause's way
 MOST_AT_ONCE = 2  # causes
 SECONDS, NEAR = 3, 0.8  # how many are tried beside a first cause, of those whose z is so large a share of the largest
@@ -326,12 +327,11 @@ def _refitted(
     found = []
     for k, start in enumerate(starts):
         tell(k / len(starts))
-        fit = refit(base, start, point)
-        something = tuple(extra for extra in fit.extras if not _is_nothing(extra))
-        if 0 < len(something) < len(fit.extras):  # from there, one alone may get where it could not before
-            fit = refit(base, something, fit.point)
-        if _ran(fit):
-            found.append(Explained(fit))
+        fits = [refit(base, start, point)]
+        more = tuple(extra for extra in fits[0].extras if not _is_nothing(extra, SLIGHT))
+        if 0 < len(more) < len(start):  # from there, one alone may get where it could not before
+            fits.append(refit(base, more, fits[0].point))
+        found += [Explained(fit) for fit in fits if _ran(fit)]
     return found
 
 
@@ -361,9 +361,9 @@ def _ran(fit: Fit) -> bool:
     return bool(np.isfinite(fit.deviance))
 
 
-def _is_nothing(extra: Extra) -> bool:
-    """Whether an amplitude has come to nothing."""
-    return abs(extra.excess) < NOTHING * extra.candidate.typical
+def _is_nothing(extra: Extra, share: float = NOTHING) -> bool:
+    """Whether an amplitude has come to less than a share of what is typical."""
+    return abs(extra.excess) < share * extra.candidate.typical
 
 
 def _starts(scene: Scene, failed: Set[str]) -> list[tuple[Extra, ...]]:

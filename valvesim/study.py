@@ -42,6 +42,7 @@ BASE_LOOKS, LOOKS, MORE_LOOKS = 24, 4, 12  # how often answers may be taken anew
 STEPS, FAILURES = 20, 4  # with the same answers: all, and those that bring much less than they promise
 FAR_OFF, ROUGH, ROBUST_LOOKS = 3.0, 0.1, 8  # times the median misfit; share of the deviance not worth a look; looks
 EDGE = 0.98  # share of its limits that an excess keeps to while it is fitted
+FLOOR = 1e-4  # of what is typical: to so little an excess of one sign may come while it is fitted
 PEAKS_WORSE = 3.0  # times what is left between peaks: where they leave more, the model cannot follow them
 PEAK = 0.3  # of a reading's bend within a tenth of a millisecond may be wrong
 LEARNED = 30.0  # deviance that a step must change for the answers to learn from it: below is the solver's noise
@@ -663,7 +664,7 @@ def _with_added(base: BaseFit, fit: Fit) -> tuple[Fit, np.ndarray] | None:
 def _inside(candidate: Candidate) -> tuple[float, float]:
     """The limits of an excess while it is fitted: never quite off, for there a step would not see where to go."""
     low, high = candidate.limits
-    return (1e-3 * candidate.typical if candidate.one_sided else EDGE * low), EDGE * high
+    return (FLOOR * candidate.typical if candidate.one_sided else EDGE * low), EDGE * high
 
 
 def _bounds(extra: Extra, shape: str) -> tuple[float, float]:
