@@ -22,16 +22,21 @@ from valvesim.diagnosis import (
     WORTH,
     Explained,
     _afresh,
+    _beside_members,
+    _better_base,
     _candidate_answers,
     _chance,
     _from_within,
+    _left_behind,
     _quiet,
     _ranked,
     _refitted,
     _rivals,
+    _settled,
     _summary,
     _verdict,
     _width,
+    _with_others,
 )
 from valvesim.hypotheses import Candidate
 from valvesim.session import load_session
@@ -235,18 +240,90 @@ def test_two_causes_that_leave_a_third_one_are_not_named():
     assert _quiet(*leaving(4.6, "spool_lap"))  # beside one cause it has been tried as the second
 
 
-def test_a_pair_of_which_one_comes_to_nothing_is_fitted_as_the_other_from_where_it_got(monkeypatch):
+def test_where_one_of_a_pair_is_slight_the_other_is_fitted_alone_too_from_where_it_got(monkeypatch):
     lap, air = explained(0.0, "spool_lap", "entrained_air").fit.extras
-    asked = []
+    asked, share = [], 1e-3
 
     def refit(base, start, point):
         asked.append(([extra.candidate.name for extra in start], point))
-        left = (start[0], replace(start[1], excess=1e-3 * air.candidate.typical)) if len(start) == 2 else tuple(start)
+        left = (start[0], replace(start[1], excess=share * air.candidate.typical)) if len(start) == 2 else tuple(start)
         return Fit(np.full(1, 7.0), left, 10.0, (), np.zeros(1), 1.0)
 
     monkeypatch.setattr(engine, "refit", refit)
-    assert [one.label for one in _refitted(None, [(lap, air)])] == ["spool_lap"]
+    found = _refitted(None, [(lap, air)])
+    assert {one.label for one in _settled(found)} == {"spool_lap + entrained_air", "spool_lap"}
     assert asked == [(["spool_lap", "entrained_air"], None), (["spool_lap"], np.full(1, 7.0))]
+    share = 1e-4  # that is nothing: of two that say the same the pair is none
+    assert [one.label for one in _settled(_refitted(None, [(lap, air)]))] == ["spool_lap"]
+
+
+def test_a_pair_that_ends_above_one_of_its_own_two_is_fitted_on_from_that_one(monkeypatch):
+    asked = []
+
+    def refit_from(base, fit):
+        asked.append((fit.deviance, [(e.candidate.name, e.excess / e.candidate.typical) for e in fit.extras]))
+        return replace(fit, deviance=80.0)
+
+    monkeypatch.setattr(engine, "refit_from", refit_from)
+    lap, air, pair = explained(100.0, "spool_lap"), explained(200.0, "entrained_air"), ("spool_lap", "entrained_air")
+    (again,) = _beside_members(None, [lap, air, explained(150.0, *pair)])
+    assert asked == [(100.0, [("spool_lap", 1.0), ("entrained_air", 0.0)])] and again.fit.deviance == 80.0
+    assert _beside_members(None, [lap, air, explained(90.0, *pair)]) == []
+
+
+def stretched(deviance, most, *names):
+    """A hypothesis whose fit has the base parameter so many prior deviations out."""
+    return Explained(replace(explained(deviance, *names).fit, point=np.full(1, most)))
+
+
+def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_that_does_not(monkeypatch):
+    monkeypatch.setattr(engine, "refit", lambda base, start, point: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0))
+    best, behind = stretched(100.0, 0.5, "spool_lap"), stretched(300.0, STRETCHED + 1.0, "entrained_air")
+    (again,) = _left_behind(stretched(900.0, STRETCHED + 1.0), [best, behind], best.fit)
+    assert again.label == "entrained_air" and again.fit.point == best.fit.point
+    assert _left_behind(stretched(900.0, STRETCHED - 1.0), [best, behind], best.fit) == []
+    assert _left_behind(stretched(900.0, STRETCHED + 1.0), [best, behind], behind.fit) == []
+
+
+def test_the_base_is_fitted_again_where_a_hypothesis_explains_as_much_without_its_cause(monkeypatch):
+    base, found = explained(1000.0), [stretched(200.0, 1.0, "spool_lap"), stretched(100.0, 2.0, "entrained_air")]
+    without, ends = {1.0: 210.0, 2.0: 600.0}, 205.0
+
+    def evaluate(study, point, extras):
+        assert extras == ()
+        return Fit(point, extras, without[float(point[0])], (), np.zeros(1), 1.0)
+
+    monkeypatch.setattr(engine, "evaluate", evaluate)
+    monkeypatch.setattr(engine, "in_full", lambda base: base)
+    monkeypatch.setattr(engine, "fit_base_from", lambda base, fit: Explained(replace(fit, deviance=ends)))
+    base = SimpleNamespace(fit=base.fit, study=None)
+    better = _better_base(base, found)  # not the best's: most of what that explains needs its cause
+    assert better.fit.point == 1.0 and better.fit.deviance == 205.0
+    ends = 1001.0
+    assert _better_base(base, found) is None and _better_base(base, []) is None
+    ends, without[1.0] = 205.0, 650.0
+    assert _better_base(base, found) is None
+
+
+def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
+    best = explained(100.0, "spool_lap", "entrained_air")
+    lap, air = best.fit.extras
+    hysteresis = explained(0.0, "magnetic_hysteresis").fit.extras[0]
+    tried = []
+
+    def refitted(base, starts, point):
+        tried.extend([extra.candidate.name for extra in start] for start in starts)
+        return [explained(50.0, *names) if len(names) == 2 else explained(500.0, *names) for names in tried[-1:]]
+
+    monkeypatch.setattr(engine, "_refitted", refitted)
+    monkeypatch.setattr(engine, "look", lambda base, fit: SimpleNamespace(fit=fit, z=lambda: np.array([9.0, 8.0])))
+    monkeypatch.setattr(engine, "_best_of_families", lambda scene, value, least: [0, 1])
+    monkeypatch.setattr(engine, "_alone", lambda scene, k: (air, hysteresis)[k])
+    found, final = _with_others(None, [best], "before")
+    assert ["spool_lap", "magnetic_hysteresis"] in tried and ["spool_lap", "entrained_air"] not in tried
+    assert found[0].label == "spool_lap + magnetic_hysteresis" and final.fit is found[0].fit
+    one = [explained(100.0, "spool_lap")]
+    assert _with_others(None, one, "before") == (one, "before")
 
 
 def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeypatch):

@@ -24,9 +24,11 @@ from valvesim.study import (
     _step,
     falls_afresh,
     fit_base,
+    fit_base_from,
     predict,
     prepare_study,
     refit,
+    refit_from,
     within_tolerance,
 )
 
@@ -50,6 +52,24 @@ def test_the_base_fit_is_a_minimum(biased):
     H = base.J.T @ base.J + np.eye(len(gradient))
     assert gradient @ np.linalg.solve(H, gradient) < 2.0 * SETTLED  # of the deviance is all that a step promises
     assert base.fit.deviance == pytest.approx(base.fit.residual @ base.fit.residual + base.fit.point @ base.fit.point)
+
+
+def test_the_base_fitted_from_elsewhere_comes_to_the_same_minimum(biased):
+    base, bias = biased
+    point = base.fit.point.copy()
+    point[at(base, "null_gap")] += 1.0
+    away = engine.evaluate(base.study, point, ())
+    assert away.deviance > base.fit.deviance + 10.0
+    assert fit_base_from(base, away).fit.deviance == pytest.approx(base.fit.deviance, abs=2.0 * SETTLED)
+
+
+def test_a_refit_goes_on_from_where_it_is_with_a_cause_that_is_not_there_yet(biased):
+    base, bias = biased
+    (candidate,) = [c for c in base.study.candidates if c.family == "sensor_bias@load_flow"]
+    within = within_tolerance(base)
+    on = refit_from(base, replace(within, extras=(Extra(candidate, 0.0),)))
+    assert on.extras[0].excess == pytest.approx(bias, rel=0.1)
+    assert on.deviance < base.fit.deviance - 100.0
 
 
 def test_held_within_tolerance_no_parameter_is_beyond_it_and_the_fit_is_worse(biased):
