@@ -155,29 +155,27 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
     tell(STAGES[1], 0.05)
     base = fit_base(study, lambda share: tell(STAGES[1], 0.05 + 0.25 * share))
     tell(STAGES[2], 0.3)
-    scene = look(base, base.fit)
+    base, scene, found = _explained(base, look(base, base.fit), lambda share: tell(STAGES[3], 0.4 + 0.35 * share))
     alarm, level = _alarm(scene)
-    found, rivals, final = list[Explained](), list[Explained](), scene
-    if alarm:
-        base, scene, found = _explained(base, scene, level, lambda share: tell(STAGES[3], 0.4 + 0.35 * share))
-        alarm, level = _alarm(scene)
+    rivals, final = list[Explained](), scene
     if alarm:
         base, found, rivals, final = _search(base, scene, level, found, tell)
     tell(STAGES[5], 0.9)
     return _answer(base, scene, final, found, rivals, alarm, level)
 
 
-def _explained(
-    base: BaseFit, scene: Scene, level: float, tell: Callable[[float], None]
-) -> tuple[BaseFit, Scene, list[Explained]]:
-    """The base, what it leaves and the first hypotheses; again from where they show that its fit had stopped short."""
-    found = _explain(base, scene, level, tell)
-    for _ in range(AGAIN):
-        if (better := _better_base(base, found)) is None:
-            break
-        base, scene = better, look(better, better.fit)
+def _explained(base: BaseFit, scene: Scene, tell: Callable[[float], None]) -> tuple[BaseFit, Scene, list[Explained]]:
+    """The base, what it leaves, and the first hypotheses if this is an alarm.
+
+    Again where these show that the base fit had stopped short.
+    """
+    for left in reversed(range(AGAIN + 1)):
         alarm, level = _alarm(scene)
         found = _explain(base, scene, level, tell) if alarm else []
+        better = _better_base(base, found) if left else None
+        if better is None:
+            break
+        base, scene = better, look(better, better.fit)
     return base, scene, found
 
 
