@@ -165,18 +165,19 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
 
 
 def _explained(base: BaseFit, scene: Scene, tell: Callable[[float], None]) -> tuple[BaseFit, Scene, list[Explained]]:
-    """The base, what it leaves, and the first hypotheses if this is an alarm.
+    """The base, what it leaves, and hypotheses of one and of two candidates if this is an alarm, best evidence first.
 
     Again where these show that the base fit had stopped short.
     """
     for left in reversed(range(AGAIN + 1)):
         alarm, level = _alarm(scene)
-        found = _explain(base, scene, level, tell) if alarm else []
+        found, likeliest = _begun(base, scene, tell) if alarm else ([], "")
         better = _better_base(base, found) if left else None
         if better is None:
             break
         base, scene = better, look(better, better.fit)
-    return base, scene, found
+    found += _taken_up(base, found, likeliest)
+    return base, scene, _worth(base, _with_fewer(base, _settled(found)), level)
 
 
 def _search(
@@ -255,23 +256,29 @@ def _worst_family(scene: Scene) -> float:
 # ---------------------------------------------------------------- explaining
 
 
-def _explain(base: BaseFit, scene: Scene, level: float, tell: Callable[[float], None]) -> list[Explained]:
-    """Hypotheses of one and of two candidates, refitted, best evidence first."""
-    found, failed = list[Explained](), set[str]()
+def _begun(base: BaseFit, scene: Scene, tell: Callable[[float], None]) -> tuple[list[Explained], str]:
+    """Hypotheses of one and of two candidates, refitted, and the likeliest of them before."""
+    found, likeliest, failed = list[Explained](), "", set[str]()
     while starts := _starts(scene, failed):
         found, likeliest = _refitted(base, starts, tell=tell), starts[0][0].candidate.family
         if any(likeliest == candidate.family for one in found for candidate in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
-    found += _beside_members(base, found)
-    least = min(found, key=lambda one: one.fit.deviance, default=None)
-    if least is not None:
-        found += _left_behind(base, found, least.fit)
-        enough = least.fit.deviance + ANSWER_RATIO
-        might = [one.fit.deviance - AGAIN * one.fit.promised < enough for one in found]  # promises may be renewed
-        again = [one.fit for one, may in zip(found, might, strict=True) if may or one.label == likeliest]
-        found += [new for fit in again for new in _from_within(base, fit)]
-    return _worth(base, _with_fewer(base, _settled(found)), level)
+    return found, likeliest
+
+
+def _taken_up(base: BaseFit, found: Sequence[Explained], likeliest: str) -> list[Explained]:
+    """Fits that may have stopped short, taken up again from elsewhere."""
+    if not found:
+        return []
+    more = _beside_members(base, found)
+    least = min((one.fit for one in (*found, *more)), key=lambda fit: fit.deviance)
+    more += _left_behind(base, [*found, *more], least)
+    renewed = AGAIN if least.deviance < ASTRAY * least.rows else 0  # times that a promise may be; far off none holds
+    for one in [*found, *more]:
+        if one.label == likeliest or one.fit.deviance - renewed * one.fit.promised < least.deviance + ANSWER_RATIO:
+            more += _from_within(base, one.fit)
+    return more
 
 
 def _beside_members(base: BaseFit, found: Sequence[Explained]) -> list[Explained]:
