@@ -23,7 +23,7 @@ SIDED = ("fixed_orifice_clogging", "nozzle_erosion")  # a figure does not tell t
 SAME = {f"parameter:{e.figure}": e.name for e in CATALOGUE.values() if e.figure and e.name not in SIDED}
 """Answer -> the hidden effect that is the same hypothesis by definition: naming it is right."""
 
-TABLE_SEEDS = 90_000
+TABLE_SEEDS = 130_000
 STRONG = 8.0  # d' from which the right cause must come first
 FORM_TARGET, FORM_ERROR = 40.0, 0.1
 LEAST_ROOM = 0.05  # noise deviations between base and oracle: where there is less, nothing can be gained

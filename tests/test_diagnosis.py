@@ -316,6 +316,7 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
         return [explained(50.0, *names) if len(names) == 2 else explained(500.0, *names) for names in tried[-1:]]
 
     monkeypatch.setattr(engine, "_refitted", refitted)
+    monkeypatch.setattr(engine, "refit", lambda base, start, point: replace(best.fit, extras=start))
     monkeypatch.setattr(engine, "look", lambda base, fit: SimpleNamespace(fit=fit, z=lambda: np.array([9.0, 8.0])))
     monkeypatch.setattr(engine, "_best_of_families", lambda scene, value, least: [0, 1])
     monkeypatch.setattr(engine, "_alone", lambda scene, k: (air, hysteresis)[k])

@@ -78,7 +78,7 @@ PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be 
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
 LEFT_SHARE = 0.02  # of what the best explains may stay behind as a free term, for the same reason
-AGAIN = 3  # times that what may be best is fitted again where it has not settled
+AGAIN = 3  # times that what may be best, or the base, is fitted again where it may have stopped short
 WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
 REFINED_PRICE = 1.0  # the same for an effect that is another, plainer one where its own feature does not show
@@ -192,7 +192,7 @@ def _search(
         if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
             base, found, final = _with_peaks(base, found, final)
     quiet = bool(found) and _quiet(base, final)
-    if not quiet and np.abs(base.fit.point).max() > STRETCHED:
+    if not quiet and _stretch(base.fit) > STRETCHED:
         found, final = _afresh(base, scene, level, found, final)
         quiet = bool(found) and _quiet(base, final)
     if not found:
@@ -230,7 +230,7 @@ def _alarm(scene: Scene) -> tuple[bool, float]:
     """Whether anything shows, and the level that the candidates' z had to pass."""
     level = scene.level(ALARM)
     shows = scene.z().max(initial=0.0) > level or _worst_family(scene) < TERM_ALARM
-    stretched = np.abs(scene.fit.point).max(initial=0.0) > level  # such as a clock that is early, which has no name
+    stretched = _stretch(scene.fit) > level  # such as a clock that is early, which has no name
     return bool(shows or stretched or _leftover(scene.fit, scene.study)), level
 
 
@@ -302,6 +302,7 @@ def _left_behind(base: BaseFit, found: Sequence[Explained], least: Fit) -> list[
 
 
 def _stretch(fit: Fit) -> float:
+    """How far out the furthest base parameter is, in prior deviations."""
     return float(np.abs(fit.point).max(initial=0.0))
 
 
@@ -464,11 +465,13 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
 def _with_others(base: BaseFit, found: list[Explained], final: Scene) -> tuple[list[Explained], Scene]:
     """The found where the best has two causes, with what else would go well beside each of these."""
     best, more = found[0].fit, list[Explained]()
-    for extra in best.extras if len(best.extras) > 1 else ():
-        beside = [one for one in _refitted(base, [(extra,)], best.point) if one.candidates]
-        if not beside:
+    if len(best.extras) < 2:
+        return found, final
+    for extra in best.extras:
+        alone = refit(base, (extra,), best.point)
+        if not _ran(alone):
             continue
-        scene = look(base, beside[0].fit)
+        scene = look(base, alone)
         z = scene.z()
         pairs = [(extra, _alone(scene, k)) for k in _best_of_families(scene, z, NEAR * z.max())]
         tried = {frozenset(c.family for c in one.candidates) for one in found}
