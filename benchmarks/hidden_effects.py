@@ -57,6 +57,7 @@ from hidden_report import TABLE_SEEDS, write_report  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 from valvesim import diagnosis as engine  # noqa: E402
+from valvesim import search  # noqa: E402
 from valvesim.answer import Diagnosis, NextTest, Term, plain_json  # noqa: E402
 from valvesim.catalogue import CATALOGUE  # noqa: E402
 from valvesim.hypotheses import Candidate, View  # noqa: E402
@@ -566,8 +567,9 @@ def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, fl
         return caught.fits[-1]
 
     with ExitStack() as stack:
-        for name, function in (("fit_base", catching_base), ("look", catching_look), ("refit", catching_refit)):
-            stack.enter_context(patch.object(engine, name, function))
+        stack.enter_context(patch.object(engine, "fit_base", catching_base))
+        stack.enter_context(patch.object(search, "look", catching_look))
+        stack.enter_context(patch.object(search, "refit", catching_refit))
         begin, worked = time.perf_counter(), time.process_time()
         found = engine.diagnose(folder)
         return found, caught, (time.perf_counter() - begin, time.process_time() - worked)

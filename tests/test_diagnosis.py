@@ -9,38 +9,37 @@ import pytest
 from hidden_plant import draw, truth, write_session
 
 import valvesim as vs
-from valvesim import diagnosis as engine
+from valvesim import search as engine
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
-from valvesim.diagnosis import (
-    ANSWER_RATIO,
-    ANSWER_SHARE,
+from valvesim.diagnosis import _candidate_answers, _summary, _verdict
+from valvesim.hypotheses import Candidate
+from valvesim.search import (
     LEFT_SHARE,
     MOST_AT_ONCE,
     STRETCHED,
-    UNSETTLED,
-    WORTH,
-    Explained,
     _afresh,
     _beside_members,
     _better_base,
-    _candidate_answers,
-    _chance,
     _from_within,
     _left_behind,
     _quiet,
-    _ranked,
     _refitted,
-    _rivals,
-    _settled,
-    _summary,
-    _verdict,
-    _width,
     _with_others,
 )
-from valvesim.hypotheses import Candidate
 from valvesim.session import load_session
-from valvesim.study import Extra, Fit
+from valvesim.study import UNSETTLED, Extra, Fit
+from valvesim.weighing import (
+    ANSWER_RATIO,
+    ANSWER_SHARE,
+    WORTH,
+    Explained,
+    chance_beside,
+    ranked,
+    rivals_of,
+    settled,
+    width_of,
+)
 
 
 def diagnosed(folder, seed, kind, name=None, strength=1.0):
@@ -157,7 +156,7 @@ def explained(deviance, *names):
 
 
 def order(base, *found):
-    return [one.label for one in _ranked(base, sorted(found, key=lambda one: one.evidence))]
+    return [one.label for one in ranked(base, sorted(found, key=lambda one: one.evidence))]
 
 
 def test_among_those_that_fit_alike_the_plainer_goes_first():
@@ -173,31 +172,31 @@ def test_one_more_cause_that_explains_next_to_nothing_is_left_out():
     base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
     alone, pair = explained(1030.0, "spool_lap"), explained(1000.0, "spool_lap", "entrained_air")
     assert ANSWER_SHARE * 1500.0 > 30.0
-    ranked = _ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
-    assert [one.label for one in _rivals(base, ranked)] == ["spool_lap"]
+    best_first = ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in rivals_of(base, best_first)] == ["spool_lap"]
     pair = explained(900.0, "spool_lap", "entrained_air")
-    ranked = _ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
-    assert [one.label for one in _rivals(base, ranked)] == ["spool_lap + entrained_air"]
+    best_first = ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in rivals_of(base, best_first)] == ["spool_lap + entrained_air"]
     pair = explained(930.0, "spool_lap", "entrained_air")  # a model that is not the plant may need as much: either
-    ranked = _ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
-    assert [one.label for one in _rivals(base, ranked)] == ["spool_lap + entrained_air", "spool_lap"]
+    best_first = ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in rivals_of(base, best_first)] == ["spool_lap + entrained_air", "spool_lap"]
 
 
 def test_what_leaves_something_over_stands_beside_what_says_more():
     base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
     found = [explained(1030.0, "spool_lap"), explained(1000.0, "spool_lap", "entrained_air")]
-    assert [one.label for one in _rivals(base, found, whole=True)] == ["spool_lap"]
-    assert [one.label for one in _rivals(base, found, whole=False)] == ["spool_lap", "spool_lap + entrained_air"]
+    assert [one.label for one in rivals_of(base, found, whole=True)] == ["spool_lap"]
+    assert [one.label for one in rivals_of(base, found, whole=False)] == ["spool_lap", "spool_lap + entrained_air"]
 
 
 def test_the_share_that_does_not_count_goes_by_the_law_and_never_beyond_the_noise():
     base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
     lap, loop = explained(1000.0, "spool_lap"), explained(1000.0, "magnetic_hysteresis")
     law_error = CATALOGUE["magnetic_hysteresis"].law_error
-    assert _width(base, lap) == pytest.approx(ANSWER_SHARE * 1500.0)
-    assert law_error > ANSWER_SHARE and _width(base, loop) == pytest.approx(law_error * 1500.0)
+    assert width_of(base, lap) == pytest.approx(ANSWER_SHARE * 1500.0)
+    assert law_error > ANSWER_SHARE and width_of(base, loop) == pytest.approx(law_error * 1500.0)
     astray = SimpleNamespace(fit=SimpleNamespace(deviance=1e7))
-    assert _width(astray, lap) == pytest.approx(ANSWER_SHARE * lap.fit.rows)
+    assert width_of(astray, lap) == pytest.approx(ANSWER_SHARE * lap.fit.rows)
 
 
 def test_what_explains_too_little_stands_beside_noise_alone():
@@ -205,7 +204,7 @@ def test_what_explains_too_little_stands_beside_noise_alone():
 
     def answer(fall):
         base = SimpleNamespace(fit=replace(lap.fit, deviance=1000.0 + fall, extras=()))
-        in_set = [lap, *_chance(base, [lap], level)]
+        in_set = [lap, *chance_beside(base, [lap], level)]
         answers = _candidate_answers(base, [lap], in_set, level)
         members = {a.label: a.probability for a in answers if a.in_set}
         return _verdict(True, in_set), members, _summary(_verdict(True, in_set), in_set, None, ())
@@ -251,10 +250,10 @@ def test_where_one_of_a_pair_is_slight_the_other_is_fitted_alone_too_from_where_
 
     monkeypatch.setattr(engine, "refit", refit)
     found = _refitted(None, [(lap, air)])
-    assert {one.label for one in _settled(found)} == {"spool_lap + entrained_air", "spool_lap"}
+    assert {one.label for one in settled(found)} == {"spool_lap + entrained_air", "spool_lap"}
     assert asked == [(["spool_lap", "entrained_air"], None), (["spool_lap"], np.full(1, 7.0))]
     share = 1e-4  # that is nothing: of two that say the same the pair is none
-    assert [one.label for one in _settled(_refitted(None, [(lap, air)]))] == ["spool_lap"]
+    assert [one.label for one in settled(_refitted(None, [(lap, air)]))] == ["spool_lap"]
 
 
 def test_a_pair_that_ends_above_one_of_its_own_two_is_fitted_on_from_that_one(monkeypatch):
