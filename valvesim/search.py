@@ -64,31 +64,26 @@ class Searched:
 
 
 def search(base: BaseFit, tell: Callable[[str, float], None]) -> Searched:
-    """Look for what explains what a base fit leaves. `tell(stage, share)` is told what is being done."""
-    tell("looking for causes", 0.0)
-    base, scene, found = _explained(base, look(base, base.fit), lambda share: tell("refitting", 0.15 + 0.6 * share))
-    alarm, level = _alarm(scene)
-    if not alarm:
-        return Searched(base, scene, scene, [], [], alarm, level)
-    tell("checking", 0.75)
-    base, found, rivals, final = _checked(base, scene, level, found)
-    return Searched(base, scene, final, found, rivals, alarm, level)
+    """Look for what explains what a base fit leaves: hypotheses of one and of two candidates if that is an alarm.
 
-
-def _explained(base: BaseFit, scene: Scene, tell: Callable[[float], None]) -> tuple[BaseFit, Scene, list[Explained]]:
-    """The base, what it leaves, and hypotheses of one and of two candidates if this is an alarm, best evidence first.
-
-    Again where these show that the base fit had stopped short.
+    Again where these show that the base fit had stopped short. `tell(stage, share)` is told what is being done.
     """
+    tell("looking for causes", 0.0)
+    scene = look(base, base.fit)
     for left in reversed(range(AGAIN + 1)):
         alarm, level = _alarm(scene)
-        found, likeliest = _begun(base, scene, tell) if alarm else ([], "")
+        if not alarm:
+            return Searched(base, scene, scene, [], [], alarm, level)
+        found, likeliest = _begun(base, scene, lambda share: tell("refitting", 0.15 + 0.6 * share))
         better = _better_base(base, found) if left else None
         if better is None:
             break
         base, scene = better, look(better, better.fit)
     found += _taken_up(base, found, likeliest)
-    return base, scene, worth(base, _with_fewer(base, settled(found)), level)
+    found = worth(base, _with_fewer(base, settled(found)), level)
+    tell("checking", 0.75)
+    base, found, rivals, final = _checked(base, scene, level, found)
+    return Searched(base, scene, final, found, rivals, alarm, level)
 
 
 def _checked(
