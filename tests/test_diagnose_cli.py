@@ -12,7 +12,7 @@ from test_answer import answer
 
 import valvesim as vs
 from valvesim import cli, diagnosis
-from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
+from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, NO_TEST, UNKNOWN
 from valvesim.files import read_columns
 from valvesim.user_effects import load_effects
 
@@ -114,6 +114,12 @@ def test_what_is_ambiguous_comes_with_the_next_test(call, found, session, tmp_pa
     wanted = {"time": "s", "current": "A", "supply_pressure": "Pa"}
     read = read_columns(tmp_path / "out" / "next_test.csv", wanted)
     assert all(np.allclose(read[name], INPUTS[name]) for name in wanted)
+
+
+def test_what_no_test_tells_apart_says_so(call, found, session, tmp_path):
+    found(replace(TESTED, next_test=None))
+    out = " ".join(call(session, "-o", tmp_path / "out")[1].split())
+    assert NO_TEST in out and "next test" not in out
 
 
 def test_a_gain_that_is_not_claimed_says_so(call, found, session, tmp_path):

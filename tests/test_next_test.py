@@ -20,6 +20,11 @@ NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
 LABELS = ("spool_coulomb_friction", "spool_lap")
 
 
+def plain_six(more):
+    """What an answer set asks for where the model is the plant."""
+    return 6.0
+
+
 def session_of(voltage=False, oil=40.0, network=None, duration=0.1):
     """A session with one record of a small sine, as the nominal valve would have given it."""
     t = np.linspace(0.0, duration, int(duration * 1000) + 1)
@@ -62,12 +67,12 @@ def fits(base):
 
 @pytest.fixture(scope="module")
 def found(base, fits):
-    return design(base, *fits, LABELS)
+    return design(base, *fits, LABELS, plain_six)
 
 
 def test_two_effects_that_differ_elsewhere_are_told_apart(found):
     assert found.power >= 0.95 and found.separates == LABELS
-    assert found.power == pytest.approx(_power(found.distance))
+    assert found.power == pytest.approx(_power(found.distance, 6.0))
     assert found.description and found.duration <= 8.0
     assert found.description not in found.alternatives
 
@@ -83,7 +88,7 @@ def test_the_inputs_are_the_whole_test_inside_the_limits(base, found):
 
 
 def test_a_hypothesis_is_not_told_from_itself(base, fits):
-    assert design(base, fits[0], fits[0], (LABELS[0],) * 2) is None
+    assert design(base, fits[0], fits[0], (LABELS[0],) * 2, plain_six) is None
 
 
 def test_what_a_refit_can_make_up_does_not_count(base, fits):
@@ -91,8 +96,22 @@ def test_what_a_refit_can_make_up_does_not_count(base, fits):
     other = fit_of(base, LABELS[0], 0.5 + 1e-3)
     plain = Fit(base.fit.point, (), base.fit.deviance, base.fit.readings, base.fit.residual, base.fit.rows)
     assert candidate.name == LABELS[0]
-    assert design(base, fits[0], other, LABELS) is None  # one effect at two amplitudes that the session cannot tell
-    assert design(base, fits[0], plain, LABELS) is not None  # but the effect itself is told from none at all
+    # one effect at two amplitudes that the session cannot tell
+    assert design(base, fits[0], other, LABELS, plain_six) is None
+    assert design(base, fits[0], plain, LABELS, plain_six) is not None  # but the effect itself is told from none at all
+
+
+def test_the_more_there_is_to_explain_the_more_is_asked(base, fits, found):
+    told = []
+
+    def asked(more):
+        told.append(more)
+        return 6.0 + 0.04 * more
+
+    careful = design(base, *fits, LABELS, asked)
+    assert max(told) > 0.0  # the test would show the first effect itself
+    assert careful is None or careful.power < found.power or careful.duration > found.duration
+    assert design(base, *fits, LABELS, lambda more: 1e9) is None
 
 
 def test_a_test_that_cannot_be_run_is_left_out(base, fits, monkeypatch):
@@ -100,7 +119,7 @@ def test_a_test_that_cannot_be_run_is_left_out(base, fits, monkeypatch):
         raise SolveError("no")
 
     monkeypatch.setattr("valvesim.prediction.Bench.run", fails)
-    assert design(base, *fits, LABELS) is None
+    assert design(base, *fits, LABELS, plain_six) is None
 
 
 @pytest.mark.parametrize("oil", [-20.0, 5.0, 40.0, 85.0, 120.0])
@@ -137,6 +156,6 @@ def test_a_session_driven_by_voltage_gets_a_voltage():
 
 
 def test_the_power_rises_with_the_distance():
-    powers = [_power(d) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
+    powers = [_power(d, 6.0) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
     assert powers == sorted(powers) and powers[0] == 0.0 and powers[2] == pytest.approx(0.5, abs=0.01)
     assert powers[1] < LEAST and powers[-1] > 0.99

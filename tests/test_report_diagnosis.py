@@ -532,6 +532,11 @@ def test_a_cause_with_several_figures_is_named_once_and_a_large_deviance_without
     assert "balance 560478 spool lap" in text and "balance 12.3" in text
 
 
+def test_where_no_test_tells_them_apart_the_page_says_so(tmp_path):
+    assert NO_TEST in report(ambiguous(next_test=None), tmp_path).text
+    assert "Next test" not in report(cause(next_test=None), tmp_path).headings
+
+
 def test_one_candidate_alone_is_not_weighed(tmp_path):
     only = cause().candidates[0]
     assert "What was weighed" not in report(cause(candidates=(only,), **BARE), tmp_path).headings

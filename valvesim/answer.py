@@ -72,9 +72,15 @@ class DetectionLimit:
     unit: str
 
 
+NO_TEST = (
+    "None of the tests that are thought of would tell the likeliest from what comes next with a probability of 80 %: "
+    "measure a further channel, or with less noise."
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class NextTest:
-    """The cheapest further test that tells candidates apart, and how surely (power at 1 % error).
+    """The cheapest further test that tells candidates apart, and how surely (`power`).
 
     `inputs` are its columns (n,) in SI, temperatures in °C: time, current or voltage, oil_temperature, supply_pressure,
     load_pressure. JSON leaves them out.

@@ -54,6 +54,7 @@ from .weighing import Explained, chance_beside, doubt, heat_of, width_of
 UNKNOWN_PRICE = 6.0  # deviance: a cause that nobody has listed is rarer than an effect of the catalogue
 HOPELESS = 0.35  # share of the signal that stays unexplained where the records are not of this valve
 LIKELY = 0.9  # chance that the locked records get better, below which no extended model is offered
+RIVALS_TOLD = 2  # of an answer set: from how many a test is sought that tells the likeliest
 INTERVAL = (0.025, 0.975)
 UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *SIGNAL_CHANNELS)}
 
@@ -85,8 +86,9 @@ def _answer(searched: Searched) -> Diagnosis:
     best = found[0] if found else None
     chosen = best.fit if best is not None else base.fit
     in_set = [*rivals, *chance_beside(base, rivals, level)]
-    answers = _candidate_answers(base, found, in_set, level)
-    verdict = _verdict(searched.alarm, in_set)
+    none_listed = searched.none_listed
+    answers = _candidate_answers(base, found, in_set, level, none_listed)
+    verdict = _verdict(searched.alarm, in_set, none_listed)
     hopeless = _hopeless(base, chosen)
     term: Term | None = None
     notes = list(session.notes)
@@ -119,7 +121,7 @@ def _answer(searched: Searched) -> Diagnosis:
         title=session.title,
         verdict=verdict,
         causes=causes,
-        summary=_summary(verdict, in_set, term, notes),
+        summary=_summary(verdict, in_set, term, notes, none_listed),
         location=_location(verdict, in_set),
         candidates=tuple(answers),
         parameters=estimates,
@@ -147,15 +149,20 @@ def _answer(searched: Searched) -> Diagnosis:
 
 
 def _candidate_answers(
-    base: BaseFit, found: Sequence[Explained], in_set: Sequence[Explained], level: float
+    base: BaseFit, found: Sequence[Explained], in_set: Sequence[Explained], level: float, none_listed: str = ""
 ) -> list[CandidateAnswer]:
-    """All hypotheses with their probabilities, likeliest first; beside them what is in no catalogue, and chance."""
+    """All hypotheses with their probabilities, likeliest first; beside them what is in no catalogue, and chance.
+
+    `none_listed` tells why what is in no catalogue belongs to the answer set, if it does.
+    """
     if not found:
         return []
     gained = max(base.fit.deviance - found[0].fit.deviance, 0.0)
     width, heat = width_of(base, found[0]), heat_of(base, found[0])
     known = [one.weighed(heat) for one in found]
-    unknown = known[0] + UNKNOWN_PRICE + 0.25 * gained if in_set else known[0] - 2.0 * width
+    unknown = known[0] + (UNKNOWN_PRICE + 0.25 * gained if in_set else -2.0 * width)
+    if none_listed:
+        unknown = known[0] + 2.0 * heat
     values = np.array([*known, known[0] + doubt(base, found[0], level), unknown])
     weights = np.exp(-0.5 * (values - values.min()) / heat)
     weights /= weights.sum()
@@ -172,17 +179,17 @@ def _candidate_answers(
         for one, weight in zip([*found, Explained(base.fit)], weights[:-1], strict=True)
     ]
     nothing = CandidateAnswer(names=("unknown",), label="none of the known causes", location="", deviance_fall=0.0,
-                              probability=float(weights[-1]), in_set=not in_set)  # fmt: skip
+                              probability=float(weights[-1]), in_set=not in_set or bool(none_listed))  # fmt: skip
     ranked = sorted([*answers, nothing], key=lambda a: -a.probability)
     return [a for a in ranked if a.in_set or a.probability > 1e-3]
 
 
-def _verdict(alarm: bool, in_set: Sequence[Explained]) -> str:
+def _verdict(alarm: bool, in_set: Sequence[Explained], none_listed: str = "") -> str:
     if not alarm:
         return NO_DISCREPANCY
     if not in_set:
         return UNKNOWN
-    return CAUSE if len(in_set) == 1 else AMBIGUOUS
+    return CAUSE if len(in_set) == 1 and not none_listed else AMBIGUOUS
 
 
 def _hopeless(base: BaseFit, fit: Fit) -> bool:
@@ -269,13 +276,17 @@ def _estimates(base: BaseFit, final: Scene) -> tuple[Estimate, ...]:
     return tuple(found)
 
 
-def _summary(verdict: str, in_set: Sequence[Explained], term: Term | None, notes: Sequence[str]) -> str:
+def _summary(
+    verdict: str, in_set: Sequence[Explained], term: Term | None, notes: Sequence[str], none_listed: str = ""
+) -> str:
     if verdict == NO_DISCREPANCY:
         return "No discrepancy: the model explains the records within their noise and its own tolerances."
     if verdict == CAUSE:
         return f"The cause is {_said(in_set[0])}."
     if verdict == AMBIGUOUS:
         causes = [*(_said(one) for one in in_set if one.candidates)]
+        if none_listed:
+            return f"Something is wrong: {' or '.join(causes)}, or none of the known causes, for {none_listed}."
         if in_set[-1].candidates:
             return f"Something is wrong, and these cannot be told apart: {'; '.join(causes)}."
         return f"Something may be wrong, or noise alone shows it; it would be {' or '.join(causes)}."
@@ -437,6 +448,10 @@ def _traces(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]
 
 
 def _next(base: BaseFit, in_set: Sequence[Explained]) -> NextTest | None:
-    """The test that tells the two likeliest apart."""
-    first, second = in_set[:2]
-    return design(base, first.fit, second.fit, (first.label, second.label))
+    """The test that tells the likeliest from the next, or where none does, from the one after it."""
+    first, *others = in_set
+    tests = (
+        design(base, first.fit, other.fit, (first.label, other.label), lambda more: width_of(base, first, more))
+        for other in others[:RIVALS_TOLD]
+    )
+    return next((test for test in tests if test is not None), None)

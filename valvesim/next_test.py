@@ -6,8 +6,9 @@ one of them to the records of the session and of the new test together could not
 Symbols
     delta whitened difference of the two predictions in the new test, A its answers to what a refit moves (base
     parameters, amplitude, shapes), P the precision that the session has on these; n how often the test is repeated
-    d^2 = n delta'delta - n delta'A (P/n + A'A)^-1 A'delta;  power = Phi((d^2 - 6)/(2 d)): the likelihood ratio of
-    two hypotheses d apart is normal with mean d^2 and deviation 2 d, and 6 is what the answer set asks for
+    d^2 = n delta'delta - n delta'A (P/n + A'A)^-1 A'delta;  power = Phi((d^2 - w)/(2 d)): the likelihood ratio of
+    two hypotheses d apart is normal with mean d^2 and deviation 2 d, and w is what the answer set will ask for: no
+    model is the plant, so the more there is to explain, the more
 """
 
 from __future__ import annotations
@@ -27,8 +28,7 @@ from .session import Record, Session
 from .study import SHAPE_DEVIATION, SHAPE_STEP, BaseFit, Fit, Study, each, own_steps, predict
 
 RATE = 1000.0  # Hz
-ENOUGH, LEAST = 0.95, 0.3  # power that a test should have, and below which none is offered
-NEEDED = 6.0  # difference of deviances that tells two hypotheses apart
+ENOUGH, LEAST = 0.95, 0.8  # power that a test should have, and below which it is not worth a day on the rig
 REPEATS = (1, 2, 4, 8, 16)
 LOOKED_AT = 3  # tests of which refits are thought through: those whose plain differences are largest
 FULL, CHIRP, SMALL = 0.9, 0.45, 0.06  # of the rated current
@@ -50,6 +50,16 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
+class _Tried:
+    """A trial on its bench, and what the second fit and the base read there less what the first does, white (rows,)."""
+
+    trial: Trial
+    bench: Bench
+    second: np.ndarray
+    base: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class _Judged:
     trial: Trial
     repeats: int
@@ -61,29 +71,32 @@ class _Judged:
         return self.repeats * float(self.trial.time[-1])
 
 
-def design(base: BaseFit, first: Fit, second: Fit, labels: tuple[str, str]) -> NextTest | None:
-    """The shortest test that tells two fits apart with a power of 0.95, else the most powerful; None below 0.3.
+def design(
+    base: BaseFit, first: Fit, second: Fit, labels: tuple[str, str], asked: Callable[[float], float]
+) -> NextTest | None:
+    """The shortest test that tells two fits apart with a power of 0.95, else the most powerful; None below 0.8.
 
-    `labels` are the names of the two hypotheses, as the answer has them.
+    `labels` are the names of the two hypotheses, as the answer has them; `asked(more)` the difference of deviances that
+    tells them apart where the first explains so much more than in this session.
     """
     study = base.study
     trials = library(study.session)
-    variants = [fit.variant(study.base) for fit in (first, second)]
+    variants = [fit.variant(study.base) for fit in (first, second, base.fit)]
     universe = study.benches[0].universe
     run = [one for one in each(lambda t: _differ(study, t, universe, variants), trials) if one is not None]
-    run.sort(key=lambda one: -float(one[2] @ one[2]))
-    run = [one for one in run[:LOOKED_AT] if _power(np.sqrt(max(REPEATS)) * float(np.linalg.norm(one[2]))) >= LEAST]
+    run.sort(key=lambda one: -float(one.second @ one.second))
+    furthest = np.sqrt(max(REPEATS))
+    run = [one for one in run[:LOOKED_AT] if _power(furthest * float(np.linalg.norm(one.second)), asked(0.0)) >= LEAST]
     if not run:  # not even where nothing is refitted
         return None
-    known = [_known(base, fit) for fit in (first, second)]
-    chosen = [
-        judged for trial, bench, delta in run for judged in _judge(study, trial, bench, delta, (first, second), known)
-    ]
+    fits = (first, second, base.fit)
+    known = [_known(base, fit) for fit in fits]
+    chosen = [judged for one in run for judged in _judge(study, one, fits, known, asked)]
     enough = [one for one in chosen if one.power >= ENOUGH]
     if enough:
         best = min(enough, key=lambda one: (one.duration, -one.power))
     else:
-        best = max(chosen, key=lambda one: (one.power, -one.duration), default=_Judged(run[0][0], 1, 0.0, 0.0))
+        best = max(chosen, key=lambda one: (one.power, -one.duration), default=_Judged(run[0].trial, 1, 0.0, 0.0))
     if best.power < LEAST:
         return None
     others = dict.fromkeys(
@@ -208,16 +221,17 @@ def _record(session: Session, trial: Trial) -> Record:
     return Record(trial.description, trial.time, values, {name: np.ones(n, dtype=bool) for name in channels})
 
 
-def _differ(
-    study: Study, trial: Trial, universe: Sequence, variants: Sequence[Variant]
-) -> tuple[Trial, Bench, np.ndarray] | None:
-    """A trial, its bench and the whitened difference (rows,) of what two variants read; None where it cannot be run."""
+def _differ(study: Study, trial: Trial, universe: Sequence, variants: Sequence[Variant]) -> _Tried | None:
+    """A trial of the first variant, and how the second and the third differ there; None where it cannot be run."""
     try:
         bench = prepare(study.session, _record(study.session, trial), universe)
-        one, other = (bench.readings(bench.run(variant), variant) for variant in variants)
+        one, *others = (bench.readings(bench.run(variant), variant) for variant in variants)
     except (SolveError, InputError):
         return None
-    return trial, bench, _white(study, bench, {name: (other[name] - one[name])[:, None] for name in one})[:, 0]
+    second, third = (
+        _white(study, bench, {name: (other[name] - one[name])[:, None] for name in one})[:, 0] for other in others
+    )
+    return _Tried(trial, bench, second, third)
 
 
 def _white(study: Study, bench: Bench, columns: dict[str, np.ndarray]) -> np.ndarray:
@@ -251,32 +265,42 @@ def _shape_prior(fit: Fit) -> np.ndarray:
 
 
 def _judge(
-    study: Study, trial: Trial, bench: Bench, delta: np.ndarray, fits: tuple[Fit, Fit], known: Sequence[np.ndarray]
+    study: Study,
+    tried: _Tried,
+    fits: tuple[Fit, Fit, Fit],
+    known: Sequence[np.ndarray],
+    asked: Callable[[float], float],
 ) -> list[_Judged]:
-    """A trial at each number of repeats: the smaller of the distances that remain when either fit is refitted."""
+    """A trial at each number of repeats: the smaller of the distances that remain when either fit is refitted.
+
+    What remains when the third, the base, is refitted is what the first explains there.
+    """
+    bench, differences = tried.bench, (tried.second, tried.second, tried.base)
     try:
         variant = fits[0].variant(study.base)
         seen = view(bench, variant)
         J = _white(study, bench, parameter_columns(seen, study.base, neighbours(study.base, variant)))
-        products = [_products(study, bench, fit, J, delta) for fit in fits]
+        products = [_products(study, bench, fit, J, d) for fit, d in zip(fits, differences, strict=True)]
     except (SolveError, InputError):
         return []
+
+    def left(n: int, k: int) -> float:
+        (G, g), d = products[k], differences[k]
+        return max(n * float(d @ d) - n * n * float(g @ inverse_of(known[k] + n * G) @ g), 0.0)
+
     found = []
     for n in REPEATS:
-        squares = []
-        for (G, g), P in zip(products, known, strict=True):
-            H = P + n * G
-            squares.append(n * float(delta @ delta) - n * n * float(g @ inverse_of(H) @ g))
-        d = float(np.sqrt(max(min(squares), 0.0)))
-        found.append(_Judged(trial, n, d, _power(d)))
+        distance = float(np.sqrt(min(left(n, 0), left(n, 1))))
+        more = min(left(n, 2), float(n * len(tried.base)))  # a fall beyond the noise itself is no measure
+        found.append(_Judged(tried.trial, n, distance, _power(distance, asked(more))))
     return found
 
 
-def _power(distance: float) -> float:
-    """How surely two hypotheses that far apart are told apart."""
+def _power(distance: float, asked: float) -> float:
+    """How surely two hypotheses that far apart are told apart where a difference of deviances is asked."""
     from scipy.stats import norm
 
-    return float(norm.cdf((distance**2 - NEEDED) / (2.0 * distance))) if distance > 0.0 else 0.0
+    return float(norm.cdf((distance**2 - asked) / (2.0 * distance))) if distance > 0.0 else 0.0
 
 
 def _products(study: Study, bench: Bench, fit: Fit, J: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ from .answer import (
     AMBIGUOUS,
     CAUSE,
     NO_DISCREPANCY,
+    NO_TEST,
     UNKNOWN,
     DetectionLimit,
     Diagnosis,
@@ -581,14 +582,14 @@ def _answer_set(diagnosis: Diagnosis) -> _Markup:
 def _next_test(diagnosis: Diagnosis) -> _Markup:
     test = diagnosis.next_test
     if test is None:
-        return _Markup()
+        return _section("Next test", _text(NO_TEST)) if diagnosis.verdict == AMBIGUOUS else _Markup()
     first, second = map(spoken, test.separates)
     settings = [(spoken(name), text) for name, text in test.settings.items()]
     duration = f"takes {test.duration:g} s and " if np.isfinite(test.duration) else ""
-    distance = f"; distance {test.distance:.1f} noise deviations" if np.isfinite(test.distance) else ""
+    distance = f" (distance {test.distance:.1f} noise deviations)" if np.isfinite(test.distance) else ""
     power = f"It {duration}would tell {first} from {second}"
     if np.isfinite(test.power):
-        power += f" with a probability of {_percent(test.power)} (at 1 % error{distance})"
+        power += f" with a probability of {_percent(test.power)}{distance}"
     others = _text("Instead of it: " + "; ".join(test.alternatives) + ".") if test.alternatives else _Markup()
     return _section("Next test", _tag("p", _tag("strong", test.description)), _table(("setting", "value"), settings),
                     _text(f"{power}."), others)  # fmt: skip

@@ -32,7 +32,7 @@ from .study import (
     refit_from,
     unstretched,
 )
-from .weighing import ANSWER_RATIO, Explained, is_nothing, ran, ranked, rivals_of, settled, worth
+from .weighing import ANSWER_RATIO, Explained, is_nothing, laws_of, ran, ranked, rivals_of, settled, worth
 
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 NOT_QUIET = 0.01  # of a free term's being chance in what the best hypothesis leaves: naming asks for more than an alarm
@@ -43,15 +43,16 @@ STRETCHED = 3.0  # prior deviations: a base parameter so far out may stand in a 
 MOST_AT_ONCE = 2  # causes
 SECONDS, NEAR = 3, 0.8  # how many are tried beside a first cause, of those whose z is so large a share of the largest
 PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
-LEFT_SHARE = 0.02  # of what the best explains may stay behind as a free term, since no model is the plant
+LEFT_SHARE = 0.005  # of what the best explains may stay behind for free terms to explain, since no model is the plant
+DOUBT_SHARE = 0.02  # up to here, or up to the error of its law, the best is possible still, and so is what has no name
 AGAIN = 3  # times that what may be best, or the base, is fitted again where it may have stopped short
 
 
 @dataclass(frozen=True, eq=False)
 class Searched:
     """Where a search ended: `base` what it was for in the end, `scene` what that leaves, `final` what the best of the
-    hypotheses `found` (best first) leaves; `rivals` the answer set among them; whether anything shows at all, and the
-    `level` that the candidates' z had to pass.
+    hypotheses `found` (best first) leaves; `rivals` the answer set among them, and why `none_listed` is in it too, if
+    it is; whether anything shows at all, and the `level` that the candidates' z had to pass.
     """  # fmt: skip
 
     base: BaseFit
@@ -59,6 +60,7 @@ class Searched:
     final: Scene
     found: Sequence[Explained]
     rivals: Sequence[Explained]
+    none_listed: str
     alarm: bool
     level: float
 
@@ -70,44 +72,53 @@ def search(base: BaseFit, tell: Callable[[str, float], None]) -> Searched:
     """
     tell("looking for causes", 0.0)
     scene = look(base, base.fit)
-    for left in reversed(range(AGAIN + 1)):
+    for again in reversed(range(AGAIN + 1)):
         alarm, level = _alarm(scene)
         if not alarm:
-            return Searched(base, scene, scene, [], [], alarm, level)
+            return Searched(base, scene, scene, [], [], "", alarm, level)
         found, likeliest = _begun(base, scene, lambda share: tell("refitting", 0.15 + 0.6 * share))
-        better = _better_base(base, found) if left else None
+        better = _better_base(base, found) if again else None
         if better is None:
             break
         base, scene = better, look(better, better.fit)
     found += _taken_up(base, found, likeliest)
     found = worth(base, _with_fewer(base, settled(found)), level)
     tell("checking", 0.75)
-    base, found, rivals, final = _checked(base, scene, level, found)
-    return Searched(base, scene, final, found, rivals, alarm, level)
+    base, found, final = _checked(base, scene, level, found)
+    left = _left(base, final) if found else float("inf")
+    if left > max([DOUBT_SHARE, *laws_of(found[:1])]):
+        return Searched(base, scene, final, found, [], "", alarm, level)  # what leaves that much is not the answer
+    rivals = rivals_of(base, found, whole=left <= LEFT_SHARE)
+    return Searched(base, scene, final, found, rivals, _none_listed(rivals[0], left), alarm, level)
 
 
 def _checked(
     base: BaseFit, scene: Scene, level: float, found: list[Explained]
-) -> tuple[BaseFit, list[Explained], list[Explained], Scene]:
-    """The base in the end, hypotheses best first, the answer set among them, and what the best leaves."""
+) -> tuple[BaseFit, list[Explained], Scene]:
+    """The base in the end, hypotheses best first, and what the best leaves."""
     final = scene
     if found:
         found, final = _with_more(base, look(base, found[0].fit), found)
         found, final = _with_others(base, found, final)
         if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
             base, found, final = _with_peaks(base, found, final)
-    quiet = bool(found) and _quiet(base, final)
-    if not quiet and _stretch(base.fit) > STRETCHED:
+    if _stretch(base.fit) > STRETCHED and (not found or _left(base, final) > DOUBT_SHARE):
         found, final = _afresh(base, scene, level, found, final)
-        quiet = bool(found) and _quiet(base, final)
-    if not found:
-        return base, [], [], final
-    found, whole = ranked(base, found), True
-    if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
-        final = look(base, found[0].fit)
-        whole = _quiet(base, final)
-    # where even the best leaves something over, none of them is the answer
-    return base, found, rivals_of(base, found, whole) if quiet else [], final
+    if found:
+        found = ranked(base, found)
+        if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
+            final = look(base, found[0].fit)
+    return base, found, final
+
+
+def _none_listed(best: Explained, left: float) -> str:
+    """Why what is in no catalogue may be the cause as well as the best, which leaves a share; "" where it may not."""
+    if left > LEFT_SHARE:
+        return "what the likeliest leaves over, none of them explains"
+    effects = [(c.effect.name, c.effect.reading) for c in best.candidates if c.effect is not None]
+    if len(effects) > 1 and effects[0][0] == effects[1][0] and all(reading for _, reading in effects):
+        return "sensors that err alike may show one thing that reaches them all"
+    return ""
 
 
 # ---------------------------------------------------------------- alarm
@@ -335,7 +346,7 @@ def _with_more(base: BaseFit, final: Scene, found: list[Explained]) -> tuple[lis
     while len(final.fit.extras) < MOST_AT_ONCE:
         z, level = final.z(), final.level(ALARM)
         best = found[0]
-        share = 0.0 if _leftover(final.fit, base.study) else LEFT_SHARE
+        share = 0.0 if _leftover(final.fit, base.study) else DOUBT_SHARE
         if z.max(initial=0.0) ** 2 < max(level**2, share * (base.fit.deviance - best.fit.deviance)):
             break
         near = _best_of_families(final, z, NEAR * z.max())[:SECONDS]
@@ -408,18 +419,21 @@ def _with_peaks(base: BaseFit, found: list[Explained], final: Scene) -> tuple[Ba
     return full, found, final
 
 
-def _quiet(base: BaseFit, final: Scene) -> bool:
-    """Whether the best hypothesis leaves nothing that a free term, an amplitude that wanders or, beside two causes, a
-    third one would explain."""
+def _left(base: BaseFit, final: Scene) -> float:
+    """The share of what the best explains that it leaves, beyond chance, for others to explain: a free term, an
+    amplitude that wanders or, beside two causes, a third one. Infinite where more than the noise is left.
+    """  # fmt: skip
     from scipy.stats import chi2
 
-    gained = max(base.fit.deviance - final.fit.deviance, 0.0)
-    allowance = LEFT_SHARE * gained
-    tests = [(value - allowance, freedom) for value, freedom in final.family_tests() if freedom]
-    least = min((float(chi2.sf(max(value, 0.0), freedom)) for value, freedom in tests), default=1.0)
-    families_quiet = least * max(len(tests), 1) > NOT_QUIET
+    if _leftover(final.fit, base.study):
+        return float("inf")
+    tests = [(value, freedom) for value, freedom in final.family_tests() if freedom]
+    over = [value - float(chi2.isf(NOT_QUIET / len(tests), freedom)) for value, freedom in tests]
     wander, freedom = final.constancy()
-    constant = freedom == 0 or float(chi2.sf(max(wander - allowance, 0.0), freedom)) > 1e-3
-    full = len(final.fit.extras) == MOST_AT_ONCE
-    third = full and final.z().max(initial=0.0) ** 2 > max(final.level(ALARM) ** 2, allowance)
-    return families_quiet and constant and not third and not _leftover(final.fit, base.study)
+    if freedom:
+        over.append(wander - float(chi2.isf(1e-3, freedom)))
+    third = final.z().max(initial=0.0)
+    if len(final.fit.extras) == MOST_AT_ONCE and third > final.level(ALARM):
+        over.append(third**2)
+    gained = max(base.fit.deviance - final.fit.deviance, 1.0)
+    return max([0.0, *over]) / gained

@@ -17,6 +17,7 @@ from .study import FLOOR, UNSETTLED, BaseFit, Extra, Fit
 ANSWER_RATIO = 6.0  # difference of deviance up to which candidates stay in the answer set ...
 ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no model is the plant
 WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
+SECOND_WORTH = 30.0  # deviance: a second cause that brings less may be what the plant does otherwise than any model
 NOTHING = 2.0 * FLOOR  # of what is typical: an amplitude that is none
 PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
 REFINED_PRICE = 1.0  # the same for an effect that is another, plainer one where its own feature does not show
@@ -99,14 +100,19 @@ def worth(base: BaseFit, found: Sequence[Explained], level: float) -> list[Expla
     return [one for one in found if base.fit.deviance - one.fit.deviance > WORTH * level**2]
 
 
-def width_of(base: BaseFit, best: Explained) -> float:
+def width_of(base: BaseFit, best: Explained, more: float = 0.0) -> float:
     """The difference of evidence up to which another explains the data nearly as well as the best does.
 
-    A fall beyond the noise itself tells how far astray the base was, not how much the best explains.
+    A fall beyond the noise itself tells how far astray the base was, not how much the best explains. `more` is what it
+    would explain besides in further records.
     """
-    fall = min(base.fit.deviance - best.fit.deviance, best.fit.rows)
-    share = max([ANSWER_SHARE, *(c.effect.law_error for c in best.candidates if c.effect is not None)])
-    return max(ANSWER_RATIO, share * fall)
+    fall = min(base.fit.deviance - best.fit.deviance, best.fit.rows) + more
+    return max(ANSWER_RATIO, max([ANSWER_SHARE, *laws_of([best])]) * fall)
+
+
+def laws_of(found: Sequence[Explained]) -> list[float]:
+    """Shares of what hypotheses explain by which another law of the same effect may do better."""
+    return [c.effect.law_error for one in found for c in one.candidates if c.effect is not None]
 
 
 def heat_of(base: BaseFit, best: Explained) -> float:
@@ -136,6 +142,7 @@ def rivals_of(base: BaseFit, found: Sequence[Explained], whole: bool = True) -> 
         for one in found
         if one.weighed(heat) - best.weighed(heat) < width
         or (len(one.candidates) <= most and one.least - best.least < width)
+        or (len(one.candidates) < most and one.is_within(best) and one.least - best.least < SECOND_WORTH)
     ]
     # what a better one says already, and something more besides, is no rival of it, unless there must be something more
     return [one for k, one in enumerate(near) if not whole or not any(better.is_within(one) for better in near[:k])]
