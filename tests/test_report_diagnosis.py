@@ -10,6 +10,7 @@ import pytest
 
 from valvesim import report_diagnosis
 from valvesim.answer import (
+    NO_TEST,
     CandidateAnswer,
     DetectionLimit,
     Diagnosis,
