@@ -12,7 +12,7 @@ import valvesim as vs
 from valvesim import search as engine
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
-from valvesim.diagnosis import _candidate_answers, _summary, _verdict
+from valvesim.diagnosis import _candidate_answers, _explains_more, _summary, _verdict
 from valvesim.hypotheses import Candidate
 from valvesim.search import (
     LEFT_SHARE,
@@ -272,6 +272,15 @@ def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_cause
     assert answers[0].probability > answers[1].probability > 0.2
     said = _summary(AMBIGUOUS, [lap], None, (), reason)
     assert said == f"Something is wrong: spool lap, or none of the known causes, for {reason}."
+
+
+def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_of_a_cause():
+    lap, air = explained(1000.0, "spool_lap"), explained(1010.0, "entrained_air")
+    price = np.log(lap.fit.rows)
+    needed = 1000.0 - ANSWER_RATIO
+    assert _explains_more(SimpleNamespace(deviance=needed - 3.0 * price - 0.1, freedom=3), [air, lap])
+    assert not _explains_more(SimpleNamespace(deviance=needed - 3.0 * price + 0.1, freedom=3), [air, lap])
+    assert not _explains_more(SimpleNamespace(deviance=needed - 3.0 * price - 0.1, freedom=12), [air, lap])
 
 
 def test_two_sensors_that_err_alike_may_be_one_thing():

@@ -81,6 +81,7 @@ def test_its_formula_is_offered_with_its_units_and_error(found):
     assert "x^3 N, x = spool_position in m" in found.term.formula
     assert float(found.term.formula.split()[0]) == pytest.approx(CUBIC, rel=0.1)
     assert 0.0 <= found.term.formula_error <= 0.1
+    assert 1 <= found.freedom <= 3  # a coefficient, and what stands beside it
 
 
 def test_the_fit_explains_the_records_and_is_what_its_variant_reads(base, found):

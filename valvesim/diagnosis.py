@@ -34,7 +34,7 @@ from .evidence import inverse_of
 from .extension import effect_files, scenario_text
 from .next_test import design
 from .prediction import Variant, prepare
-from .recovery import recover
+from .recovery import Recovered, recover
 from .scene import Scene
 from .search import Searched, search
 from .session import Record, Session, load_session
@@ -49,7 +49,7 @@ from .study import (
     residual_of,
     within_tolerance,
 )
-from .weighing import Explained, chance_beside, doubt, heat_of, width_of
+from .weighing import ANSWER_RATIO, Explained, chance_beside, doubt, heat_of, width_of
 
 UNKNOWN_PRICE = 6.0  # deviance: a cause that nobody has listed is rarer than an effect of the catalogue
 HOPELESS = 0.35  # share of the signal that stays unexplained where the records are not of this valve
@@ -85,11 +85,15 @@ def _answer(searched: Searched) -> Diagnosis:
     study, session = base.study, base.study.session
     best = found[0] if found else None
     chosen = best.fit if best is not None else base.fit
-    in_set = [*rivals, *chance_beside(base, rivals, level)]
-    none_listed = searched.none_listed
+    in_set, none_listed = [*rivals, *chance_beside(base, rivals, level)], searched.none_listed
+    hopeless = _hopeless(base, chosen)
+    recovered: Recovered | None = None
+    if searched.alarm and not hopeless and (none_listed or not in_set):
+        recovered = recover(base, scene)
+        if recovered is not None and in_set and _explains_more(recovered, found):
+            in_set, none_listed = [], ""
     answers = _candidate_answers(base, found, in_set, level, none_listed)
     verdict = _verdict(searched.alarm, in_set, none_listed)
-    hopeless = _hopeless(base, chosen)
     term: Term | None = None
     notes = list(session.notes)
     if any(not noise.verified for noise in study.noise.values()):
@@ -106,7 +110,7 @@ def _answer(searched: Searched) -> Diagnosis:
     variant, readings, point = unextended, base.fit.readings, base.fit.point
     if named is not None:
         variant, readings, point = chosen.variant(study.base), chosen.readings, chosen.point
-    elif verdict == UNKNOWN and not hopeless and (recovered := recover(base, scene)) is not None:
+    elif verdict == UNKNOWN and recovered is not None:
         term, variant, readings, point = recovered.term, recovered.variant, recovered.readings, recovered.point
     causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
     estimates = _estimates(base, searched.final) if named is not None else ()
@@ -182,6 +186,12 @@ def _candidate_answers(
                               probability=float(weights[-1]), in_set=not in_set or bool(none_listed))  # fmt: skip
     ranked = sorted([*answers, nothing], key=lambda a: -a.probability)
     return [a for a in ranked if a.in_set or a.probability > 1e-3]
+
+
+def _explains_more(recovered: Recovered, found: Sequence[Explained]) -> bool:
+    """Whether a term that nobody has listed explains more than any cause that is, for the price of its figures."""
+    least = min(one.least + one.fit.occam for one in found)
+    return recovered.deviance + recovered.freedom * np.log(found[0].fit.rows) < least - ANSWER_RATIO
 
 
 def _verdict(alarm: bool, in_set: Sequence[Explained], none_listed: str = "") -> str:

@@ -53,7 +53,7 @@ SYMBOLS = {
 @dataclass(frozen=True, eq=False)
 class Recovered:
     """A term found: `term` for the answer, `active` the effect that has it, and the fit: point (p,) of the base
-    parameters, deviance, readings of each training record, the variant that ran.
+    parameters, deviance, how many figures of the term are free, readings of each training record, the variant that ran.
     """  # fmt: skip
 
     term: Term
@@ -61,6 +61,7 @@ class Recovered:
     family: Family
     point: np.ndarray
     deviance: float
+    freedom: int
     readings: tuple[dict[str, np.ndarray], ...]
     variant: Variant
 
@@ -171,17 +172,19 @@ def recover(base: BaseFit, scene: Scene) -> Recovered | None:
     if best is None:
         return None
     problem, solution = best
-    formula, error = "", float("nan")
+    formula, error, remembers = "", float("nan"), problem.family.memory != NONE
+    freedom = len(problem.knots) + remembers
     held = _with_formula(problem, solution, base.fit.deviance - solution.state.deviance)
     if held is not None:
-        (new, formula), old = held, solution.state.values
+        (new, formula, figures), old = held, solution.state.values
+        freedom = figures + remembers
         error = _difference(problem, new.state.values, old)
         solution = new
     state = solution.state
     term = _term(problem, solution, formula, error, _alike(looks[len(problem.knots)], problem.family, margin))
     return Recovered(
-        term, problem.active(state.values, state.figure), problem.family, state.point, state.deviance, state.readings,
-        problem.variant(state.point, state.values, state.figure),
+        term, problem.active(state.values, state.figure), problem.family, state.point, state.deviance, freedom,
+        state.readings, problem.variant(state.point, state.values, state.figure),
     )  # fmt: skip
 
 
@@ -342,11 +345,15 @@ def _stepped(problem: _Problem, state: _State, step: np.ndarray, p: int) -> _Sta
 
 @dataclass(frozen=True, eq=False)
 class _Formula:
-    """A sum of shapes at the knots: `F` (k, m) at `coefficients` (m,); `write(coefficients)` says it in words."""
+    """A sum of shapes at the knots: `F` (k, m) at `coefficients` (m,); `write(coefficients)` says it in words.
+
+    It has so many free `figures`, those within its shapes among them.
+    """
 
     F: np.ndarray
     write: Callable[[np.ndarray], str]
     coefficients: np.ndarray
+    figures: int
     cost: float
     pure: bool
 
@@ -402,8 +409,9 @@ def _formulas(problem: _Problem, values: np.ndarray, W: np.ndarray, price: float
         normal = (F / scale).T @ W @ (F / scale)
         a = np.linalg.solve(normal, (F / scale).T @ W @ values) / scale
         left = values - F @ a
-        cost = float(left @ W @ left) + price * (len(a) + (shape.figures is not None))
-        return _Formula(F, _written(shape, b, kind, own.shape[1], x), a, cost, not kind)
+        figures = len(a) + (shape.figures is not None)
+        cost = float(left @ W @ left) + price * figures
+        return _Formula(F, _written(shape, b, kind, own.shape[1], x), a, figures, cost, not kind)
 
     def cost(b: float, shape: _Shape, kind: str) -> float:
         formula = at(shape, kind, b)
@@ -434,8 +442,8 @@ def _written(shape: _Shape, b: float, kind: str, own: int, x: str) -> Callable[[
     return text
 
 
-def _with_formula(problem: _Problem, solution: _Solution, gained: float) -> tuple[_Solution, str] | None:
-    """The term held to a formula and fitted with it, where the records do not object; with the formula."""
+def _with_formula(problem: _Problem, solution: _Solution, gained: float) -> tuple[_Solution, str, int] | None:
+    """The term held to a formula and fitted with it, where the records do not object; the formula, its figures."""
     from scipy.stats import chi2
 
     # a formula takes the place of the curve's priors: they are left out of its fit, and the misfit is the records' own
@@ -469,7 +477,8 @@ def _with_formula(problem: _Problem, solution: _Solution, gained: float) -> tupl
             continue
         scale = np.max(np.abs(formula.F), axis=0)
         a = np.linalg.lstsq(formula.F / scale, held.values, rcond=None)[0] / scale
-        return replace(solution, state=held, covariance=covariance), _sentence(problem, formula.write(a), held.figure)
+        solution = replace(solution, state=held, covariance=covariance)
+        return solution, _sentence(problem, formula.write(a), held.figure), formula.figures
     return None
 
 
