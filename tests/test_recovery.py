@@ -11,7 +11,7 @@ from valvesim.fluid import MIL_PRF_5606
 from valvesim.model import Model
 from valvesim.parameters import Valve
 from valvesim.prediction import Variant, prepare
-from valvesim.recovery import _formulas, _Problem, _sentence, recover
+from valvesim.recovery import FEW_KNOTS, _formulas, _Problem, _sentence, recover
 from valvesim.scenario import Thermal
 from valvesim.scene import look
 from valvesim.session import Record, Sensor, Session
@@ -50,9 +50,9 @@ def session_of(*actives, duration=0.5, seed=1):
     return replace(session, records=tuple(measured))
 
 
-def cubic():
+def cubic(size=1.0):
     return term_effect("spool_force", "spool_position", KNOTS, CUBIC * KNOTS**3, name="hidden")(
-        share=1.0, **{f"value_{k + 1}": v for k, v in enumerate(CUBIC * KNOTS**3)}
+        share=1.0, **{f"value_{k + 1}": v for k, v in enumerate(size * CUBIC * KNOTS**3)}
     )
 
 
@@ -108,6 +108,14 @@ def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
     assert period == pytest.approx(75e-6, rel=0.02)
     true = np.interp(term.at, u, pull)
     assert np.linalg.norm(np.array(term.value) - true) < 0.1 * np.linalg.norm(true)
+
+
+def test_a_slight_term_gets_few_knots():
+    base = fit_base(prepare_study(session_of(cubic(0.2))))
+    found = recover(base, look(base, base.fit))
+    assert (found.term.port, found.term.variable) == ("spool_force", "spool_position")
+    assert len(found.term.at) == FEW_KNOTS
+    assert base.fit.deviance - found.deviance < 11.0 * np.log(found.deviance)  # no more than eleven would have cost
 
 
 def test_where_else_a_term_would_do_is_said_in_words(found):

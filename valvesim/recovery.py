@@ -28,7 +28,8 @@ from .study import BaseFit, Study, predict, see, whitened_residual
 from .terms import LAG, NONE, PATH, Family, hats, term_effect
 
 NAME = "recovered_term"
-KNOTS, FINE_KNOTS = 11, 47  # of a term's function, and where its shape asks for more
+KNOTS, FINE_KNOTS, FEW_KNOTS = 11, 47, 6  # of a term's function, where its shape asks for more, and where the term ...
+SLIGHT = 3.0  # ... explains less than so many times what KNOTS of them cost
 FINE_LOOK = 24  # knots of the functions by which that is found out
 WORTH = 15.0  # fall of the deviance, beyond the price of its freedom, that a term must bring to be told
 ODD_MARGIN, ODD_SHARE = 10.0, 0.02  # deviance, or share of the fall, that memory or a strange variable must bring
@@ -181,7 +182,9 @@ def recover(base: BaseFit, scene: Scene) -> Recovered | None:
         error = _difference(problem, new.state.values, old)
         solution = new
     state = solution.state
-    term = _term(problem, solution, formula, error, _alike(looks[len(problem.knots)], problem.family, margin))
+    term = _term(
+        problem, solution, formula, error, _alike(looks.get(len(problem.knots), scene), problem.family, margin)
+    )
     return Recovered(
         term, problem.active(state.values, state.figure), problem.family, state.point, state.deviance, freedom,
         state.readings, problem.variant(state.point, state.values, state.figure),
@@ -200,8 +203,10 @@ def _ranked(looks: dict[int, Scene]) -> tuple[list[tuple[Family, int]], float]:
     gains, found = [], []
     for count, scene in looks.items():
         price = np.log(max(sum(scene.gram.rows), 2))
-        gains += [value - price * freedom for value, freedom in scene.family_tests()]
-        found += [(family, count) for family in scene.families]
+        for family, (value, freedom) in zip(scene.families, scene.family_tests(), strict=True):
+            gains.append(value - price * freedom)
+            slight = count == KNOTS and value < SLIGHT * price * KNOTS
+            found.append((family, FEW_KNOTS if slight else count))
     margin = max(ODD_MARGIN, ODD_SHARE * max(gains, default=0.0))
     score = np.array(gains) - margin * np.array([family.oddities for family, _ in found])
     order = [int(k) for k in np.argsort(-score, kind="stable") if score[k] > 0.0]
