@@ -85,11 +85,17 @@ def search(base: BaseFit, tell: Callable[[str, float], None]) -> Searched:
     found = worth(base, _with_fewer(base, settled(found)), level)
     tell("checking", 0.75)
     base, found, final = _checked(base, scene, level, found)
-    left = _left(base, final) if found else float("inf")
-    if left > max([DOUBT_SHARE, *laws_of(found[:1])]):
-        return Searched(base, scene, final, found, [], "", alarm, level)  # what leaves that much is not the answer
-    rivals = rivals_of(base, found, whole=left <= LEFT_SHARE)
-    return Searched(base, scene, final, found, rivals, _none_listed(rivals[0], left), alarm, level)
+    if not found:
+        return Searched(base, scene, final, [], [], "", alarm, level)
+    left, bearable = _left(base, final), max([DOUBT_SHARE, *laws_of(found[:1])])
+    found, plainest = ranked(base, found), left
+    if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
+        final = look(base, found[0].fit)
+        plainest = _left(base, final)
+    if left > bearable:  # where even the best leaves so much, none of them is the answer
+        return Searched(base, scene, final, found, [], "", alarm, level)
+    rivals = rivals_of(base, found, whole=plainest <= LEFT_SHARE)
+    return Searched(base, scene, final, found, rivals, _none_listed(rivals[0], min(left, plainest)), alarm, level)
 
 
 def _checked(
@@ -104,10 +110,6 @@ def _checked(
             base, found, final = _with_peaks(base, found, final)
     if _stretch(base.fit) > STRETCHED and (not found or _left(base, final) > DOUBT_SHARE):
         found, final = _afresh(base, scene, level, found, final)
-    if found:
-        found = ranked(base, found)
-        if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
-            final = look(base, found[0].fit)
     return base, found, final
 
 
