@@ -271,7 +271,7 @@ def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_cause
     assert [(a.label, a.in_set) for a in answers][:2] == [("spool_lap", True), ("none of the known causes", True)]
     assert answers[0].probability > answers[1].probability > 0.2
     said = _summary(AMBIGUOUS, [lap], None, (), reason)
-    assert said == f"Something is wrong: spool lap, or none of the known causes, for {reason}."
+    assert said == f"Something is wrong, perhaps spool lap, or none of the known causes: {reason}."
 
 
 def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_of_a_cause():

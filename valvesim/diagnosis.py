@@ -296,7 +296,7 @@ def _summary(
     if verdict == AMBIGUOUS:
         causes = [*(_said(one) for one in in_set if one.candidates)]
         if none_listed:
-            return f"Something is wrong: {' or '.join(causes)}, or none of the known causes, for {none_listed}."
+            return f"Something is wrong, perhaps {' or '.join(causes)}, or none of the known causes: {none_listed}."
         if in_set[-1].candidates:
             return f"Something is wrong, and these cannot be told apart: {'; '.join(causes)}."
         return f"Something may be wrong, or noise alone shows it; it would be {' or '.join(causes)}."
