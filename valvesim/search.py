@@ -32,7 +32,7 @@ from .study import (
     refit_from,
     unstretched,
 )
-from .weighing import ANSWER_RATIO, Explained, is_nothing, laws_of, ran, ranked, rivals_of, settled, worth
+from .weighing import ANSWER_RATIO, Explained, is_nothing, ran, ranked, rivals_of, settled, worth
 
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 NOT_QUIET = 0.01  # of a free term's being chance in what the best hypothesis leaves: naming asks for more than an alarm
@@ -87,7 +87,7 @@ def search(base: BaseFit, tell: Callable[[str, float], None]) -> Searched:
     base, found, final = _checked(base, scene, level, found)
     if not found:
         return Searched(base, scene, final, [], [], "", alarm, level)
-    left, bearable = _left(base, final), max([DOUBT_SHARE, *laws_of(found[:1])])
+    left, bearable = _left(base, final), max(DOUBT_SHARE, found[0].law_error)
     found, plainest = ranked(base, found), left
     if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
         final = look(base, found[0].fit)
@@ -117,8 +117,8 @@ def _none_listed(best: Explained, left: float) -> str:
     """Why what is in no catalogue may be the cause as well as the best, which leaves a share; "" where it may not."""
     if left > LEFT_SHARE:
         return "what the likeliest leaves over, none of them explains"
-    effects = [(c.effect.name, c.effect.reading) for c in best.candidates if c.effect is not None]
-    if len(effects) > 1 and effects[0][0] == effects[1][0] and all(reading for _, reading in effects):
+    faults = [c.effect.name for c in best.candidates if c.effect is not None and c.effect.reading is not None]
+    if len(set(faults)) < len(faults):
         return "sensors that err alike may show one thing that reaches them all"
     return ""
 
@@ -434,8 +434,7 @@ def _left(base: BaseFit, final: Scene) -> float:
     wander, freedom = final.constancy()
     if freedom:
         over.append(wander - float(chi2.isf(1e-3, freedom)))
-    third = final.z().max(initial=0.0)
-    if len(final.fit.extras) == MOST_AT_ONCE and third > final.level(ALARM):
+    if len(final.fit.extras) == MOST_AT_ONCE and (third := final.z().max(initial=0.0)) > final.level(ALARM):
         over.append(third**2)
     gained = max(base.fit.deviance - final.fit.deviance, 1.0)
     return max([0.0, *over]) / gained

@@ -54,6 +54,11 @@ class Explained:
         return self.evidence + (heat - 1.0) * self.price
 
     @property
+    def law_error(self) -> float:
+        """The share of what it explains by which another law of the same effect may do better."""
+        return max((c.effect.law_error for c in self.candidates if c.effect is not None), default=0.0)
+
+    @property
     def label(self) -> str:
         """The candidates' families."""
         return " + ".join(c.family for c in self.candidates) or "nothing but noise"
@@ -107,12 +112,7 @@ def width_of(base: BaseFit, best: Explained, more: float = 0.0) -> float:
     would explain besides in further records.
     """
     fall = min(base.fit.deviance - best.fit.deviance, best.fit.rows) + more
-    return max(ANSWER_RATIO, max([ANSWER_SHARE, *laws_of([best])]) * fall)
-
-
-def laws_of(found: Sequence[Explained]) -> list[float]:
-    """Shares of what hypotheses explain by which another law of the same effect may do better."""
-    return [c.effect.law_error for one in found for c in one.candidates if c.effect is not None]
+    return max(ANSWER_RATIO, max(ANSWER_SHARE, best.law_error) * fall)
 
 
 def heat_of(base: BaseFit, best: Explained) -> float:
