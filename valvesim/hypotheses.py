@@ -127,8 +127,8 @@ def _span(session: Session, channel: str) -> float:
 class Candidate:
     """One thing that may be wrong. `fixed` are the shape parameters at which it is looked for.
 
-    `twin` is the base parameter that an effect moves, all but alone, by `rate` prior deviations a unit of its excess:
-    the base fit stretches it where the effect is there.
+    `twin` is the base parameter that an effect moves, all but alone, see `rate_at`: the base fit stretches it where the
+    effect is there.
     """
 
     name: str
@@ -136,7 +136,6 @@ class Candidate:
     fixed: tuple[tuple[str, float], ...] = ()
     parameter: BaseParameter | None = None
     twin: BaseParameter | None = None
-    rate: float = 0.0
 
     @property
     def key(self) -> str:
@@ -230,9 +229,37 @@ class Candidate:
         if self.parameter is not None:
             p = self.parameter
             return p, (getattr(variant.valve, p.name) - getattr(other.valve, p.name)) / p.deviation
-        if self.twin is None:
+        rate = self.rate_at(other)
+        if self.twin is None or not rate:
             return None
-        return self.twin, self.rate * (self._amplitude_in(variant) - self._amplitude_in(other))
+        return self.twin, rate * (self._amplitude_in(variant) - self._amplitude_in(other))
+
+    def rate_at(self, variant: Variant) -> float:
+        """By how many prior deviations of its twin a unit more of this effect moves a variant; 0 where it moves it
+        otherwise, or has no twin."""
+        effect, twin, small = self.effect, self.twin, 1e-4
+        if effect is None or twin is None:
+            return 0.0
+        if effect.channel:
+            return 1.0 / twin.deviation
+        if (change := effect.coefficients) is None:
+            return 0.0
+        valve, more = variant.valve, small * self.typical
+        excess = self._amplitude_in(variant) - (effect.amplitude.neutral or 0.0)
+        figure: dict[str, Any] = {twin.name: getattr(valve, twin.name) + small * twin.deviation}
+
+        def coefficients(valve: Valve, excess: float) -> np.ndarray:
+            return np.array(change(valve.at(AT_20), self.active(excess).values, AT_20), dtype=float)
+
+        before = coefficients(valve, excess)
+        by_effect = coefficients(valve, excess + more) - before
+        by_figure = coefficients(replace(valve, **figure), excess) - before
+        acts = by_figure != 0.0
+        if not acts.any():
+            return 0.0
+        ratio = float(np.median(by_effect[acts] / by_figure[acts]))
+        alike = np.abs(by_effect - ratio * by_figure) <= 0.01 * np.abs(ratio * by_figure)
+        return ratio * small / more if alike.all() else 0.0
 
     def _amplitude_in(self, variant: Variant) -> float:
         assert self.effect is not None  # noqa: S101 - only effects have twins
@@ -276,27 +303,8 @@ def _with_twin(candidate: Candidate, base: Base) -> Candidate:
     effect = candidate.effect
     assert effect is not None  # noqa: S101 - the caller has chosen effects
     name = f"{effect.name}@{effect.channel}" if effect.channel else effect.figure
-    twin = next((p for p in base.parameters if p.name == name), None)
-    rate = 0.0 if twin is None else 1.0 / twin.deviation if effect.channel else _rate(candidate, twin, base)
-    return replace(candidate, twin=twin, rate=rate) if rate else candidate
-
-
-def _rate(candidate: Candidate, twin: BaseParameter, base: Base) -> float:
-    """By how many prior deviations of its figure a unit of an effect moves the valve; 0 where it moves it otherwise."""
-    effect, valve, small = candidate.effect, base.variant.valve, 1e-4
-    if effect is None or effect.coefficients is None:
-        return 0.0
-    excess = small * candidate.typical
-    before = np.array(valve.at(AT_20), dtype=float)
-    by_effect = np.array(effect.coefficients(valve.at(AT_20), candidate.active(excess).values, AT_20)) - before
-    figure: dict[str, Any] = {twin.name: twin.nominal + small * twin.deviation}
-    by_figure = np.array(replace(valve, **figure).at(AT_20), dtype=float) - before
-    acts = by_figure != 0.0
-    if not acts.any():
-        return 0.0
-    ratio = float(np.median(by_effect[acts] / by_figure[acts]))
-    alike = np.abs(by_effect - ratio * by_figure) <= 0.01 * np.abs(ratio * by_figure)
-    return ratio * small / excess if alike.all() else 0.0
+    paired = replace(candidate, twin=next((p for p in base.parameters if p.name == name), None))
+    return paired if paired.rate_at(base.variant) else candidate
 
 
 def _paced(effect: Effect, session: Session) -> tuple[Effect, ...]:

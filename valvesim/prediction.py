@@ -29,7 +29,7 @@ from .thermal import TemperaturePath
 FINEST = 2.5e-4  # s: a course is kept at this spacing or finer where the record is fast enough to need it
 MOST_POINTS = 20_000  # of the courses of all training records: where there are more, they are kept at wider spacing
 SLOW = 5e-3  # s: a record sampled more slowly than this is quasi-static between its samples, and kept as it is
-TOLERANCE = 3e-4  # errs by 1e-6 of the span: the samples of the inputs keep the steps short
+TOLERANCE = 3e-5  # errs by 1e-7 of the span, and a deviance by a tenth; with ten times as much a fit gets lost in that
 MAX_STEPS = 50_000_000
 SENSOR_STEP = 1e-4  # s: sensors are read on a grid this fine, since a fast lag sees the corners between samples
 NEXT_TO = 3  # steps of the sensors' grid
