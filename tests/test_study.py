@@ -132,10 +132,11 @@ def test_a_refit_begun_far_off_begins_small_and_great_where_the_small_does_not_s
 def test_at_typical_amplitudes_the_hidden_bias_explains_most(biased, monkeypatch):
     base, bias = biased
     named = {c.family: c for c in base.study.candidates}
-    right = Extra(named["sensor_bias@load_flow"], bias)
-    others = [Extra(named[name], named[name].typical) for name in ("coil_turns_loss", "spool_coulomb_friction")]
+    right = (Extra(named["sensor_bias@load_flow"], bias),)
+    others = [(Extra(named[name], named[name].typical),) for name in ("coil_turns_loss", "spool_coulomb_friction")]
     falls = falls_afresh(base, [right, *others])
     assert falls[0] > 100.0 and falls[0] > 2.0 * falls[1:].max()
+    assert falls_afresh(base, [(*right, *others[0])])[0] > 0.5 * falls[0]  # two at once
 
     def evaluate(study, point, extras):
         if extras:

@@ -105,6 +105,7 @@ def _checked(
     final = scene
     if found:
         found, final = _with_more(base, look(base, found[0].fit), found)
+        found, final = _in_place_of_figures(base, scene, found, final)
         found, final = _with_others(base, found, final)
         if base.study.weights and base.fit.deviance > ASTRAY * base.fit.rows:
             base, found, final = _with_peaks(base, found, final)
@@ -397,14 +398,42 @@ def _afresh(
 
 def _typical(base: BaseFit, scene: Scene) -> list[tuple[Extra, ...]]:
     """The best few effects at their typical amplitudes: where a base is stretched, linear answers may miss them all."""
-    typical = [
-        _extra(scene, k, sign * candidate.typical / scene.sizes[k])
-        for k, candidate in enumerate(scene.candidates)
-        if candidate.effect is not None
-        for sign in ((1.0,) if candidate.one_sided else (1.0, -1.0))
-    ]
-    falls = falls_afresh(base, typical)
-    return [(typical[k],) for k in np.argsort(-falls, kind="stable")[:SECONDS] if falls[k] > 0.0]
+    effects = [k for k, candidate in enumerate(scene.candidates) if candidate.effect is not None]
+    signs = {k: (1.0,) if scene.candidates[k].one_sided else (1.0, -1.0) for k in effects}
+    starts = [(_at_typical(scene, k, sign),) for k in effects for sign in signs[k]]
+    falls = falls_afresh(base, starts)
+    return [starts[k] for k in np.argsort(-falls, kind="stable")[:SECONDS] if falls[k] > 0.0]
+
+
+def _at_typical(scene: Scene, k: int, sign: float = 1.0) -> Extra:
+    """A candidate at its typical amplitude."""
+    return _extra(scene, k, sign * scene.candidates[k].typical / scene.sizes[k])
+
+
+def _in_place_of_figures(
+    base: BaseFit, scene: Scene, found: list[Explained], final: Scene
+) -> tuple[list[Explained], Scene]:
+    """The found where the best has a figure beyond its tolerance, with effects in the place of that.
+
+    They are those of one sign whose linear answers have the other one: what such an effect shows at its typical
+    amplitude may be something else, and a figure that many others follow may have taken its place.
+    """
+    best = found[0].fit
+    rest = tuple(extra for extra in best.extras if extra.candidate.effect is not None)
+    if len(rest) == len(best.extras):
+        return found, final
+    z = scene.z()
+    beside = [
+        k
+        for k, c in enumerate(scene.candidates)
+        if c.effect is not None and c.effect.reading is None and c.one_sided and z[k] == 0.0
+        and not any(c.excludes(extra.candidate) for extra in rest)
+    ]  # fmt: skip
+    starts = [(*rest, _at_typical(scene, k)) for k in beside]
+    likeliest = np.argsort(-falls_afresh(base, starts), kind="stable")[:SECONDS]
+    fits = [fit for k in likeliest if ran(fit := refit_afresh(base, starts[k]))]
+    merged = settled([*found, *map(Explained, fits)])
+    return merged, final if merged[0] is found[0] else look(base, merged[0].fit)
 
 
 def _with_peaks(base: BaseFit, found: list[Explained], final: Scene) -> tuple[BaseFit, list[Explained], Scene]:

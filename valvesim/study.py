@@ -45,7 +45,7 @@ EDGE = 0.98  # share of its limits that an excess keeps to while it is fitted
 FLOOR = 1e-4  # of what is typical: to so little an excess of one sign may come while it is fitted
 PEAKS_WORSE = 3.0  # times what is left between peaks: where they leave more, the model cannot follow them
 PEAK = 0.3  # of a reading's bend within a tenth of a millisecond may be wrong
-LEARNED = 30.0  # deviance that a step must change for the answers to learn from it: below is the solver's noise
+LEARNED = 3.0  # deviance that a step must change for the answers to learn from it: below is the solver's noise
 ABSURD = 1e30  # deviance
 TOLERANCE = 2.0  # prior deviations at which a tolerance ends
 FAR_AWAY = 3.0  # prior deviations from where answers were taken, and they are taken anew
@@ -571,8 +571,8 @@ def refit_from(base: BaseFit, fit: Fit) -> Fit:
     return _descended(study, fit, answers, ENOUGH, MORE_LOOKS, _good(base))
 
 
-def falls_afresh(base: BaseFit, starts: Sequence[Extra]) -> np.ndarray:
-    """(len(starts),) fall of the deviance by each start alone, from the same point; -inf where it cannot be run.
+def falls_afresh(base: BaseFit, starts: Sequence[tuple[Extra, ...]]) -> np.ndarray:
+    """(len(starts),) fall of the deviance by each start, from the same point; -inf where it cannot be run.
 
     Each is run, and the base parameters follow by the linear equations; samples that are far off count less.
     """
@@ -588,9 +588,9 @@ def falls_afresh(base: BaseFit, starts: Sequence[Extra]) -> np.ndarray:
 
     before = left(_weighed(robust, fit.point, (), fit.readings))
 
-    def fall(start: Extra) -> float:
+    def fall(start: tuple[Extra, ...]) -> float:
         try:
-            return before - left(evaluate(robust, fit.point, (start,)))
+            return before - left(evaluate(robust, fit.point, start))
         except (SolveError, InputError):
             return -np.inf
 

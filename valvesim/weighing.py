@@ -19,7 +19,8 @@ ANSWER_SHARE = 0.04  # ... and this share of what the best explains, since no mo
 WORTH = 0.8  # of the squared alarm level: what a hypothesis must explain to be one at all
 SECOND_WORTH = 30.0  # deviance: a second cause that brings less may be what the plant does otherwise than any model
 NOTHING = 2.0 * FLOOR  # of what is typical: an amplitude that is none
-PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue
+PARAMETER_PRICE = 3.0  # deviance: a figure beyond its tolerance is rarer than an effect of the catalogue ...
+MATERIAL_PRICE = 12.0  # ... and rarer still is one that the material has, and not how the part was made
 REFINED_PRICE = 1.0  # the same for an effect that is another, plainer one where its own feature does not show
 
 
@@ -77,7 +78,7 @@ class Explained:
 def _rarity(candidate: Candidate) -> float:
     """The price of what is rarer than an effect of the catalogue."""
     if candidate.effect is None:
-        return PARAMETER_PRICE
+        return MATERIAL_PRICE if candidate.unit.endswith("/K") else PARAMETER_PRICE
     return REFINED_PRICE if candidate.effect.plainer else 0.0
 
 
