@@ -13,7 +13,8 @@ from valvesim import search as engine
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
 from valvesim.diagnosis import _candidate_answers, _explains_more, _summary, _verdict
-from valvesim.hypotheses import Candidate
+from valvesim.hypotheses import BaseParameter, Candidate
+from valvesim.parameters import Valve
 from valvesim.search import (
     LEFT_SHARE,
     MOST_AT_ONCE,
@@ -23,6 +24,7 @@ from valvesim.search import (
     _beside_members,
     _better_base,
     _from_within,
+    _in_place_of_figures,
     _left,
     _left_behind,
     _none_listed,
@@ -31,9 +33,12 @@ from valvesim.search import (
 )
 from valvesim.session import load_session
 from valvesim.study import UNSETTLED, Extra, Fit
+from valvesim.units import quantities
 from valvesim.weighing import (
     ANSWER_RATIO,
     ANSWER_SHARE,
+    MATERIAL_PRICE,
+    PARAMETER_PRICE,
     WORTH,
     Explained,
     chance_beside,
@@ -156,9 +161,21 @@ def _entry(name):
     return CATALOGUE[family].on(channel) if channel else CATALOGUE[family]
 
 
+def _candidate(name):
+    """A candidate of the catalogue, or of a figure of the valve as in `parameter:spool_area`."""
+    kind, _, figure = name.partition(":")
+    if kind != "parameter":
+        return Candidate(name, _entry(name))
+    valve, declared = Valve(), quantities(Valve)[figure].metadata
+    return Candidate(
+        name,
+        parameter=BaseParameter(figure, declared["unit"], getattr(valve, figure), 1e-9, declared["bounds"]),
+    )
+
+
 def explained(deviance, *names):
     """A hypothesis fitted, of catalogue effects at their typical strength."""
-    candidates = [Candidate(name, _entry(name)) for name in names]
+    candidates = [_candidate(name) for name in names]
     extras = tuple(Extra(candidate, candidate.typical) for candidate in candidates)
     return Explained(Fit(np.zeros(1), extras, deviance, (), np.zeros(1), 5000.0))
 
@@ -391,6 +408,46 @@ def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeyp
     assert _from_within(None, unsettled(100.0, 0.0)) == [] and not asked
     again = _from_within(None, unsettled(100.0, UNSETTLED + 1.0))
     assert asked == ["within"] * 2 and [one.fit.deviance for one in again] == [90.0, 80.0]
+
+
+def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_its_place(monkeypatch):
+    figure, beside, other = explained(100.0, "parameter:chamber_volume"), "eddy_current_lag", "entrained_air"
+    pair = explained(90.0, beside, "parameter:chamber_volume")
+    names = (other, "spool_lap", "spool_silting", "thermal_lag", beside, "sensor_lag@load_flow", "null_gap_asymmetry")
+    candidates = [explained(0.0, name).candidates[0] for name in names]
+    z = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+    scene = SimpleNamespace(candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
+    tried, deviances = [], {other: 50.0, "thermal_lag": np.inf}
+
+    def falls(base, starts):
+        tried[:] = [tuple(extra.candidate.name for extra in start) for start in starts]
+        assert all(start[-1].excess == pytest.approx(start[-1].candidate.typical) for start in starts)
+        return np.array([{other: 9.0, "thermal_lag": 8.0}.get(start[-1].candidate.name, -1.0) for start in starts])
+
+    def afresh(base, start):
+        return replace(pair.fit, extras=start, deviance=deviances.get(start[-1].candidate.name, 95.0))
+
+    monkeypatch.setattr(engine, "falls_afresh", falls)
+    monkeypatch.setattr(engine, "refit_afresh", afresh)
+    monkeypatch.setattr(engine, "look", lambda base, fit: fit)
+    found, final = _in_place_of_figures(None, scene, [figure], "before")
+    one_sided = {name for name, c in zip(names, candidates, strict=True) if c.one_sided}
+    linear, fault = "spool_silting", "sensor_lag"  # the one has the right sign, the other reads and acts not
+    assert {other, "thermal_lag"} <= {name for (name,) in tried} == one_sided - {linear, f"{fault}@load_flow"}
+    assert found[0].label == other and final is found[0].fit and figure in found
+    found, final = _in_place_of_figures(None, scene, [pair], "before")
+    assert (beside, other) in tried and (beside, beside) not in tried and found[0].label == f"{beside} + {other}"
+    deviances[other] = 95.0
+    assert _in_place_of_figures(None, scene, [pair], "before")[1] == "before"  # nothing is better: nothing to look at
+    tried.clear()
+    without = explained(90.0, beside)
+    assert _in_place_of_figures(None, scene, [without], "before") == ([without], "before") and not tried
+
+
+def test_a_figure_of_the_material_is_rarer_than_one_of_the_part():
+    names = "parameter:spool_area", "parameter:spool_expansion", "spool_lap"
+    part, material, effect = (explained(100.0, name).price for name in names)
+    assert [part - effect, material - effect] == pytest.approx([PARAMETER_PRICE, MATERIAL_PRICE])
 
 
 def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypatch):

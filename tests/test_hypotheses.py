@@ -358,16 +358,27 @@ def test_an_effect_that_is_a_figure_off_shows_what_that_figure_shows(base, candi
     known = {"spool_lap": 2e6, "spool_edge_wear": 1.0 / 4.5e-7, "magnet_demagnetization": -100.0}  # by their laws
     for name, rate in known.items():
         lap = candidate(candidates, name)
-        assert lap.twin.name == lap.effect.figure and lap.rate == pytest.approx(rate, rel=1e-6)
+        assert lap.twin.name == lap.effect.figure and lap.rate_at(nominal()) == pytest.approx(rate, rel=1e-6)
         twin, share = lap.share(lap.add_to(nominal(), 0.3 * lap.typical), nominal())
         assert twin is lap.twin and share == pytest.approx(0.3 * lap.typical * rate, rel=1e-6)
     delay = candidate(candidates, "sensor_delay@load_flow")
-    assert delay.twin.name == "sensor_delay@load_flow" and delay.rate == pytest.approx(1.0 / delay.twin.deviation)
+    assert delay.twin.name == "sensor_delay@load_flow" and delay.rate_at(nominal()) == pytest.approx(
+        1.0 / delay.twin.deviation
+    )
     within = base.at(np.array([2.0 * (p is delay.twin) for p in base.parameters]))  # its small error is not the fault
-    assert delay.share(delay.add_to(within, 1e-4), within)[1] == pytest.approx(1e-4 * delay.rate)
+    assert delay.share(delay.add_to(within, 1e-4), within)[1] == pytest.approx(1e-4 * delay.rate_at(within))
     for other in ("fixed_orifice_clogging[side=1]", "coil_turns_loss", "spool_coulomb_friction"):  # no one figure
         assert candidate(candidates, other).twin is None
         assert candidate(candidates, other).share(nominal(), nominal()) is None
+
+
+def test_an_effect_that_scales_a_figure_moves_it_more_the_more_there_is_of_it(base, candidates):
+    """k (1 - loss): with a loss there a unit more of it takes the share 1/(1 - loss) of what is left of the figure."""
+    weak = candidate(candidates, "flexure_stiffness_loss")
+    weakened = weak.add_to(nominal(), 0.25)
+    assert weak.rate_at(weakened) == pytest.approx(weak.rate_at(nominal()) / 0.75, rel=1e-3)
+    twin, share = weak.share(weak.add_to(nominal(), 0.26), weakened)
+    assert 0.75 * (twin.nominal + share * twin.deviation) == pytest.approx(0.74 * twin.nominal, rel=1e-6)
 
 
 def test_answers_to_the_shape_of_a_memory_hold_in_a_record_that_starts_in_motion(base):
