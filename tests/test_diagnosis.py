@@ -13,7 +13,7 @@ from valvesim import search as engine
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
 from valvesim.diagnosis import _candidate_answers, _explains_more, _summary, _verdict
-from valvesim.hypotheses import BaseParameter, Candidate
+from valvesim.hypotheses import SHORT_LAG, BaseParameter, Candidate
 from valvesim.parameters import Valve
 from valvesim.search import (
     LEFT_SHARE,
@@ -303,6 +303,18 @@ def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_
 def test_two_sensors_that_err_alike_may_be_one_thing():
     assert _none_listed(explained(1.0, "sensor_bias@load_flow", "sensor_bias@spool_position"), 0.0)
     assert not _none_listed(explained(1.0, "sensor_bias@load_flow", "spool_lap"), 0.0)
+
+
+def test_a_lag_that_any_amplifier_has_is_not_named_for_sure():
+    def lagging(name, seconds):
+        fit = explained(1.0, name).fit
+        return Explained(replace(fit, extras=(replace(fit.extras[0], excess=seconds),)))
+
+    sensor = "sensor_lag@load_flow"
+    assert _none_listed(lagging(sensor, 0.9 * SHORT_LAG), 0.0)
+    assert not _none_listed(lagging(sensor, 1.1 * SHORT_LAG), 0.0)
+    assert not _none_listed(lagging("thermal_lag", 0.9 * SHORT_LAG), 0.0)  # of no sensor
+    assert not _none_listed(explained(1.0, "spool_lap"), 0.0)  # of still less, in metres
 
 
 def test_where_one_of_a_pair_is_slight_the_other_is_fitted_alone_too_from_where_it_got(monkeypatch):

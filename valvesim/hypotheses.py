@@ -27,6 +27,7 @@ from .units import quantities
 
 SENSOR_BIAS, SENSOR_GAIN = 2e-3, 4e-3  # tolerances that every sensor has: shares of its channel's span, and of gain,
 SENSOR_DELAY = 1e-4  # and s of its electronics and the logger's clock
+SHORT_LAG = 5e-5  # s: that of an amplifier of 3 kHz, such as a sensor may have: a shorter one is hardly a fault
 NEAR = 0.01  # prior deviations by which a parameter is moved: where many trade off, answers must hold to a thousandth
 FAST = ("armature_inertia", "armature_damping")  # they act within a rough grid's step: on the way they are held
 RUN = ("armature_inertia",)  # it acts within a fine grid's step too: it is run, moved by more
@@ -199,6 +200,10 @@ class Candidate:
         if self.parameter is None:
             raise InputError(f"candidate {self.name} is neither an effect nor a parameter")
         return self.parameter
+
+    def is_common(self, excess: float) -> bool:
+        """Whether a sensor that nobody would call faulty may have so little of this fault."""
+        return self.effect is not None and bool(self.effect.channel) and self.unit == "s" and excess < SHORT_LAG
 
     def location(self) -> str:
         """The balance or sensor where it acts."""

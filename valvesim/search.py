@@ -121,6 +121,8 @@ def _none_listed(best: Explained, left: float) -> str:
     faults = [c.effect.name for c in best.candidates if c.effect is not None and c.effect.reading is not None]
     if len(set(faults)) < len(faults):
         return "sensors that err alike may show one thing that reaches them all"
+    if any(extra.candidate.is_common(extra.excess) for extra in best.fit.extras):
+        return "a sensor may be so late without a fault"
     return ""
 
 
