@@ -248,6 +248,15 @@ def test_what_explains_too_little_stands_beside_noise_alone():
     assert members["spool_lap"] == pytest.approx(members["nothing but noise"])
 
 
+@pytest.mark.parametrize("fall", [64.0, 1600.0, 1e5])
+def test_however_much_a_cause_explains_it_may_be_one_that_nobody_has_listed(fall):
+    lap = explained(1000.0, "spool_lap")
+    base = SimpleNamespace(fit=replace(lap.fit, deviance=1000.0 + fall, extras=()))
+    named, unlisted = _candidate_answers(base, [lap], [lap], 4.0)[:2]
+    assert (unlisted.label, unlisted.in_set) == ("none of the known causes", False)
+    assert [named.probability, unlisted.probability] == pytest.approx([0.96, 0.04], abs=0.002)
+
+
 def leaving(z, *names, gained=1000.0, term=3.0, wander=0.0):
     """(base, final scene) of a hypothesis that leaves one further candidate at z, a free term, an amplitude astray."""
     noise = {"any": SimpleNamespace(verified=True)}
