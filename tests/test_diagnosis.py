@@ -453,8 +453,8 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     monkeypatch.setattr(engine, "look", lambda base, fit: fit)
     found, final = _in_place_of_figures(None, scene, [figure], "before")
     one_sided = {name for name, c in zip(names, candidates, strict=True) if c.one_sided}
-    linear, fault = "spool_silting", "sensor_lag"  # the one has the right sign, the other reads and acts not
-    assert {other, "thermal_lag"} <= {name for (name,) in tried} == one_sided - {linear, f"{fault}@load_flow"}
+    linear, fault = "spool_silting", "sensor_lag@load_flow"  # the one has the right sign, the other reads and acts not
+    assert {other, "thermal_lag"} <= {name for (name,) in tried} == one_sided - {linear, fault}
     assert found[0].label == other and final is found[0].fit and figure in found
     found, final = _in_place_of_figures(None, scene, [pair], "before")
     assert (beside, other) in tried and (beside, beside) not in tried and found[0].label == f"{beside} + {other}"

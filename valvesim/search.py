@@ -400,9 +400,12 @@ def _afresh(
 
 def _typical(base: BaseFit, scene: Scene) -> list[tuple[Extra, ...]]:
     """The best few effects at their typical amplitudes: where a base is stretched, linear answers may miss them all."""
-    effects = [k for k, candidate in enumerate(scene.candidates) if candidate.effect is not None]
-    signs = {k: (1.0,) if scene.candidates[k].one_sided else (1.0, -1.0) for k in effects}
-    starts = [(_at_typical(scene, k, sign),) for k in effects for sign in signs[k]]
+    starts = [
+        (_at_typical(scene, k, sign),)
+        for k, candidate in enumerate(scene.candidates)
+        if candidate.effect is not None
+        for sign in ((1.0,) if candidate.one_sided else (1.0, -1.0))
+    ]
     falls = falls_afresh(base, starts)
     return [starts[k] for k in np.argsort(-falls, kind="stable")[:SECONDS] if falls[k] > 0.0]
 
