@@ -100,7 +100,6 @@ SHARED = 0.6  # of what a base parameter costs alone where others help to take i
 RULER_STEPS, LONGEST_STEP, UNMOVED = 3, 6.0, 0.1  # of the base parameters, in prior deviations
 FALLEN = 0.8  # of d'^2 from one step to the next: then it has settled
 TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equations are not trusted
-NEXT_TEST_EVERY = 4  # seeds: the test is made on the plant and the longer session diagnosed
 BASELINE_EVERY = 8  # cases: the baselines refit a dozen candidates
 
 def _one_side(
@@ -604,7 +603,7 @@ def run_case(spec: Spec, earlier: Row | None, with_baselines: bool) -> Row:
             row |= _of_diagnosis(tuned.case, found)
             row["outcome"] = "done"
             row |= _errors(tuned, found, caught, load_session(folder), row)
-            if found.next_test is not None and spec.seed % NEXT_TEST_EVERY == 0:
+            if found.next_test is not None:
                 row["after_next_test"] = _after_next_test(tuned, found.next_test, Path(place) / "longer")
             if with_baselines:
                 start = time.perf_counter()
