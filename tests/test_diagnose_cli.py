@@ -117,7 +117,8 @@ def test_what_is_ambiguous_comes_with_the_next_test(call, found, session, tmp_pa
 
 
 def test_what_no_test_tells_apart_says_so(call, found, session, tmp_path):
-    found(replace(TESTED, next_test=None))
+    other = replace(TESTED.candidates[0], names=("spool_silting",), label="spool_silting")
+    found(replace(TESTED, next_test=None, candidates=(*TESTED.candidates, other)))
     out = " ".join(call(session, "-o", tmp_path / "out")[1].split())
     assert NO_TEST in out and "next test" not in out
 

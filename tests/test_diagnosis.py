@@ -12,7 +12,7 @@ import valvesim as vs
 from valvesim import search as engine
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
-from valvesim.diagnosis import _candidate_answers, _explains_more, _summary, _verdict
+from valvesim.diagnosis import _candidate_answers, _explains_more, _gain, _summary, _verdict
 from valvesim.hypotheses import SHORT_LAG, BaseParameter, Candidate
 from valvesim.parameters import Valve
 from valvesim.search import (
@@ -32,7 +32,7 @@ from valvesim.search import (
     _with_others,
 )
 from valvesim.session import load_session
-from valvesim.study import UNSETTLED, Extra, Fit
+from valvesim.study import UNSETTLED, Extra, Fit, fit_base, prepare_study
 from valvesim.units import quantities
 from valvesim.weighing import (
     ANSWER_RATIO,
@@ -137,6 +137,22 @@ def test_the_same_session_gives_the_same_answer(tmp_path):
     assert first.to_dict() == vs.diagnose(tmp_path).to_dict()
     shares = [share for _, share in stages]
     assert shares == sorted(shares) and shares[0] == 0.0 and len({stage for stage, _ in stages}) >= 3
+
+
+def test_a_locked_record_that_cannot_be_simulated_costs_its_gain_and_nothing_else(tmp_path, monkeypatch):
+    write_session(draw(0, "none"), tmp_path)
+    base = fit_base(prepare_study(load_session(tmp_path)))
+    (locked, *_) = base.study.session.locked
+
+    def prepare(session, record, universe):
+        raise vs.InputError(f"record {record.name}: radial clearance closes")
+
+    monkeypatch.setattr("valvesim.diagnosis.prepare", prepare)
+    variant = base.fit.variant(base.study.base)
+    gain, claimed, offered, traces, failed = _gain(base, base.fit, variant, base.fit.readings)
+    assert not gain and not claimed and not offered and {trace.role for trace in traces} == {"train"}
+    assert len(failed) == len(base.study.session.locked)
+    assert f"record {locked.name}: radial clearance closes" in failed[0]
 
 
 def test_records_of_another_valve_are_said_to_be_that_before_anything_is_named(tmp_path):

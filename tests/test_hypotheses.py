@@ -463,3 +463,17 @@ def test_in_short_records_a_long_lag_is_looked_for_within_and_beyond_them():
     )
     longest = max(record.time[-1] - record.time[0] for record in session.records)
     assert short == pytest.approx([longest / 4.0, 5.0 * longest]) and usual == [5.0]
+
+
+def test_more_of_an_error_that_the_session_states_is_seen_beside_it():
+    known = CATALOGUE["sensor_bias"].on("load_flow")(bias=1e-6)
+    session = replace(small_session(), effects=(known,))
+    base = base_of(session)
+    own, (bias,) = base.at(np.zeros(len(base.parameters))), [
+        c for c in candidates_of(session, base) if c.family == "sensor_bias@load_flow"
+    ]  # fmt: skip
+    more = bias.add_to(own, 5e-6)
+    assert bias.share(more, own)[1] == pytest.approx(5e-6 / bias.twin.deviation)
+    bench = bench_of("fast")
+    read = [bench.readings(bench.run(variant), variant)["load_flow"] for variant in (more, own)]
+    assert read[0] - read[1] == pytest.approx(5e-6)

@@ -56,6 +56,20 @@ def test_a_short_series_is_not_given_more_lags_than_it_can_tell():
     assert found(np.array([1.0, 3.0])).lags == ()
 
 
+def test_samples_that_a_sensor_lost_tell_nothing_of_its_noise():
+    whole = coloured(AR2, count=30_000)
+    lost = np.arange(len(whole)) % 100 < 40
+    gaps, zeros = found(np.where(lost, np.nan, whole)), found(np.where(lost, 0.0, whole))
+    assert gaps.deviation == pytest.approx(found(whole).deviation, rel=0.03)
+    assert gaps.lags[:2] == pytest.approx(AR2, abs=0.03)
+    assert zeros.deviation < 0.85 * gaps.deviation  # what is clipped is quiet, but is no reading
+
+
+def test_gaps_that_leave_few_whole_stretches_cost_lags():
+    scattered = np.where(np.arange(400) % 4 == 0, np.nan, coloured((0.5,), count=400))
+    assert len(found(scattered).lags) < 4 and found(scattered).deviation == pytest.approx(1.15, rel=0.15)
+
+
 def test_lags_that_would_grow_are_pulled_in():
     time = np.arange(2000)
     growing = 1.004**time + 1e-3 * np.random.default_rng(0).normal(size=time.size)

@@ -177,7 +177,6 @@ def test_the_inputs_are_the_records_own():
 def test_a_bench_knows_its_sensors():
     bench = bench_of("fast")
     assert bench.lags["load_flow"] == LAG and bench.lags["spool_position"] == 0.0
-    assert bench.ranges["load_flow"] == pytest.approx((-5e-4, 5e-4))
     assert set(bench.lags) == set(bench.record.outputs) == set(HEADERS)
 
 
@@ -331,6 +330,23 @@ def test_a_clearance_that_closes_is_named():
     impossible = Variant(replace(small_session().valve, radial_clearance=1e-9))
     with pytest.raises(InputError, match="clearance"):
         bench_of("fast").run(impossible)
+
+
+def test_a_record_that_starts_beyond_the_spools_stop_starts_at_rest_on_it():
+    bench = bench_of("slow")
+    inputs = bench.inputs.copy()
+    inputs[:, 0] = 0.014
+    pushed = replace(bench, inputs=inputs)
+    switched_off = nominal().with_effect(neutral(CATALOGUE["spool_coulomb_friction"]))
+    plain, with_neutral = (pushed.run(variant).states[0, :6] for variant in (nominal(), switched_off))
+    stroke = nominal().valve.spool_stroke
+    assert stroke < plain[4] < 1.05 * stroke
+    assert plain == pytest.approx(with_neutral, rel=1e-6, abs=1e-9)
+
+
+def test_dimensions_that_a_record_makes_impossible_name_the_record():
+    with pytest.raises(InputError, match="record fast: .*clearance"):
+        bench_of("fast").run(Variant(replace(small_session().valve, radial_clearance=1e-9)))
 
 
 def test_a_run_that_fails_says_which_record_when_and_what_to_ask(monkeypatch):

@@ -11,6 +11,7 @@ import pytest
 from valvesim import report_diagnosis
 from valvesim.answer import (
     NO_TEST,
+    NOTHING_NEXT,
     CandidateAnswer,
     DetectionLimit,
     Diagnosis,
@@ -535,6 +536,8 @@ def test_a_cause_with_several_figures_is_named_once_and_a_large_deviance_without
 
 def test_where_no_test_tells_them_apart_the_page_says_so(tmp_path):
     assert NO_TEST in report(ambiguous(next_test=None), tmp_path).text
+    likeliest = ambiguous(next_test=None).candidates[:1]
+    assert NOTHING_NEXT in report(ambiguous(next_test=None, candidates=likeliest), tmp_path).text
     assert "Next test" not in report(cause(next_test=None), tmp_path).headings
 
 

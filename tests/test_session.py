@@ -248,6 +248,8 @@ def test_a_session_file_that_cannot_be_read_is_refused(session, tmp_path):
         ("[[records]]\nfile = 'aa.csv'",
          ", line 2: records.1.file: 'aa.csv' is not in the folder; did you mean 'a.csv'?"),
         (listed("a", "a"), ", line 4: records.2.file: 'a.csv' is listed twice"),
+        ("[[records]]\nfile = 'a.csv'\n[[records]]\nfile = './a.csv'",
+         ", line 4: records.2.file: './a.csv' and 'a.csv' are both called 'a'"),
         (listed("a", role="tst"), ", line 3: records.1.role: unknown role 'tst'; did you mean 'test'?"),
         (listed("a", role=1), ", line 3: records.1.role: unknown role '1'"),
         (listed("a", repeats=1), ", line 3: records.1.repeats: expected a label in quotes, got 1"),

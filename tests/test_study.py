@@ -23,6 +23,7 @@ from valvesim.study import (
     _room,
     _step,
     falls_afresh,
+    find_noise,
     fit_base,
     fit_base_from,
     predict,
@@ -197,3 +198,41 @@ def test_room_is_up_to_the_limits_of_an_amplitude_and_a_stride_of_a_shape(biased
         assert 0.0 < moved.excess < hysteresis.limits[1] and low <= dict(moved.shapes)[shape.name] <= high
     assert np.exp(room[:, 3]) == pytest.approx([1.0 / 1.1, SHAPE_STRIDE])
     assert _moved(fit, room[1, 2:])[0].excess == pytest.approx(0.98 * hysteresis.limits[1])
+
+
+def test_what_a_saturated_sensor_lost_is_no_part_of_its_noise(tmp_path):
+    """Repeats agree where both stand at the sensor's end: as noise that would make all other samples an alarm."""
+    case = draw(0, "none")
+    write_session(case, tmp_path)
+    study = prepare_study(load_session(tmp_path))
+    nothing = [dict.fromkeys(bench.record.outputs, 0.0) for bench in study.benches]
+    name = study.benches[0].record.outputs[0]
+    records = []
+    for record in study.session.records:
+        values, top = record.values[name], np.quantile(record.values[name], 0.6)
+        clipped = {**record.values, name: np.minimum(values, top)}
+        records.append(replace(record, values=clipped, usable={**record.usable, name: values < top}))
+    lossy = prepare_study(replace(study.session, records=tuple(records)))
+    rate = study.benches[0].record.pace
+    whole, rest = (find_noise(each, nothing)[name, rate] for each in (study, lossy))
+    assert whole.verified and rest.verified
+    assert rest.deviation == pytest.approx(whole.deviation, rel=0.1)
+
+
+def test_repeats_of_one_record_do_not_keep_the_noise_of_others_at_what_the_nominal_valve_leaves(tmp_path):
+    case = draw(0, "none")
+    write_session(case, tmp_path)
+    session = load_session(tmp_path)
+    last = next(record for record in session.training if record.repeats is None)
+    others = [record for record in session.training if record is not last]
+    slow = replace(
+        last, time=last.time[::2], values={name: column[::2] for name, column in last.values.items()},
+        usable={name: column[::2] for name, column in last.usable.items()}, repeats=None,
+    )  # fmt: skip
+    base = fit_base(prepare_study(replace(session, records=(*others, slow))))
+    rates = {noise.verified: rate for (_, rate), noise in base.study.noise.items()}
+    assert rates == {True: others[0].pace, False: slow.pace}
+    nominal = find_noise(base.study, predict(base.study, base.study.base.at(np.zeros(len(base.study.base.parameters)))))
+    for name in slow.outputs:
+        own, true = base.study.noise[name, rates[False]].deviation, base.study.noise[name, rates[True]].deviation
+        assert 0.8 * true < own < 0.8 * nominal[name, rates[False]].deviation

@@ -137,3 +137,19 @@ def test_a_users_file_that_is_no_text_is_refused(tmp_path):
     assert "fails with UnicodeDecodeError" in refused(load_effects, tmp_path / "own.py")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"side_load"', '"side load"', "effect 'side load': the name 'side load' may hold letters, digits and _ alone"),
+        ('unit="N"', 'unit=""', "effect 'side_load': force has no unit; one without a dimension has '1'"),
+        ('unit="N"', 'unit="Newtn"', "effect 'side_load': force: unknown unit 'Newtn'"),
+        ("(vs.Ports(spool_force=p.force), ())", "vs.Ports(spool_force=p.force)",
+         "effect 'side_load': its balance must give (vs.Ports(...), rates) with a tuple of 0 rates, got Ports("),
+        ("(vs.Ports(spool_force=p.force), ())", "(vs.Ports(spool_force=p.force), (0.0,))", "with a tuple of 0 rates"),
+        ("p.force)", "p.froce)", "line 7: fails with AttributeError"),
+    ],
+)  # fmt: skip
+def test_an_effect_that_could_not_be_run_or_written_is_refused_when_it_is_read(tmp_path, old, new, message):
+    (tmp_path / "own.py").write_text(EFFECT.replace(old, new), encoding="utf-8")
+    told = refused(load_effects, tmp_path / "own.py")
+    assert told.startswith(str(tmp_path / "own.py")) and message in told

@@ -63,7 +63,10 @@ class Gain:
 
 @dataclass(frozen=True, kw_only=True)
 class DetectionLimit:
-    """The smallest amplitude of an effect that this session would have shown, nine times in ten; None: it is blind."""
+    """The smallest amplitude of an effect that this session would have shown, nine times in ten; None: it is blind.
+
+    It is counted from the value at which the effect vanishes, and a parameter's from its nominal value.
+    """
 
     name: str
     label: str
@@ -76,6 +79,7 @@ NO_TEST = (
     "None of the tests that are thought of would tell the likeliest from what comes next with a probability of 80 %: "
     "measure a further channel, or with less noise."
 )
+NOTHING_NEXT = "No test is proposed: nothing known comes next to the likeliest. Measure a further channel."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +198,14 @@ class Diagnosis:
     extended_scenario: str  # the text of a scenario file
     extended_effects: dict[str, str] = dataclasses.field(default_factory=dict)  # Python files that it names, by name
     extended_variant: Any = None  # the valve and its effects: prediction.Variant
+
+    @property
+    def no_test(self) -> str:
+        """Why an ambiguous answer has no next test, in words; "" where it has one, or nothing is to be told apart."""
+        if self.verdict != AMBIGUOUS or self.next_test is not None:
+            return ""
+        known = [one for one in self.candidates if one.in_set and one.names != (UNKNOWN,)]
+        return NO_TEST if len(known) > 1 else NOTHING_NEXT
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the traces, ready for JSON."""

@@ -386,8 +386,6 @@ def _columns_text(columns: dict[str, Any]) -> str:
 
 def _print_diagnosis(found: Any) -> None:
     """Verdict, causes with their figures, next test and gain, a line each."""
-    from .answer import AMBIGUOUS, NO_TEST
-
     console = _console()
     console.print(f"[bold]{found.verdict.replace('_', ' ')}[/bold]: {escape(found.summary)}")
     if found.location:
@@ -406,8 +404,8 @@ def _print_diagnosis(found: Any) -> None:
     if (test := found.next_test) is not None:
         power = f"tells {' from '.join(test.separates)} apart with {test.power:.0%}"
         console.print(escape(f"next test, {test.duration:g} s: {test.description}; {power}"))
-    elif found.verdict == AMBIGUOUS:
-        console.print(escape(NO_TEST))
+    elif found.no_test:
+        console.print(found.no_test)
     for g in found.gain:
         told = "" if g.claimed else ", not claimed"
         console.print(escape(f"gain on {g.record}: error {g.before:.3g} -> {g.after:.3g} (noise {g.floor:.3g}){told}"))

@@ -30,6 +30,7 @@ from .answer import (
     Trace,
 )
 from .channels import SIGNAL_CHANNELS, STATE_CHANNELS
+from .errors import InputError, SolveError
 from .evidence import inverse_of
 from .extension import effect_files, scenario_text
 from .next_test import design
@@ -115,7 +116,8 @@ def _answer(searched: Searched) -> Diagnosis:
     causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
     estimates = _estimates(base, searched.final) if named is not None else ()
     before = base.fit if variant is unextended else within_tolerance(base)
-    gain, claimed, offered, traces = _gain(base, before, variant, readings)
+    gain, claimed, offered, traces, failed = _gain(base, before, variant, readings)
+    notes += failed
     if not offered and variant is not unextended:
         variant = before.variant(study.base)
         notes.append(
@@ -206,7 +208,8 @@ def _hopeless(base: BaseFit, fit: Fit) -> bool:
     shares = []
     for bench, read in zip(base.study.benches, fit.readings, strict=True):
         for name, column in read.items():
-            measured = bench.record.values[name]
+            usable = bench.record.usable[name]
+            measured, column = bench.record.values[name][usable], column[usable]
             noise = base.study.noise[name, bench.record.pace].deviation
             signal = float(np.std(measured))
             if signal > 5.0 * noise:
@@ -388,21 +391,26 @@ def _errors(study: Study, before: Fit) -> dict[str, dict[str, float]]:
 
 def _gain(
     base: BaseFit, before: Fit, extended: Variant, readings: Sequence[dict[str, np.ndarray]]
-) -> tuple[tuple[Gain, ...], bool, bool, tuple[Trace, ...]]:
+) -> tuple[tuple[Gain, ...], bool, bool, tuple[Trace, ...], list[str]]:
     """Errors of base and extended model on the locked records, opened here and once; and traces of all records.
 
     The first flag tells whether a gain is claimed, the second whether the extended model is offered: where it most
-    likely does better on what it has not seen, or where nobody can tell.
+    likely does better on what it has not seen, or where nobody can tell. Last what could not be simulated, in words:
+    then it is not offered.
     """
     study, session = base.study, base.study.session
     universe = study.benches[0].universe
     variants = (before.variant(study.base), extended)
-    gains, traces, pooled = [], [], []
+    gains, traces, pooled, failed = [], [], [], []
     for bench, *reads in zip(study.benches, before.readings, readings, strict=True):
         traces += _traces(study, bench.record, reads)
     for record in session.locked:
-        bench = prepare(session, record, universe)
-        reads = [bench.readings(bench.run(variant), variant) for variant in variants]
+        try:
+            bench = prepare(session, record, universe)
+            reads = [bench.readings(bench.run(variant), variant) for variant in variants]
+        except (InputError, SolveError) as reason:  # what was found in the others stands all the same
+            failed.append(f"no gain is measured on a locked record that cannot be simulated: {reason}")
+            continue
         traces += _traces(study, record, reads)
         white = []
         for name in record.outputs:
@@ -426,7 +434,7 @@ def _gain(
     if pooled:
         means = _block_means(np.concatenate(pooled), session.seed)
         claimed, offered = bool(np.quantile(means, INTERVAL[1]) < 0.0), bool(np.mean(means < 0.0) >= LIKELY)
-    return tuple(gains), claimed, offered, tuple(traces)
+    return tuple(gains), claimed, offered and not failed, tuple(traces), failed
 
 
 def _nearest_noise(study: Study, channel: str, rate: float) -> tuple[str, float] | None:

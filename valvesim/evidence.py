@@ -22,12 +22,13 @@ DRAWS = 20_000
 
 @dataclass(frozen=True)
 class Gram:
-    """Products of columns over segments: `products` (segments, m, m), columns [r, J (p), S (q)], `prior_now` t (p,)."""
+    """Products of columns over segments: `products` (segments, m, m), columns [r, J (p), S (q)], `prior_now` t (p,).
+
+    `rows` (segments,) are how many rows went into each.
+    """
 
     products: np.ndarray
     prior_now: np.ndarray
-    names: tuple[str, ...]
-    segments: tuple[str, ...]
     rows: tuple[int, ...]
 
     @property
@@ -44,15 +45,6 @@ class Gram:
     def deviance(self) -> float:
         """Whitened squares of the residual and of the prior."""
         return float(self.total[0, 0] + self.prior_now @ self.prior_now)
-
-    def step(self) -> np.ndarray:
-        """The Gauss-Newton step (p,) of the base parameters, in prior standard deviations."""
-        G, p = self.total, self.parameters
-        return np.linalg.solve(_H(G, p), G[1 : 1 + p, 0] - self.prior_now)
-
-    def covariance(self) -> np.ndarray:
-        """Posterior covariance (p, p) of the base parameters, in prior standard deviations."""
-        return np.linalg.inv(_H(self.total, self.parameters))
 
 
 def inverse_of(H: np.ndarray) -> np.ndarray:

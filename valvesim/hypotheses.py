@@ -269,11 +269,14 @@ class Candidate:
     def _amplitude_in(self, variant: Variant) -> float:
         assert self.effect is not None  # noqa: S101 - only effects have twins
         amplitude = self.effect.amplitude
-        for active in variant.effects:
-            own = (active.effect.name, active.effect.channel) == (self.effect.name, self.effect.channel)
-            if own and not isinstance(active.effect, SmallError):
-                return float(getattr(active.values, amplitude.name))
-        return float(amplitude.neutral or 0.0)
+        own = [
+            float(getattr(active.values, amplitude.name))
+            for active in variant.effects
+            if (active.effect.name, active.effect.channel) == (self.effect.name, self.effect.channel)
+            and not isinstance(active.effect, SmallError)
+        ]
+        # a sensor's error that the session states may have more of the same beside it
+        return sum(own) - (len(own) - 1) * float(amplitude.neutral or 0.0)
 
     def shapes(self) -> tuple[Any, ...]:
         """The shape parameters that can be fitted."""

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from .channels import INPUT_CHANNELS, STATE_CHANNELS, Channel, Inputs, Signals, State
+from .channels import STATE_CHANNELS, Channel, Inputs, Signals, State
 from .effects import ActiveEffect, Effect, Ports, Situation
 from .errors import InputError
 from .laws import (
@@ -272,4 +272,3 @@ def main_stage(x_v, supply_pressure, load_pressure, c: Coefficients) -> tuple[An
 
 
 NOMINAL = Model()
-N_INPUTS = len(INPUT_CHANNELS)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 MOST_LAGS = 8
-FEWEST_PER_LAG = 20  # samples for each lag that is estimated
+FEWEST_PER_LAG = 20  # samples for each lag that is estimated; half of them with their past unbroken
 
 
 @dataclass(frozen=True)
@@ -55,17 +55,23 @@ def _filter_back(white: np.ndarray, lags: Sequence[float]) -> np.ndarray:
 
 
 def fit_noise(series: Sequence[np.ndarray], *, verified: bool, source: str, floor: float) -> Noise:
-    """The autoregressive model of least BIC for series of one kind of noise; never below the deviation `floor`."""
-    series = [np.asarray(one, dtype=float) - np.mean(one) for one in series]
-    total = sum(map(len, series))
-    most = int(min(MOST_LAGS, total // FEWEST_PER_LAG, min(map(len, series)) - 2))
+    """The autoregressive model of least BIC for series of one kind of noise; never below the deviation `floor`.
+
+    NaN are samples that the sensor lost: what touches them tells nothing of the noise.
+    """
+    series = [np.asarray(one, dtype=float) - np.mean(one[np.isfinite(one)]) for one in series]
+    counts = [np.count_nonzero(np.isfinite(one)) for one in series]
+    most = max(int(min(MOST_LAGS, sum(counts) // FEWEST_PER_LAG, min(counts) - 2)), 0)
+    while most and sum(map(np.count_nonzero, _unbroken(series, most))) < FEWEST_PER_LAG * most / 2:
+        most -= 1
+    whole = np.concatenate(_unbroken(series, most))
+    target = np.concatenate([one[most:] for one in series])[whole]
     best: tuple[float, float, tuple[float, ...]] | None = None
-    for p in range(max(most, 0) + 1):
-        target = np.concatenate([one[most:] for one in series])
+    for p in range(most + 1):
         if p:
             past = np.concatenate(
                 [np.column_stack([one[most - j : len(one) - j] for j in range(1, p + 1)]) for one in series]
-            )
+            )[whole]
             a = np.linalg.lstsq(past, target, rcond=None)[0]
             left = target - past @ a
         else:
@@ -80,6 +86,11 @@ def fit_noise(series: Sequence[np.ndarray], *, verified: bool, source: str, floo
         return noise
     return Noise(floor * noise.innovation / noise.deviation, noise.lags, verified, source) if noise.innovation > 0.0 \
         else Noise(floor, (), verified, source)  # fmt: skip
+
+
+def _unbroken(series: Sequence[np.ndarray], most: int) -> list[np.ndarray]:
+    """For each series (n,), (n - most,): True for the samples that are there, with `most` before them."""
+    return [np.all([np.isfinite(one[most - j : len(one) - j]) for j in range(most + 1)], axis=0) for one in series]
 
 
 def _stable(lags: tuple[float, ...]) -> tuple[float, ...]:

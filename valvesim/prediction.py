@@ -7,7 +7,8 @@ value unless the variant says otherwise, so that no combination of effects is ev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from .channels import STATE_CHANNELS, Inputs
 from .commands import evaluate, merge
 from .compiled import CompiledModel, compile_model
 from .effects import ActiveEffect, Effect, Reading
-from .errors import SolveError
+from .errors import InputError, SolveError
 from .model import Model
 from .parameters import Coefficients, PartTemperatures, Valve
 from .scenario import Scenario
@@ -74,7 +75,6 @@ class Bench:
     scenario: Scenario
     universe: tuple[Effect, ...]
     lags: dict[str, float]
-    ranges: dict[str, tuple[float, float]]
     path: TemperaturePath
     times: np.ndarray
     refinement: int
@@ -136,7 +136,8 @@ class Bench:
         path = self.path
         if any(active.effect.temperatures is not None for active in variant.effects):
             path, _ = temperature_knots(replace(self.scenario, effects=variant.effects))
-        c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
+        with _speaking_of(self.record):
+            c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
         model = self.model(variant.effects) if model is None else model
         return path, model.flat_coefficients(c, _padded(model, variant.effects), path.parts), model
 
@@ -233,7 +234,9 @@ def _read(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.
 
 def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Bench:
     """A record ready to be predicted with any variant whose effects with a balance are among `universe`."""
-    scenario = record_scenario(session, record, tolerance=TOLERANCE)
+    with _speaking_of(record):
+        scenario = record_scenario(session, record, tolerance=TOLERANCE)
+        path, _ = temperature_knots(scenario)
     step = 1.0 / record.rate
     refinement = int(np.ceil(step / _finest(session) - 1e-6)) if step <= SLOW else 1
     count = (len(record.time) - 1) * refinement + 1
@@ -249,8 +252,7 @@ def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Ben
         scenario=scenario,
         universe=tuple(effect for effect in universe if effect.balance is not None),
         lags={name: sensors[name].lag for name in record.outputs if name in sensors},
-        ranges={name: sensors[name].range for name in record.outputs if name in sensors},
-        path=temperature_knots(scenario)[0],
+        path=path,
         times=times,
         refinement=refinement,
         finer=finer,
@@ -260,6 +262,15 @@ def prepare(session: Session, record: Record, universe: Sequence[Effect]) -> Ben
         rows=intervals.rows,
         inputs=_inputs(scenario, times),
     )
+
+
+@contextmanager
+def _speaking_of(record: Record) -> Iterator[None]:
+    """An InputError from inside gets the record's name."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"record {record.name}: {error}") from None
 
 
 def _finest(session: Session) -> float:
@@ -340,7 +351,8 @@ def _rest(bench: Bench, compiled: CompiledModel, flat: np.ndarray, off: np.ndarr
                                 rest.spool_position, 0.0)]  # fmt: skip
     y[6 : 6 + len(memory)] = memory
     y /= compiled.scale
-    if not any(e.balance for e in compiled.model.effects):
+    on_stop = np.any(np.abs(rest.spool_position) > c.spool_stroke)  # the static solution knows no stops
+    if not on_stop and not any(e.balance for e in compiled.model.effects):
         return y
     f, J = np.empty(len(y)), np.empty((len(y), len(y)))
     for _ in range(20):

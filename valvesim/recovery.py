@@ -59,7 +59,6 @@ class Recovered:
 
     term: Term
     active: ActiveEffect
-    family: Family
     point: np.ndarray
     deviance: float
     freedom: int
@@ -186,7 +185,7 @@ def recover(base: BaseFit, scene: Scene) -> Recovered | None:
         problem, solution, formula, error, _alike(looks.get(len(problem.knots), scene), problem.family, margin)
     )
     return Recovered(
-        term, problem.active(state.values, state.figure), problem.family, state.point, state.deviance, freedom,
+        term, problem.active(state.values, state.figure), state.point, state.deviance, freedom,
         state.readings, problem.variant(state.point, state.values, state.figure),
     )  # fmt: skip
 

@@ -17,7 +17,6 @@ from .answer import (
     AMBIGUOUS,
     CAUSE,
     NO_DISCREPANCY,
-    NO_TEST,
     UNKNOWN,
     DetectionLimit,
     Diagnosis,
@@ -582,7 +581,7 @@ def _answer_set(diagnosis: Diagnosis) -> _Markup:
 def _next_test(diagnosis: Diagnosis) -> _Markup:
     test = diagnosis.next_test
     if test is None:
-        return _section("Next test", _text(NO_TEST)) if diagnosis.verdict == AMBIGUOUS else _Markup()
+        return _section("Next test", _text(diagnosis.no_test)) if diagnosis.no_test else _Markup()
     first, second = map(spoken, test.separates)
     settings = [(spoken(name), text) for name, text in test.settings.items()]
     duration = f"takes {test.duration:g} s and " if np.isfinite(test.duration) else ""
@@ -601,7 +600,9 @@ def _gain(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> _Markup:
         return _Markup()
     heading = "Gain of the extended model"
     if not diagnosis.gain:
-        return _section(heading, _text("No gain is claimed: there is no locked record to try the extended model on."))
+        return _section(
+            heading, _text("No gain is claimed: there is no locked record that the extended model could be tried on.")
+        )
     if not _extended_differs(diagnosis):
         return _section(heading, _text("No gain is claimed: nothing was found to extend the model with."))
     told = (
@@ -688,7 +689,11 @@ def _limits(limits: Sequence[DetectionLimit]) -> _Markup:
             continue
         unit, factor = _unit_of(limit.unit, limit.amplitude, limit.parameter)
         seen.append((spoken(limit.label), spoken(limit.parameter), _with_unit(f"{limit.amplitude * factor:.3g}", unit)))
-    told = "The smallest amplitude that these records would have shown, nine times in ten." if seen else ""
+    told = (
+        "The smallest amplitude that these records would have shown, nine times in ten, from where the effect vanishes."
+        if seen
+        else ""
+    )
     blindness = _text(f"Blind to: {'; '.join(blind)}.") if blind else _Markup()
     headings = ("effect", "figure", "smallest amplitude")
     return _section("What this session would have shown", _text(told), _table(headings, seen, (2,)), blindness)

@@ -85,14 +85,14 @@ class Scene:
             return 0.0, 0
         G, k = self.gram, 1 + self.gram.parameters + self.own[0]
         at = [0, *range(1, 1 + G.parameters), *(1 + G.parameters + j for j in self.own)]
-        m, total = len(G.segments), G.total
+        m, total = len(G.products), G.total
         size = len(at)
         big = np.zeros((size + m, size + m))
         big[:size, :size] = total[np.ix_(at, at)]
         for j in range(m):
             big[:size, size + j] = big[size + j, :size] = G.products[j][at, k]
             big[size + j, size + j] = G.products[j][k, k]
-        parts = Gram(big[None], G.prior_now, (), (), ())
+        parts = Gram(big[None], G.prior_now, ())
         own = len(self.own)
         split = project(parts, 0, own + m).without(range(own))
         return block_statistic(split, range(own, own + m))
@@ -114,7 +114,7 @@ def look(base: BaseFit, fit: Fit, *, searched: Sequence[Family] = families(), kn
     spans = _spans(views, searched)
     T = study.each(lambda seen: family_columns(seen, searched, spans, knots), views)
     own = own_columns(study, fit, views, J)
-    gram = gram_of(study, views, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point, ())
+    gram = gram_of(study, views, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point)
     q, f = len(candidates), len(searched) * knots
     count = len(fit.kinds)
     blocks = tuple(tuple(range(q + k * knots, q + (k + 1) * knots)) for k in range(len(searched)))

@@ -124,8 +124,6 @@ def _machine() -> tuple[Any, Any, Any]:
 class Linearised:
     """The equations linear along a course: `respond` solves them, `slopes` are the channels' over the states."""
 
-    bench: Bench
-    course: Course
     active: np.ndarray  # indices of the states that take part
     scale: np.ndarray
     A: np.ndarray
@@ -168,7 +166,7 @@ def linearise(bench: Bench, course: Course, active: np.ndarray, model: Model, al
     E, early, late = (np.empty((n - 1, len(active), len(active))) for _ in range(3))
     _machine()[0](A, h, E, early, late)
     slopes = _slopes(bench, course, active, scale, model, along)
-    return Linearised(bench, course, active, scale[active], A, E, early, late, slopes)
+    return Linearised(active, scale[active], A, E, early, late, slopes)
 
 
 def _slopes(

@@ -310,7 +310,9 @@ def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
         Reader.known(figures, ("noise", "resolution", "lag", "range"), where)
         units = {"noise": UNITS[name], "resolution": UNITS[name], "lag": "s"}
         known: dict[str, Any] = {}
-        for key in figures.keys() & units.keys():
+        for key in units:
+            if key not in figures:
+                continue
             known[key] = parse(figures[key], units[key], f"{where}.{key}")
             if known[key] < 0.0 or (key == "noise" and known[key] == 0.0):
                 least = "be positive" if key == "noise" else "not be negative"
@@ -350,8 +352,10 @@ def _listed(folder: Path, records: Any) -> list[tuple[str, str, str | None]]:
             raise InputError(f"{where}.file: expected the name of a CSV file, got {file!r}")
         if not (folder / file).is_file():
             raise InputError(f"{where}.file: {file!r} is not in the folder{nearest(file, have)}")
-        if file in (each[0] for each in listed):
-            raise InputError(f"{where}.file: {file!r} is listed twice")
+        for other, _, _ in listed:
+            if _called(file) == _called(other):
+                raise InputError(f"{where}.file: {file!r} is listed twice" if file == other else
+                                 f"{where}.file: {file!r} and {other!r} are both called {_called(file)!r}")  # fmt: skip
         if not isinstance(role, str) or role not in _ROLES:
             raise unknown_name("role", str(role), _ROLES, f"{where}.role")
         if repeats is not None and not isinstance(repeats, str):
@@ -363,9 +367,14 @@ def _listed(folder: Path, records: Any) -> list[tuple[str, str, str | None]]:
 # ---------------------------------------------------------------- records
 
 
+def _called(file: str) -> str:
+    """The name of the record in a file."""
+    return str(Path(file).with_suffix(""))
+
+
 def _read_record(folder: Path, session: Session, notes: list[str], file: str, role: str, repeats: str | None) -> Record:
     """One record, audited on its own; every output channel still counts as usable throughout."""
-    path, name = folder / file, str(Path(file).with_suffix(""))
+    path, name = folder / file, _called(file)
     values = _read_values(path)
     time = _even_clock(path, values.pop("time"))
     if "oil_temperature" not in values:
@@ -374,6 +383,8 @@ def _read_record(folder: Path, session: Session, notes: list[str], file: str, ro
     outputs = [n for n in OUTPUTS if n in values and (n != "current" or "voltage" in values)]
     if not outputs:
         raise InputError(f"{path}: no output channel; expected one or more of {', '.join(OUTPUTS[:-1])}")
+    if "body_temperature" in values:
+        notes.append(f"{name}: body_temperature is not used: the parts follow the oil as [thermal] says")
     record = Record(name, time, values, {n: np.ones(len(time), dtype=bool) for n in outputs}, role, repeats, path)
     for column in record.inputs:
         if _rests(values[column], _scale(column, session.valve)):

@@ -41,6 +41,7 @@ ASTRAY = 1.5  # times the rows: a refit that leaves so much is led nearer first,
 BASE_LOOKS, LOOKS, MORE_LOOKS = 24, 4, 12  # how often answers may be taken anew: in the base fit, a refit, a good one
 STEPS, FAILURES = 20, 4  # with the same answers: all, and those that bring much less than they promise
 FAR_OFF, ROUGH, ROBUST_LOOKS = 3.0, 0.1, 8  # times the median misfit; share of the deviance not worth a look; looks
+LEAST_COMMON = 0.2  # share of the samples of repeats that none has lost: of fewer their noise is not taken
 EDGE = 0.98  # share of its limits that an excess keeps to while it is fitted
 FLOOR = 1e-4  # of what is typical: to so little an excess of one sign may come while it is fitted
 PEAKS_WORSE = 3.0  # times what is left between peaks: where they leave more, the model cannot follow them
@@ -137,7 +138,7 @@ def find_noise(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> dict[
     keys = dict.fromkeys((name, record.pace) for record in records for name in record.outputs)
     for name, rate in keys:
         own = [
-            (record, record.values[name] - read[name])
+            (record, np.where(record.usable[name], record.values[name] - read[name], np.nan))
             for record, read in zip(records, readings, strict=True)
             if name in record.outputs and record.pace == rate
         ]
@@ -166,7 +167,10 @@ def _size(own: Sequence[tuple[Record, np.ndarray]], name: str) -> float:
 
 
 def _differences(own: Sequence[tuple[Record, np.ndarray]]) -> list[np.ndarray]:
-    """Noise alone, from records that repeat each other: what the model gets wrong is the same in each."""
+    """Noise alone, from records that repeat each other: what the model gets wrong is the same in each.
+
+    NaN where one of them has lost its sample.
+    """
     groups: dict[str, list[np.ndarray]] = {}
     for record, left in own:
         if record.repeats:
@@ -178,6 +182,8 @@ def _differences(own: Sequence[tuple[Record, np.ndarray]]) -> list[np.ndarray]:
             continue
         length = min(map(len, members))
         stack = np.array([m[:length] for m in members])
+        if np.mean(np.isfinite(stack).all(axis=0)) < LEAST_COMMON:
+            continue
         apart = (stack - stack.mean(axis=0)) * np.sqrt(count / (count - 1.0))
         series += list(apart[:-1] if count == 2 else apart)
     return series
@@ -314,8 +320,9 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
 
     study = replace(study, noise=first_noise(study))
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
-    if _repeated(study):
-        return fit_from(replace(study, noise=find_noise(study, fit.readings)), fit, ahead)
+    noise = find_noise(study, fit.readings)
+    if all(one.verified for one in noise.values()):
+        return fit_from(replace(study, noise=noise), fit, ahead)
     base = _afar(study, fit, ahead)
     for _ in range(2):  # the noise is what the best fit leaves: again with its colour
         noise = find_noise(study, base.fit.readings)
@@ -488,11 +495,6 @@ def _far(start: Fit, fit: Fit) -> bool:
     """Whether the answers taken at `start` are of a valve too far from where the fit is now."""
     far = float(np.max(np.abs(fit.point - start.point)))
     return start.deviance - fit.deviance > 50.0 and far > FAR_AWAY
-
-
-def _repeated(study: Study) -> bool:
-    labels = [bench.record.repeats for bench in study.benches if bench.record.repeats]
-    return len(labels) > len(set(labels))
 
 
 def see(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.ndarray]]]:
@@ -820,17 +822,16 @@ def own_step(extra: Extra) -> float:
     )
 
 
-def gram_of(study: Study, views: Sequence[View], blocks: Sequence[Sequence[dict[str, np.ndarray]]], point: np.ndarray,
-            names: Sequence[str]) -> Gram:  # fmt: skip
+def gram_of(
+    study: Study, views: Sequence[View], blocks: Sequence[Sequence[dict[str, np.ndarray]]], point: np.ndarray
+) -> Gram:
     """The Gram of all views, two segments a record: `blocks[k]` are the columns of view k, beside its residual."""
-    products, segments, rows = [], [], []
+    products, rows = [], []
     for seen, own in zip(views, blocks, strict=True):
-        record = seen.bench.record
-        residual = residual_of(record, seen.readings)
+        residual = residual_of(seen.bench.record, seen.readings)
         joined = {name: np.column_stack([residual[name], *(block[name] for block in own)]) for name in residual}
         parts = [np.array_split(white, SEGMENTS) for white in study.whiten(seen.bench, joined)]
         for k in range(SEGMENTS):
             products.append(sum(part[k].T @ part[k] for part in parts))
-            segments.append(f"{record.name}, part {k + 1} of {SEGMENTS}")
             rows.append(sum(len(part[k]) for part in parts))
-    return Gram(np.array(products), np.asarray(point, dtype=float), tuple(names), tuple(segments), tuple(rows))
+    return Gram(np.array(products), np.asarray(point, dtype=float), tuple(rows))

@@ -8,14 +8,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .catalogue import CATALOGUE
-from .effects import Effect
+from .channels import INPUT_CHANNELS, STATE_CHANNELS, Inputs, State
+from .effects import CHANNEL, Effect, Ports, Situation
 from .errors import InputError
+from .model import AT_20
+from .parameters import Valve
+from .units import parse
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
     """The effects that a Python file declares at its top level, in their order.
 
-    Raises InputError for a file that fails to run (with its line), holds no `Effect`, or has a name of the catalogue.
+    Raises InputError for a file that fails to run (with its line), holds no `Effect`, or has a name of the catalogue,
+    and for an effect with a name that files cannot hold, an unknown unit, or a balance of another form.
     """
     path = Path(path)
     module = types.ModuleType(path.stem)
@@ -40,9 +45,42 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
             raise InputError(f"{path}: two effects are called {effect.name!r}")
         try:
             _ = effect.amplitude
+            _check_words(effect)
+            _check_balance(effect)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+        except Exception as error:  # its balance may raise anything
+            raise _failed(path, error) from error
     return tuple(own)
+
+
+def _check_words(effect: Effect) -> None:
+    """Names and units are written to files and read again."""
+    for word in (effect.name, *(p.name for p in effect.parameters)):
+        if not (word.isidentifier() and word.isascii()):
+            raise InputError(f"effect {effect.name!r}: the name {word!r} may hold letters, digits and _ alone")
+    for p in effect.parameters:
+        if not p.unit:
+            raise InputError(f"effect {effect.name!r}: {p.name} has no unit; one without a dimension has '1'")
+        if CHANNEL not in p.unit and p.unit != "1":
+            parse(f"1 {p.unit}", p.unit, f"effect {effect.name!r}: {p.name}")
+
+
+def _check_balance(effect: Effect) -> None:
+    """The balance, tried once at figures of a usual size, must give ports and a rate for each memory."""
+    if effect.balance is None:
+        return
+    state = State(*(channel.scale for channel in STATE_CHANNELS))
+    inputs = Inputs(*(channel.scale for channel in INPUT_CHANNELS))
+    situation = Situation(state, inputs, inputs.command, 0.0, 1e-4, 5e-6, 5e-6, Valve().at(AT_20))
+    p = effect.values(p.default for p in effect.parameters)
+    given = effect.balance(situation, p, tuple(memory.scale for memory in effect.memory))
+    ports, rates = given if isinstance(given, tuple) and len(given) == 2 else (given, None)
+    if not isinstance(ports, Ports) or not isinstance(rates, tuple) or len(rates) != len(effect.memory):
+        raise InputError(
+            f"effect {effect.name!r}: its balance must give (vs.Ports(...), rates) with a tuple of "
+            f"{len(effect.memory)} rates, got {str(given)[:80]}"
+        )
 
 
 def load_effects_files(folder: Path, files: Sequence[str | Path]) -> tuple[Effect, ...]:
