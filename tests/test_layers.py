@@ -1,6 +1,7 @@
 """The one-way order of the modules, read from their imports."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -73,3 +74,10 @@ def test_importing_the_package_loads_no_heavy_library():
     code = "import sys, valvesim, valvesim.cli; print(*sorted(sys.modules))"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "valvesim.simulate" in shown.split() and not HEAVY & set(shown.split())
+
+
+def test_the_table_of_modules_in_the_documents_has_the_same_order():
+    text = (PACKAGE.parent / "docs" / "design.md").read_text(encoding="utf-8")
+    cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    named = [name for cell in cells for name in re.findall("`(\\w+)`", cell)]
+    assert named == [name for name in ORDER if name not in PICTURES[1:]]

@@ -1,4 +1,4 @@
-"""Pictures of a run. The only module that imports matplotlib."""
+"""Pictures of a run. Only this module and its kin `report_*` import matplotlib."""
 
 from __future__ import annotations
 
