@@ -320,8 +320,9 @@ def fit_base(study: Study, tell: Callable[[float], None] = lambda share: None) -
 
     study = replace(study, noise=first_noise(study))
     fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
-    noise = find_noise(study, fit.readings)
-    if all(one.verified for one in noise.values()):
+    labels = [bench.record.repeats for bench in study.benches if bench.record.repeats]
+    noise = find_noise(study, fit.readings) if len(labels) > len(set(labels)) else {}
+    if noise and all(one.verified for one in noise.values()):
         return fit_from(replace(study, noise=noise), fit, ahead)
     base = _afar(study, fit, ahead)
     for _ in range(2):  # the noise is what the best fit leaves: again with its colour
