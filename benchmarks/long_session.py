@@ -49,7 +49,7 @@ def write(folder: Path, coercive_current: float) -> None:
         lines += ["[[records]]", f'file = "{name}.csv"', f'role = "{role}"', f'repeats = "{repeats}"']
         run = vs.simulate(vs.Scenario(
             duration=float(CLOCK[-1]), valve=valve, effects=effects, output_rate=1000.0,
-            thermal=vs.Thermal(isothermal=True), command=Table(times=tuple(CLOCK), values=tuple(current)),
+            thermal=vs.Thermal(network=None), command=Table(times=tuple(CLOCK), values=tuple(current)),
         ))  # fmt: skip
         table = {"time [s]": CLOCK, "current [mA]": 1e3 * current}
         for channel, (unit, factor) in HEADERS.items():
