@@ -1,7 +1,7 @@
-"""How long a diagnosis of ten minutes of records takes: ten of 60 s at 1 kHz, with nothing hidden and with hysteresis.
+"""How long a diagnosis of ten minutes of records takes: ten of 60 s at 1 kHz, with nothing or an effect hidden.
 
-    .venv/bin/python benchmarks/long_session.py           # nothing hidden
-    .venv/bin/python benchmarks/long_session.py 0.3       # 0.3 mA of coercive current hidden
+    .venv/bin/python benchmarks/long_session.py                                 # nothing
+    .venv/bin/python benchmarks/long_session.py magnetic_hysteresis "0.3 mA"    # an effect and its amplitude
 
 Triangles, steps and sweeps, two of them repeated and two locked away; spool position, load flow and noise of 0.1 %.
 The valve is valvesim's own with a null gap 1 % wide: this measures time, `hidden_effects.py` what is found.
@@ -20,6 +20,7 @@ import numpy as np
 import valvesim as vs
 from valvesim.catalogue import CATALOGUE
 from valvesim.commands import Table
+from valvesim.units import parse
 
 CLOCK = np.arange(60_001) / 1e3  # s
 HEADERS = {"spool_position": ("mm", 1e3), "load_flow": ("L/min", 6e4)}
@@ -37,11 +38,10 @@ def commands() -> dict[str, np.ndarray]:
     return shapes | {"triangle_again": shapes["triangle"], "steps_again": shapes["steps_0"]}
 
 
-def write(folder: Path, coercive_current: float) -> None:
-    """The session's folder."""
+def write(folder: Path, effects: tuple[vs.ActiveEffect, ...]) -> None:
+    """The session's folder, of a valve with these effects."""
     rng, valve = np.random.default_rng(1), vs.Valve()
     valve = replace(valve, null_gap=1.01 * valve.null_gap)
-    effects = (CATALOGUE["magnetic_hysteresis"](coercive_current=coercive_current),) if coercive_current else ()
     lines = ['title = "Ten minutes"', "[thermal]", "isothermal = true"]
     for name, current in commands().items():
         repeats = {"triangle_again": "triangle", "steps_again": "steps_0"}.get(name, name)
@@ -63,10 +63,15 @@ def write(folder: Path, coercive_current: float) -> None:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("coercive_current", type=float, nargs="?", default=0.0, help="mA, 0: nothing is hidden")
-    options = parser.parse_args()
+    parser.add_argument("effect", nargs="?", choices=list(CATALOGUE), metavar="effect", help="of the catalogue")
+    parser.add_argument("amplitude", nargs="?", help='with its unit: "0.3 mA"')
+    options, effects = parser.parse_args(), ()
+    if options.effect:
+        amplitude = CATALOGUE[options.effect].amplitude
+        value = parse(options.amplitude, amplitude.unit, "amplitude")
+        effects = (CATALOGUE[options.effect](**{amplitude.name: value}),)
     with tempfile.TemporaryDirectory() as folder:
-        write(Path(folder), 1e-3 * options.coercive_current)
+        write(Path(folder), effects)
         begin, last = time.perf_counter(), ""
 
         def tell(stage: str, share: float) -> None:

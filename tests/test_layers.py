@@ -17,7 +17,7 @@ ORDER = (
     "model", "static", "reproduce", "files", "commands", "thermal", "rosenbrock", "compiled", "user_effects",
     "scenario", "simulate", "drift", "response", "bench", "linear", "datasheet", "session", "prediction", "sensitivity",
     "noise", "evidence", "hypotheses", "study", "terms", "extension", "scene", "answer", "recovery", "next_test",
-    "weighing", "search", "diagnosis", *PICTURES, "cli",
+    "weighing", "search", "beginnings", "diagnosis", *PICTURES, "cli",
 )  # fmt: skip
 HEAVY = {"matplotlib", "control", "xarray", "casadi", "pint", "numba", "netCDF4"}
 

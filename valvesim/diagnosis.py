@@ -29,6 +29,7 @@ from .answer import (
     Term,
     Trace,
 )
+from .beginnings import begin
 from .channels import SIGNAL_CHANNELS, STATE_CHANNELS
 from .errors import InputError, SolveError
 from .evidence import inverse_of
@@ -44,7 +45,6 @@ from .study import (
     BaseFit,
     Fit,
     Study,
-    fit_base,
     own_step,
     prepare_study,
     residual_of,
@@ -70,9 +70,8 @@ def diagnose(session: Session | str | Path, *, progress: Callable[[str, float], 
     tell("reading", 0.0)
     session = session if isinstance(session, Session) else load_session(session)
     study = prepare_study(session)
-    tell("fitting the nominal model", 0.05)
-    base = fit_base(study, lambda share: tell("fitting the nominal model", 0.05 + 0.25 * share))
-    searched = search(base, lambda stage, share: tell(stage, 0.3 + 0.6 * share))
+    base, known = begin(study, lambda stage, share: tell(stage, 0.05 + 0.25 * share))
+    searched = search(base, lambda stage, share: tell(stage, 0.3 + 0.6 * share), known)
     tell("measuring the gain", 0.9)
     return _answer(searched)
 

@@ -32,7 +32,7 @@ from .study import (
     refit_from,
     unstretched,
 )
-from .weighing import ANSWER_RATIO, Explained, is_nothing, ran, ranked, rivals_of, settled, worth
+from .weighing import ANSWER_RATIO, Explained, is_nothing, ran, ranked, rivals_of, settled, width_of, worth
 
 ALARM, TERM_ALARM = 0.005, 0.002  # probability of an alarm where nothing is hidden: of candidates, of free terms
 NOT_QUIET = 0.01  # of a free term's being chance in what the best hypothesis leaves: naming asks for more than an alarm
@@ -45,6 +45,7 @@ SECONDS, NEAR = 3, 0.8  # how many are tried beside a first cause, of those whos
 PAIR_PRICE = 20.0  # fall of the deviance that a second effect must bring to be looked at
 LEFT_SHARE = 0.005  # of what the best explains may stay behind for free terms to explain, since no model is the plant
 DOUBT_SHARE = 0.02  # up to here, or up to the error of its law, the best is possible still, and so is what has no name
+AS_GOOD = 0.1  # of the answer set's width: one that is so near is in it, and need not be fitted for that
 AGAIN = 3  # times that what may be best, or the base, is fitted again where it may have stopped short
 
 
@@ -65,8 +66,10 @@ class Searched:
     level: float
 
 
-def search(base: BaseFit, tell: Callable[[str, float], None]) -> Searched:
+def search(base: BaseFit, tell: Callable[[str, float], None], known: Sequence[Fit] = ()) -> Searched:
     """Look for what explains what a base fit leaves: hypotheses of one and of two candidates if that is an alarm.
+
+    Those `known` from elsewhere are the only ones to begin with, each from where it was fitted.
 
     Again where these show that the base fit had stopped short. `tell(stage, share)` is told what is being done.
     """
@@ -76,7 +79,7 @@ def search(base: BaseFit, tell: Callable[[str, float], None]) -> Searched:
         alarm, level = _alarm(scene)
         if not alarm:
             return Searched(base, scene, scene, [], [], "", alarm, level)
-        found, likeliest = _begun(base, scene, lambda share: tell("refitting", 0.15 + 0.6 * share))
+        found, likeliest = _begun(base, scene, known, lambda share: tell("refitting", 0.15 + 0.6 * share))
         better = _better_base(base, found) if again else None
         if better is None:
             break
@@ -159,15 +162,35 @@ def _worst_family(scene: Scene) -> float:
 # ---------------------------------------------------------------- explaining
 
 
-def _begun(base: BaseFit, scene: Scene, tell: Callable[[float], None]) -> tuple[list[Explained], str]:
+def _begun(
+    base: BaseFit, scene: Scene, known: Sequence[Fit], tell: Callable[[float], None]
+) -> tuple[list[Explained], str]:
     """Hypotheses of one and of two candidates, refitted, and the likeliest of them before."""
-    found, likeliest, failed = list[Explained](), "", set[str]()
+    found, likeliest, failed = _taken_along(base, known, tell), "", set[str]()
+    if found:
+        return found, likeliest
     while starts := _starts(scene, failed):
         found, likeliest = _refitted(base, starts, tell=tell), starts[0][0].candidate.family
         if any(likeliest == candidate.family for one in found for candidate in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
     return found, likeliest
+
+
+def _taken_along(base: BaseFit, known: Sequence[Fit], tell: Callable[[float], None]) -> list[Explained]:
+    """Hypotheses that were fitted elsewhere, refitted where they do not yet explain nearly as much as the likeliest."""
+    begun = list[Fit]()
+    for one in known:
+        try:
+            begun.append(replace(evaluate(base.study, one.point, one.extras), occam=one.occam))
+        except (SolveError, InputError):
+            continue
+    found = list[Explained]()
+    for k, fit in enumerate(sorted(begun, key=lambda fit: fit.deviance)):
+        tell(k / len(begun))
+        near = found and fit.deviance < found[0].fit.deviance + AS_GOOD * width_of(base, found[0])
+        found.append(Explained(fit if near else refit_from(base, fit)))
+    return found
 
 
 def _better_base(base: BaseFit, found: Sequence[Explained]) -> BaseFit | None:

@@ -38,7 +38,9 @@ SHAPE_STEP = 1.1  # by which a shape parameter is moved to see what it shows
 SHAPE_STRIDE = 4.5  # times, by which a step may change it
 SHAPE_DEVIATION = 1.0  # prior of the logarithm of a shape parameter about its default
 ASTRAY = 1.5  # times the rows: a refit that leaves so much is led nearer first, as the base is
+LONG, HARDLY = 60_000, 0.02  # points of all courses make a session long; share of its deviance not worth a look there
 BASE_LOOKS, LOOKS, MORE_LOOKS = 24, 4, 12  # how often answers may be taken anew: in the base fit, a refit, a good one
+PATIENCE = 2  # in a long session, steps that bring less than they promise: answers taken anew cost as much as six
 STEPS, FAILURES = 20, 4  # with the same answers: all, and those that bring much less than they promise
 FAR_OFF, ROUGH, ROBUST_LOOKS = 3.0, 0.1, 8  # times the median misfit; share of the deviance not worth a look; looks
 LEAST_COMMON = 0.2  # share of the samples of repeats that none has lost: of fewer their noise is not taken
@@ -68,12 +70,17 @@ class Study:
     firsts: tuple[int, ...]  # of each bench, the first that runs like it
     noise: dict[tuple[str, float], Noise] = field(default_factory=dict)
     weights: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (record, channel): of its whitened rows
+    is_long: bool = False  # a look takes long, and what hardly helps is left
 
     @property
     def stride(self) -> int:
         """Every how many of the whitened rows is kept: they are independent, so none is missed but for its weight."""
         rows = sum(len(b.record.time) * len(b.record.outputs) for b in self.benches)
         return int(np.ceil(rows / MOST_ROWS))
+
+    def hardly(self, fit: Fit) -> float:
+        """The fall of the base's deviance that is not worth a look: in a long session, a share of what a fit leaves."""
+        return HARDLY * max(fit.deviance - ASTRAY * fit.rows, 0.0) if self.is_long else 0.0
 
     def coarse(self) -> Study:
         """The study with its views at the samples alone: the same readings, and answers that will do on the way."""
@@ -119,8 +126,19 @@ def prepare_study(session: Session, more: Sequence = ()) -> Study:
     base = base_of(session)
     universe = (*CATALOGUE.values(), *session.user_effects, *more)
     benches = tuple(prepare(session, record, universe) for record in session.training)
-    firsts = tuple(next(k for k, first in enumerate(benches) if first.runs_like(bench)) for bench in benches)
-    return Study(session, base, candidates_of(session, base), benches, firsts)
+    is_long = sum(len(bench.times) for bench in benches) > LONG
+    return Study(session, base, candidates_of(session, base), benches, _firsts(benches), is_long=is_long)
+
+
+def _firsts(benches: Sequence[Bench]) -> tuple[int, ...]:
+    return tuple(next(k for k, first in enumerate(benches) if first.runs_like(bench)) for bench in benches)
+
+
+def restricted(study: Study, records: Sequence[Record]) -> Study:
+    """The study of parts of its training records, in their order: the same base parameters, the same candidates."""
+    session = replace(study.session, records=(*records, *study.session.locked))
+    benches = tuple(prepare(session, r, b.universe) for r, b in zip(records, study.benches, strict=True))
+    return replace(study, session=session, benches=benches, firsts=_firsts(benches), noise={}, weights={})
 
 
 # ---------------------------------------------------------------- noise
@@ -336,6 +354,20 @@ def fit_from(study: Study, fit: Fit, tell: Callable[[float], None] = lambda shar
     return _with_peaks(study, _afar(study, fit, tell), tell)
 
 
+def fit_base_near(study: Study, point: np.ndarray, *, peaks: bool) -> BaseFit:
+    """The base fitted from a point (p,) near its best, and the noise on the way; all samples in full with `peaks`."""
+    fit = evaluate(replace(study, noise=first_noise(study)), point, ())
+    study = replace(study, noise=find_noise(study, fit.readings))
+    base = seen_at(study, _weighed(study, point, (), fit.readings))
+    for last in (False, True):
+        weighed = base.study if peaks else _less_peaks(base.study, base.views)
+        base = _settle(_under(weighed, base), SETTLED, lambda share: None)
+        if last or all(noise.verified for noise in base.study.noise.values()):
+            break
+        base = _under(replace(study, noise=find_noise(study, base.fit.readings)), base)
+    return base
+
+
 def fit_base_from(base: BaseFit, fit: Fit) -> BaseFit:
     """The base fitted, all samples in full, from where a fit without extras is: by its own answers, or from afar."""
     study = replace(base.study, weights={})
@@ -417,7 +449,7 @@ def _settle(base: BaseFit, enough: float, tell: Callable[[float], None]) -> Base
     for look in range(BASE_LOOKS):
         tell(0.5 + 0.5 * look / BASE_LOOKS)
         fit, _ = _descend(base.study, base.fit, base.J, enough)
-        if base.fit.deviance - fit.deviance < enough:
+        if base.fit.deviance - fit.deviance < max(enough, base.study.hardly(base.fit)):
             break
         base = seen_at(base.study, fit)
     return base
@@ -459,7 +491,8 @@ def _descend(study: Study, fit: Fit, answers: np.ndarray, enough: float) -> tupl
         room = _room(fit)
         if fit is best:
             best = fit = replace(fit, promised=_promise(H, gradient, room))
-            stale = best.deviance < start.deviance and (failures > 0 or _far(start, best))
+            lasting = PATIENCE if study.is_long else 0
+            stale = best.deviance < start.deviance and (failures > lasting or _far(start, best))
             if best.promised < enough or stale or failures == FAILURES:
                 break
         step, held = _step(H + damping * np.diag(metric), gradient, room), damping
