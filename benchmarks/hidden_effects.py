@@ -56,8 +56,8 @@ from hidden_plant import (  # noqa: E402
 from hidden_report import TABLE_SEEDS, write_report  # noqa: E402
 
 import valvesim as vs  # noqa: E402
+from valvesim import beginnings, search  # noqa: E402
 from valvesim import diagnosis as engine  # noqa: E402
-from valvesim import search  # noqa: E402
 from valvesim.answer import Diagnosis, NextTest, Term, plain_json  # noqa: E402
 from valvesim.catalogue import CATALOGUE  # noqa: E402
 from valvesim.hypotheses import Candidate, View  # noqa: E402
@@ -566,7 +566,7 @@ def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, fl
         return caught.fits[-1]
 
     with ExitStack() as stack:
-        stack.enter_context(patch.object(engine, "fit_base", catching_base))
+        stack.enter_context(patch.object(beginnings, "fit_base", catching_base))
         stack.enter_context(patch.object(search, "look", catching_look))
         stack.enter_context(patch.object(search, "refit", catching_refit))
         begin, worked = time.perf_counter(), time.process_time()
