@@ -320,7 +320,15 @@ def test_the_course_is_kept_on_both_grids():
     assert np.array_equal(course.states, course.fine[:: bench.finer])
     oil = evaluate(bench.scenario.oil_temperature, bench.fine_times)
     assert course.oil == pytest.approx(oil, abs=0.2)
-    assert course.parts.oil == pytest.approx(course.oil[:: bench.finer], abs=1e-9)
+
+
+def test_a_course_is_put_on_another_grid_as_if_it_had_been_run_there():
+    bench, fine = bench_of("fast"), course_of("fast", nominal())
+    coarse = bench.coarse()
+    rough = coarse.run(nominal())
+    for put, own in ((coarse.gridded(fine), rough), (bench.gridded(rough), fine)):
+        for name in ("states", "coefficients", "fine", "oil"):
+            assert np.array_equal(getattr(put, name), getattr(own, name)), name
 
 
 # ---------------------------------------------------------------- failures

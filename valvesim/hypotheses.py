@@ -385,10 +385,10 @@ class View:
         answers = self.linear.respond(forcing)
         out = {}
         for name, own in self.at_valve.items():
-            moved = self.linear.channel(name, answers, direct.get(name, 0.0))
             if self.bench.lags.get(name, 0.0) <= 0.0 and not self._altered(name):
-                out[name] = moved[:: self.bench.refinement]
+                out[name] = self.linear.channel(name, answers, direct.get(name), self.bench.refinement)
                 continue
+            moved = self.linear.channel(name, answers, direct.get(name))
             faults = tuple(a for a in self.variant.effects if not isinstance(a.effect, SmallError))
             variant = replace(self.variant, effects=faults)
             own = own[:: self.bench.finer]  # coarse for the sensor's corners: they are in both and cancel
@@ -420,9 +420,11 @@ class View:
             first = variants[group[0]]
             batch = first if len(group) == 1 else replace(first, valve=_batch([variants[j].valve for j in group]))
             rates, signals = self.forcing(batch)
-            g[:, :, group] = rates.reshape(n, -1, len(group))
+            together = group[-1] - group[0] == len(group) - 1
+            at = slice(group[0], group[-1] + 1) if together else group  # a list takes six times as long
+            g[:, :, at] = rates.reshape(n, -1, len(group))
             for name, part in signals.items():
-                direct[name][:, group] = part.reshape(n, -1)
+                direct[name][:, at] = part.reshape(n, -1)
         return g, direct
 
     def forcing(self, variant: Variant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -494,9 +496,9 @@ def _batch(valves: Sequence[Valve]) -> Valve:
     return replace(first, **differing)
 
 
-def view(bench: Bench, variant: Variant) -> View:
-    """A record seen from a variant."""
-    course = bench.run(variant)
+def view(bench: Bench, variant: Variant, course: Course | None = None) -> View:
+    """A record seen from a variant, by its course where the bench, or the same at another spacing, has run it."""
+    course = bench.run(variant) if course is None else bench.gridded(course)
     at_valve = bench.outputs(course, variant)
     model, own = bench.reduced(course, variant)
     along = bench.coefficients_along(variant, model)

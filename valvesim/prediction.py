@@ -20,7 +20,7 @@ from .compiled import CompiledModel, compile_model
 from .effects import ActiveEffect, Effect, Reading
 from .errors import InputError, SolveError
 from .model import Model
-from .parameters import Coefficients, PartTemperatures, Valve
+from .parameters import Coefficients, Valve
 from .scenario import Scenario
 from .session import Record, Session, record_scenario
 from .simulate import between, brackets, temperature_knots
@@ -53,15 +53,17 @@ class Variant:
 class Course:
     """A variant's run on the grid of its bench: states (n, n_x) of `model`, in SI; its flat coefficients (n or 1, n_c).
 
-    `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there.
+    `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there;
+    `knots` (m, n_c) the coefficients at the `knot_times` (m,) of its temperatures.
     """
 
     model: Model
     states: np.ndarray
     coefficients: np.ndarray
-    parts: PartTemperatures
     fine: np.ndarray
     oil: np.ndarray
+    knot_times: np.ndarray
+    knots: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -125,11 +127,14 @@ class Bench:
         stacked = np.stack(np.broadcast_arrays(*knots), axis=-1).astype(float)
         flat = np.array(np.broadcast_to(stacked, (len(path.times), stacked.shape[-1])))
         fine = _integrate(self, compiled, path, flat, self.switched_off(model, variant.effects))
-        along = flat if len(path.times) == 1 else between(self.times, path.times, flat).T
-        temperatures = {name: between(self.times, path.times, _column(value, path))[0] for name, value in _parts(path)}
         oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
-        states = np.ascontiguousarray(fine[:: self.finer])
-        return Course(model, states, along, PartTemperatures(**temperatures), fine, oil)
+        return self.gridded(Course(model, fine, flat, fine, oil, path.times, flat))
+
+    def gridded(self, course: Course) -> Course:
+        """A course of this bench, or of the same at another spacing, on the grid of this one: nothing is integrated."""
+        one = len(course.knot_times) == 1
+        along = course.knots if one else between(self.times, course.knot_times, course.knots).T
+        return replace(course, states=np.ascontiguousarray(course.fine[:: self.finer]), coefficients=along)
 
     def _coefficients(self, variant: Variant, model: Model | None = None) -> tuple[TemperaturePath, tuple, Model]:
         """Temperature path, flat coefficients at its knots, (), (m,) or (batch, m) each, and the model of both."""

@@ -10,7 +10,7 @@ import numpy as np
 from .evidence import Gram, Projected, alarm_level, block_statistic, project
 from .hypotheses import Candidate, View
 from .sensitivity import relax
-from .study import BaseFit, Fit, Study, gram_of, own_columns, see, shown
+from .study import BaseFit, Fit, Study, gram_of, own_columns, see_from, shown
 from .terms import LAG, PATH, Family, families, hats, term_effect
 
 KNOTS = 6  # of each family's function while it is looked for
@@ -102,7 +102,7 @@ def look(base: BaseFit, fit: Fit, *, searched: Sequence[Family] = families(), kn
     """Look at what a fit leaves, from where it is; the functions of the families searched have so many knots."""
     study = base.study
     variant = fit.variant(study.base)
-    views, J = (base.views, base.columns) if fit is base.fit else see(study, variant)
+    views, J = (base.views, base.columns) if fit is base.fit else see_from(study, fit)
     taken = [extra.candidate for extra in fit.extras]
     families_taken = {candidate.family for candidate in taken}
     candidates = tuple(

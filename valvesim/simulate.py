@@ -164,11 +164,17 @@ def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[st
         for k in share:
             states[k] = _integrate(problem, int(k), None)[0]
 
-    threads = workers or os.cpu_count() or 1
+    threads = workers or cores()
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(run, np.array_split(np.arange(members), min(threads, members))))
     names = [channel.name for channel in scenario.model.state_channels]
     return {"time": problem.times, **{name: states[:, :, k] for k, name in enumerate(names)}}
+
+
+def cores() -> int:
+    """How many cores this process may use: fewer than there are where it is held to some of them."""
+    allowed = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(allowed(0)) if allowed else os.cpu_count() or 1
 
 
 def _array_figures(scenario: Scenario) -> list[str]:

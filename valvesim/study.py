@@ -7,7 +7,6 @@ Symbols
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -29,8 +28,9 @@ from .hypotheses import (
     view,
 )
 from .noise import Noise, fit_noise, rounding
-from .prediction import Bench, Variant, prepare
+from .prediction import Bench, Course, Variant, prepare
 from .session import Record, Session
+from .simulate import cores
 
 MOST_ROWS = 300_000  # whitened rows that are kept: of longer sessions every second, third ... one
 SEGMENTS = 2  # of a record, for the test that an amplitude is the same everywhere
@@ -116,8 +116,11 @@ class Study:
 
 
 def each(function: Callable, *over: Sequence) -> list:
-    """The function over sequences, on threads: the integration lets others work meanwhile."""
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, max(len(over[0]), 1))) as pool:
+    """The function over sequences, on threads where there are cores for them: the integration lets others work."""
+    threads = min(cores(), len(over[0]))
+    if threads < 2:
+        return list(map(function, *over))
+    with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(function, *over))
 
 
@@ -243,7 +246,7 @@ class Fit:
     """A point of the base parameters with extras, its deviance and the readings that it predicts.
 
     `rows` is what the deviance would be of noise alone, `promised` by how much the linear equations would still lower
-    it, `occam` the price of the freedom.
+    it, `occam` the price of the freedom. `courses` are kept while it may be looked at from, see `see_from`.
     """
 
     point: np.ndarray
@@ -254,6 +257,7 @@ class Fit:
     rows: float
     promised: float = 0.0
     occam: float = 0.0
+    courses: tuple[Course, ...] = ()
 
     @property
     def kinds(self) -> tuple[tuple[Extra, str], ...]:
@@ -276,13 +280,25 @@ class Fit:
 
 def evaluate(study: Study, point: np.ndarray, extras: tuple[Extra, ...]) -> Fit:
     """The fit at a point, by running every training record. Raises SolveError, InputError where it cannot be run."""
-    variant = Fit(point, extras, 0.0, (), np.zeros(0), 0.0).variant(study.base)
-    return _weighed(study, point, extras, predict(study, variant))
+    fit = Fit(point, extras, 0.0, (), np.zeros(0), 0.0)
+    ran = _run(study, fit.variant(study.base))
+    fit = _weighed(study, replace(fit, readings=tuple(readings for _, readings in ran)))
+    return fit if study.is_long else replace(fit, courses=tuple(course for course, _ in ran))
 
 
 def predict(study: Study, variant: Variant) -> tuple[dict[str, np.ndarray], ...]:
     """What each training record's sensors would read of a variant, by running it."""
-    return tuple(study.each(lambda bench: bench.readings(bench.run(variant), variant), study.benches))
+    return tuple(readings for _, readings in _run(study, variant))
+
+
+def _run(study: Study, variant: Variant) -> list[tuple[Course, dict[str, np.ndarray]]]:
+    """The course of each training record and what its sensors would read."""
+
+    def run(bench: Bench) -> tuple[Course, dict[str, np.ndarray]]:
+        course = bench.run(variant)
+        return course, bench.readings(course, variant)
+
+    return study.each(run, study.benches)
 
 
 def whitened_residual(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
@@ -290,21 +306,19 @@ def whitened_residual(study: Study, readings: Sequence[dict[str, np.ndarray]]) -
     return study.stack([residual_of(b.record, r) for b, r in zip(study.benches, readings, strict=True)])[:, 0]
 
 
-def _weighed(
-    study: Study, point: np.ndarray, extras: tuple[Extra, ...], readings: tuple[dict[str, np.ndarray], ...]
-) -> Fit:
-    """The fit at a point whose readings are known, by the study's noise."""
-    residual = whitened_residual(study, readings)
+def _weighed(study: Study, fit: Fit) -> Fit:
+    """The same point and readings by a study's noise and weights."""
+    residual = whitened_residual(study, fit.readings)
     shape_prior = sum(
         (np.log(value / default) / SHAPE_DEVIATION) ** 2
-        for extra in extras
+        for extra in fit.extras
         for value, default in _against_default(extra)
     )
-    deviance = float(residual @ residual + point @ point + shape_prior)
+    deviance = float(residual @ residual + fit.point @ fit.point + shape_prior)
     if not deviance < ABSURD:
         raise SolveError("the readings of this variant are beyond all sense")
     rows = len(residual) - sum(float(np.sum(1.0 - weights**2)) for weights in study.weights.values())
-    return Fit(point, extras, deviance, readings, residual, rows)
+    return replace(fit, deviance=deviance, residual=residual, rows=rows, promised=0.0, occam=0.0)
 
 
 def _against_default(extra: Extra) -> list[tuple[float, float]]:
@@ -358,7 +372,7 @@ def fit_base_near(study: Study, point: np.ndarray, *, peaks: bool) -> BaseFit:
     """The base fitted from a point (p,) near its best, and the noise on the way; all samples in full with `peaks`."""
     fit = evaluate(replace(study, noise=first_noise(study)), point, ())
     study = replace(study, noise=find_noise(study, fit.readings))
-    base = seen_at(study, _weighed(study, point, (), fit.readings))
+    base = seen_at(study, _weighed(study, fit))
     for last in (False, True):
         weighed = base.study if peaks else _less_peaks(base.study, base.views)
         base = _settle(_under(weighed, base), SETTLED, lambda share: None)
@@ -371,7 +385,7 @@ def fit_base_near(study: Study, point: np.ndarray, *, peaks: bool) -> BaseFit:
 def fit_base_from(base: BaseFit, fit: Fit) -> BaseFit:
     """The base fitted, all samples in full, from where a fit without extras is: by its own answers, or from afar."""
     study = replace(base.study, weights={})
-    start = _weighed(study, fit.point, (), fit.readings)
+    start = _weighed(study, fit)
     if start.deviance > ASTRAY * start.rows:
         return fit_from(study, fit)
     return _settle(seen_at(study, start), SETTLED, lambda share: None)
@@ -386,7 +400,7 @@ def _afar(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
 def _with_peaks(study: Study, base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
     """A coarse base that was fitted without peaks fitted with them too; without where the model cannot follow them."""
     study = replace(study, noise=base.study.noise)
-    start = _weighed(study, base.fit.point, (), base.fit.readings)
+    start = _weighed(study, base.fit)
     full = _settle(seen_at(study, start), SETTLED, tell)
     left, left_between = full.fit.deviance - full.fit.rows, base.fit.deviance - base.fit.rows
     follows = left <= PEAKS_WORSE * max(left_between, 0.0) + 0.1 * full.fit.rows
@@ -402,12 +416,12 @@ def in_full(base: BaseFit) -> BaseFit:
 
 def _under(study: Study, base: BaseFit) -> BaseFit:
     """The same base under a study's noise and weights."""
-    return _seen(study, _weighed(study, base.fit.point, (), base.fit.readings), base.views, base.columns)
+    return _seen(study, _weighed(study, base.fit), base.views, base.columns)
 
 
 def seen_at(study: Study, fit: Fit) -> BaseFit:
     """A fit without extras as a base, seen from where it is."""
-    return _seen(study, fit, *see(study, fit.variant(study.base)))
+    return _seen(study, fit, *see_from(study, fit))
 
 
 def _seen(study: Study, fit: Fit, views: Sequence[View], columns: Sequence[dict[str, np.ndarray]]) -> BaseFit:
@@ -423,16 +437,16 @@ def _approach(
 
     A leakage peak in the wrong place does not tell which way it should move; the rest of the record does.
     """
-    views, columns = see(study, fit.variant(study.base))
+    views, columns = see_from(study, fit)
     for look in range(ROBUST_LOOKS):
         tell(0.5 * look / ROBUST_LOOKS)
         robust = _robust(study, fit.readings)
-        start = _weighed(robust, fit.point, fit.extras, fit.readings)
+        start = _weighed(robust, fit)
         near, _ = _descend(robust, start, _answers(robust, fit, views, columns), ROUGH * start.deviance)
         if near.deviance > (1.0 - ROUGH) * start.deviance:
             break
-        fit = _weighed(study, near.point, near.extras, near.readings)
-        views, columns = see(study, fit.variant(study.base))
+        fit = _weighed(study, near)
+        views, columns = see_from(study, fit)
     return fit, views, columns
 
 
@@ -531,9 +545,20 @@ def _far(start: Fit, fit: Fit) -> bool:
     return start.deviance - fit.deviance > 50.0 and far > FAR_AWAY
 
 
-def see(study: Study, variant: Variant) -> tuple[list[View], list[dict[str, np.ndarray]]]:
-    """Each training record seen from a variant, and its answers (n_samples, p) to the base parameters by channel."""
-    views = study.each(lambda bench: view(bench, variant), study.benches)
+def see_from(study: Study, fit: Fit) -> tuple[list[View], list[dict[str, np.ndarray]]]:
+    """Each training record seen from a fit to them, see `see`; what it has run for that is not run again."""
+    return see(study, fit.variant(study.base), fit.courses)
+
+
+def see(
+    study: Study, variant: Variant, courses: Sequence[Course] = ()
+) -> tuple[list[View], list[dict[str, np.ndarray]]]:
+    """Each training record seen from a variant, and its answers (n_samples, p) to the base parameters by channel.
+
+    With the variant's courses of the records, where they are known.
+    """
+    known: Sequence[Course | None] = courses or [None] * len(study.benches)
+    views = study.each(lambda bench, course: view(bench, variant, course), study.benches, known)
     beside = neighbours(study.base, variant)
     columns = study.each(lambda seen: parameter_columns(seen, study.base, beside), views)
     return [replace(seen, bench=bench) for seen, bench in zip(views, study.benches, strict=True)], columns
@@ -601,7 +626,7 @@ def refit_from(base: BaseFit, fit: Fit) -> Fit:
     study = base.study
     try:
         fit = evaluate(study, fit.point, fit.extras)
-        answers = _answers(study, fit, *see(study, fit.variant(study.base)))
+        answers = _answers(study, fit, *see_from(study, fit))
     except (SolveError, InputError):
         return _not_run(base, fit.extras)
     return _descended(study, fit, answers, ENOUGH, MORE_LOOKS, _good(base))
@@ -615,14 +640,14 @@ def falls_afresh(base: BaseFit, starts: Sequence[tuple[Extra, ...]]) -> np.ndarr
     study = base.study.coarse()
     fit = evaluate(study, unstretched(base), ())
     robust = _robust(study, fit.readings)
-    J = robust.stack(see(study, fit.variant(study.base))[1])
+    J = robust.stack(see_from(study, fit)[1])
     H = J.T @ J + np.eye(len(fit.point))
 
     def left(fit: Fit) -> float:
         gradient = J.T @ fit.residual - fit.point
         return float(fit.deviance - gradient @ _solve(H, gradient))
 
-    before = left(_weighed(robust, fit.point, (), fit.readings))
+    before = left(_weighed(robust, fit))
 
     def fall(start: tuple[Extra, ...]) -> float:
         try:
@@ -649,10 +674,10 @@ def _led_near(base: BaseFit, fit: Fit, looks: int) -> Fit:
     fit, views, columns = _approach(coarse, fit)
     if not study.weights:
         between = _less_peaks(coarse, views)
-        start = _weighed(between, fit.point, fit.extras, fit.readings)
+        start = _weighed(between, fit)
         near = _descended(between, start, _answers(between, fit, views, columns), NEARLY, looks, np.inf)
-        fit = _weighed(study, near.point, near.extras, near.readings)
-        views, columns = see(study, fit.variant(study.base))
+        fit = _weighed(study, near)
+        views, columns = see_from(study, fit)
     return _descended(study, fit, _answers(study, fit, views, columns), ENOUGH, looks, _good(base))
 
 
@@ -668,8 +693,8 @@ def _descended(study: Study, fit: Fit, answers: np.ndarray, enough: float, looks
         stuck, fit = look > 1 and new.deviance > fit.deviance - enough, new
         if fit.promised < enough or stuck or look == looks or (look >= LOOKS and fit.deviance > good):
             break
-        answers = _answers(study, fit, *see(study, fit.variant(study.base)))
-    return replace(fit, occam=_occam(_normal(fit, answers)[0], fit))
+        answers = _answers(study, fit, *see_from(study, fit))
+    return replace(fit, occam=_occam(_normal(fit, answers)[0], fit), courses=())
 
 
 def _leap(base: BaseFit, start: tuple[Extra, ...]) -> Fit | None:
