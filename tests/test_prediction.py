@@ -204,7 +204,7 @@ def test_memories_of_absent_effects_are_switched_off():
     assert bench.switched_off(model, (HYSTERESIS, FRICTION)).tolist() == [False] * 8
     variant = nominal().with_effect(HYSTERESIS)
     course = replace(course_of("fast", variant), model=model)
-    reduced, own = bench.reduced(course, variant)
+    reduced, own = bench.reduced(course.model, variant)
     assert reduced == Model(effects=(HYSTERESIS.effect,)) and own.tolist() == [0, 1, 2, 3, 4, 5, 7]
 
 

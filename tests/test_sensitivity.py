@@ -204,7 +204,7 @@ def test_the_equations_hold_the_states_of_the_variant_alone():
     assert plain.active.tolist() == [0, 1, 2, 3, 4, 5] and plain.A.shape == (len(bench.times), 6, 6)
     variant = nominal().with_effect(FRICTION)
     course = course_of("fast", variant)
-    model, own = bench.reduced(course, variant)
+    model, own = bench.reduced(course.model, variant)
     linear = linearise(bench, course, own, model, bench.coefficients_along(variant, model))
     assert linear.active.tolist() == [0, 1, 2, 3, 4, 5, 6] and linear.E.shape == (len(bench.times) - 1, 7, 7)
 

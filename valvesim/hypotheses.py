@@ -352,7 +352,6 @@ class View:
     course: Course
     linear: Linearised
     model: Model
-    at_valve: dict[str, np.ndarray]
     readings: dict[str, np.ndarray]
     rates: tuple
     signals: Any
@@ -384,7 +383,7 @@ class View:
         """The readings' answer (n_samples, k) to forcings (n, s, k) of the scaled rates and to direct parts (n, k)."""
         answers = self.linear.respond(forcing)
         out = {}
-        for name, own in self.at_valve.items():
+        for name, own in self.course.at_valve.items():
             if self.bench.lags.get(name, 0.0) <= 0.0 and not self._altered(name):
                 out[name] = self.linear.channel(name, answers, direct.get(name), self.bench.refinement)
                 continue
@@ -411,7 +410,7 @@ class View:
         n, k = len(self.bench.times), len(variants)
         alike = [j for j, variant in enumerate(variants) if variant.effects == self.variant.effects]
         g = np.empty((n, len(self.linear.scale), k))
-        direct = {name: np.empty((n, k)) for name in self.at_valve if name in SIGNAL_NAMES}
+        direct = {name: np.empty((n, k)) for name in self.course.at_valve if name in SIGNAL_NAMES}
         size = max(AT_ONCE // n, 1)
         for group in [
             *(alike[start : start + size] for start in range(0, len(alike), size)),
@@ -453,7 +452,7 @@ class View:
             g[:, k] = (new - column(old)) / self.linear.scale[k]
         direct = {
             name: np.broadcast_to(getattr(signals, name) - column(getattr(self.signals, name)), shape)
-            for name in self.at_valve
+            for name in self.course.at_valve
             if name in SIGNAL_NAMES
         }
         return g, direct
@@ -499,13 +498,12 @@ def _batch(valves: Sequence[Valve]) -> Valve:
 def view(bench: Bench, variant: Variant, course: Course | None = None) -> View:
     """A record seen from a variant, by its course where the bench, or the same at another spacing, has run it."""
     course = bench.run(variant) if course is None else bench.gridded(course)
-    at_valve = bench.outputs(course, variant)
-    model, own = bench.reduced(course, variant)
+    model, own = bench.reduced(course.model, variant)
     along = bench.coefficients_along(variant, model)
     linear = linearise(bench, course, own, model, along)
     rates, signals = model.evaluate(tuple(course.states[:, own].T), tuple(bench.inputs.T), along)
-    readings = bench.sensed(at_valve, course, variant)
-    return View(bench, variant, course, linear, model, at_valve, readings, rates, signals)
+    readings = bench.readings(course, variant)
+    return View(bench, variant, course, linear, model, readings, rates, signals)
 
 
 def neighbours(base: Base, variant: Variant) -> list[Variant]:
@@ -555,10 +553,9 @@ def _sensor_slope(seen: View, parameter: BaseParameter, channel: str) -> np.ndar
     """Slope (n_samples,) of a reading over a sensor's small error, by a step much shorter than its deviation."""
     assert parameter.sensor is not None  # noqa: S101 - the caller has chosen those with a sensor
     step, name = 0.1 * parameter.deviation, parameter.sensor.amplitude.name
+    at_valve = {channel: seen.course.at_valve[channel]}
     high, low = (
-        seen.bench.sensed(
-            {channel: seen.at_valve[channel]}, seen.course, seen.variant.with_effect(parameter.sensor(**{name: by}))
-        )[channel]
+        seen.bench.sensed(at_valve, seen.course, seen.variant.with_effect(parameter.sensor(**{name: by})))[channel]
         for by in (step, -step)
     )
     return (high - low) / (2.0 * step)
@@ -589,7 +586,7 @@ def candidate_columns(
         elif effect.channel in out:
             name = effect.channel
             out[name][:, k] = (
-                seen.bench.sensed({name: seen.at_valve[name]}, seen.course, variant)[name] - seen.readings[name]
+                seen.bench.sensed({name: seen.course.at_valve[name]}, seen.course, variant)[name] - seen.readings[name]
             )
     moved = seen.by_answer([changed[k] for k in quick])
     for name in out:

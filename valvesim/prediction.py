@@ -53,8 +53,9 @@ class Variant:
 class Course:
     """A variant's run on the grid of its bench: states (n, n_x) of `model`, in SI; its flat coefficients (n or 1, n_c).
 
-    `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there;
-    `knots` (m, n_c) the coefficients at the `knot_times` (m,) of its temperatures.
+    `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there, and
+    `at_valve` the record's output channels (n_f,) before their sensors; `knots` (m, n_c) are the coefficients at the
+    `knot_times` (m,) of its temperatures.
     """
 
     model: Model
@@ -62,6 +63,7 @@ class Course:
     coefficients: np.ndarray
     fine: np.ndarray
     oil: np.ndarray
+    at_valve: dict[str, np.ndarray]
     knot_times: np.ndarray
     knots: np.ndarray
 
@@ -128,7 +130,7 @@ class Bench:
         flat = np.array(np.broadcast_to(stacked, (len(path.times), stacked.shape[-1])))
         fine = _integrate(self, compiled, path, flat, self.switched_off(model, variant.effects))
         oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
-        return self.gridded(Course(model, fine, flat, fine, oil, path.times, flat))
+        return self.gridded(Course(model, fine, flat, fine, oil, self._outputs(model, fine, variant), path.times, flat))
 
     def gridded(self, course: Course) -> Course:
         """A course of this bench, or of the same at another spacing, on the grid of this one: nothing is integrated."""
@@ -169,28 +171,24 @@ class Bench:
         off = [False] * (len(STATE_CHANNELS) + len(model.drive.memory))
         return np.array([*off, *(e.name not in given for e in model.effects for _ in e.memory)])
 
-    def reduced(self, course: Course, variant: Variant) -> tuple[Model, np.ndarray]:
-        """The model with a variant's own effects alone, and the indices of its states in the course's."""
+    def reduced(self, model: Model, variant: Variant) -> tuple[Model, np.ndarray]:
+        """The model with a variant's own effects alone, and the indices of its states in those of a fuller one."""
         active = {a.effect.name for a in variant.effects}
-        model = Model(course.model.drive, tuple(e for e in course.model.effects if e.name in active))
-        return model, np.flatnonzero(~self.switched_off(course.model, variant.effects))
+        own = Model(model.drive, tuple(e for e in model.effects if e.name in active))
+        return own, np.flatnonzero(~self.switched_off(model, variant.effects))
 
     def readings(self, course: Course, variant: Variant) -> dict[str, np.ndarray]:
         """What the record's sensors would have read, (n_samples,) by channel, before noise and resolution."""
-        return self.sensed(self.outputs(course, variant), course, variant)
+        return self.sensed(course.at_valve, course, variant)
 
-    def outputs(self, course: Course, variant: Variant) -> dict[str, np.ndarray]:
+    def _outputs(self, model: Model, fine: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
         """The record's output channels on the fine grid, (n_f,) each, as they are at the valve."""
         names = self.record.outputs
-        values = {
-            channel.name: course.fine[:, k]
-            for k, channel in enumerate(course.model.state_channels)
-            if channel.name in names
-        }
+        values = {channel.name: fine[:, k] for k, channel in enumerate(model.state_channels) if channel.name in names}
         if set(names) - set(values):
-            model, own = self.reduced(course, variant)
+            model, own = self.reduced(model, variant)
             along = self.coefficients_along(variant, model, self.fine_times)
-            signals = model.signals(tuple(course.fine[:, own].T), Inputs(*self.fine_inputs.T), along)
+            signals = model.signals(tuple(fine[:, own].T), Inputs(*self.fine_inputs.T), along)
             for name in names:
                 if name not in values:
                     values[name] = np.broadcast_to(getattr(signals, name), self.fine_times.shape)

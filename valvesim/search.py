@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
 from .errors import InputError, SolveError
+from .evidence import Projected
 from .scene import NOISE_ERROR, Scene, look
 from .study import (
     ASTRAY,
@@ -323,30 +323,37 @@ def _best_of_families(scene: Scene, value: np.ndarray, least: float) -> list[int
 def _pairs(scene: Scene, fall: np.ndarray, failed: Set[str]) -> list[tuple[Extra, ...]]:
     """The best pairs whose fall of the deviance is much larger than that of the best alone (q,)."""
     z, projected, best = scene.z(), scene.projected, fall.max()
-    pairs = []
+    enough = best + max(PAIR_PRICE, 0.1 * best)
     barred = [
-        c.family in failed or (any(map(c.is_same_as, scene.candidates)) and not z[k])
+        c.family in failed or (not z[k] and any(map(c.is_same_as, scene.candidates)))
         for k, c in enumerate(scene.candidates)
     ]
-    for i, j in combinations(map(int, np.flatnonzero(scene.visible() & ~np.array(barred))), 2):
+    pairs = []
+    for i, j in _joint(projected, np.flatnonzero(scene.visible() & ~np.array(barred)), 0.999 * enough):
         first, second = scene.candidates[i], scene.candidates[j]
         if first.excludes(second) or first.is_same_as(second):
             continue
-        both = projected.overlap[np.ix_([i, j], [i, j])]
-        if abs(both[0, 1]) > 0.97 * np.sqrt(both[0, 0] * both[1, 1]):
-            continue
-        a = np.linalg.solve(both, projected.score[[i, j]])
+        a = np.linalg.solve(projected.overlap[np.ix_([i, j], [i, j])], projected.score[[i, j]])
         if any(scene.candidates[k].one_sided and v < 0.0 for k, v in zip((i, j), a, strict=True)):
             continue
         pairs.append((float(a @ projected.score[[i, j]]), i, j, a))
     pairs.sort(key=lambda pair: (-pair[0], pair[1], pair[2]))
     used: dict[str, tuple[Extra, ...]] = {}
     for value, i, j, a in pairs:
-        if value < best + max(PAIR_PRICE, 0.1 * best) or len(used) >= PAIRS:
+        if value < enough or len(used) >= PAIRS:
             break
         label = " + ".join(sorted((scene.candidates[i].family, scene.candidates[j].family)))
         used.setdefault(label, tuple(_extra(scene, k, v) for k, v in zip((i, j), a, strict=True)))
     return list(used.values())
+
+
+def _joint(projected: Projected, of: np.ndarray, least: float) -> list[tuple[int, int]]:
+    """The pairs of some candidates that are not all but one, and whose joint fall of the deviance is no less."""
+    H, s = projected.overlap[np.ix_(of, of)], projected.score[of]
+    size, square = np.outer(np.diag(H), np.diag(H)), np.outer(np.diag(H), s**2)
+    apart = np.triu(np.abs(H) <= 0.97 * np.sqrt(size), 1)
+    fall = (square + square.T - 2.0 * np.outer(s, s) * H) / np.where(apart, size - H**2, 1.0)
+    return [(int(of[i]), int(of[j])) for i, j in np.argwhere(apart & (fall >= least))]
 
 
 def _alone(scene: Scene, k: int) -> Extra:

@@ -400,13 +400,13 @@ def _afar(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
 def _with_peaks(study: Study, base: BaseFit, tell: Callable[[float], None]) -> BaseFit:
     """A coarse base that was fitted without peaks fitted with them too; without where the model cannot follow them."""
     study = replace(study, noise=base.study.noise)
-    start = _weighed(study, base.fit)
-    full = _settle(seen_at(study, start), SETTLED, tell)
+    near = seen_at(study, _weighed(study, base.fit))
+    full = _settle(near, SETTLED, tell)
     left, left_between = full.fit.deviance - full.fit.rows, base.fit.deviance - base.fit.rows
     follows = left <= PEAKS_WORSE * max(left_between, 0.0) + 0.1 * full.fit.rows
     if follows and full.fit.deviance < ASTRAY * full.fit.rows:
         return full
-    return _settle(seen_at(replace(study, weights=base.study.weights), base.fit), SETTLED, tell)
+    return _settle(_under(replace(study, weights=base.study.weights), near), SETTLED, tell)
 
 
 def in_full(base: BaseFit) -> BaseFit:
@@ -483,7 +483,7 @@ def _less_peaks(study: Study, views: Sequence[View]) -> Study:
     weights = []
     for seen in views:
         record = seen.bench.record
-        bends = seen.bench.bends(seen.at_valve, seen.course, seen.variant)
+        bends = seen.bench.bends(seen.course.at_valve, seen.course, seen.variant)
         for name in record.outputs:
             noise = study.noise[name, record.pace]
             row = 1.0 / np.hypot(1.0, PEAK * bends[name] / noise.innovation)
