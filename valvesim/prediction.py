@@ -161,7 +161,9 @@ class Bench:
         k, share = brackets(self.times if times is None else times, path.times)
         share = share.reshape(-1, *(1,) * (columns[0].ndim - 1))
         return tuple(
-            column[:1] if np.all(column == column[0]) else column.take(k, 0) + share * np.diff(column, axis=0).take(k, 0)
+            column[:1]
+            if np.all(column == column[0])
+            else column.take(k, 0) + share * np.diff(column, axis=0).take(k, 0)
             for column in columns
         )
 
