@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from valvesim import search as engine
 from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
 from valvesim.catalogue import CATALOGUE
 from valvesim.diagnosis import _candidate_answers, _explains_more, _gain, _summary, _verdict
+from valvesim.evidence import Projected
 from valvesim.hypotheses import SHORT_LAG, BaseParameter, Candidate
 from valvesim.parameters import Valve
 from valvesim.search import (
@@ -25,6 +27,7 @@ from valvesim.search import (
     _better_base,
     _from_within,
     _in_place_of_figures,
+    _joint,
     _left,
     _left_behind,
     _none_listed,
@@ -340,6 +343,21 @@ def test_a_lag_that_any_amplifier_has_is_not_named_for_sure():
     assert not _none_listed(lagging(sensor, 1.1 * SHORT_LAG), 0.0)
     assert not _none_listed(lagging("thermal_lag", 0.9 * SHORT_LAG), 0.0)  # of no sensor
     assert not _none_listed(explained(1.0, "spool_lap"), 0.0)  # of still less, in metres
+
+
+def test_pairs_are_tried_that_fall_far_enough_together_and_are_not_all_but_one():
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(200, 8)) * np.logspace(-2, 2, 8)
+    columns[:, 5] = 3.0 * columns[:, 4] + 1e-3 * columns[:, 0]
+    overlap, score = columns.T @ columns, columns.T @ (rng.normal(size=200) + columns @ (np.arange(8) / 1e3))
+    of, falls = np.array([0, 2, 3, 4, 5, 7]), {}
+    for i, j in combinations(of, 2):
+        both = np.ix_([i, j], [i, j])
+        falls[int(i), int(j)] = float(score[[i, j]] @ np.linalg.solve(overlap[both], score[[i, j]]))
+    del falls[4, 5]
+    least = float(np.median(list(falls.values())))
+    found = _joint(Projected(score, overlap, 0.0), of, least)
+    assert found == [pair for pair, fall in falls.items() if fall >= least] and 0 < len(found) < len(falls)
 
 
 def test_where_one_of_a_pair_is_slight_the_other_is_fitted_alone_too_from_where_it_got(monkeypatch):

@@ -11,6 +11,7 @@ from scipy.optimize import lsq_linear
 
 import valvesim.study as engine
 from valvesim.errors import SolveError
+from valvesim.prediction import Bench
 from valvesim.session import load_session
 from valvesim.study import (
     SETTLED,
@@ -158,6 +159,34 @@ def test_what_runs_alike_is_worked_out_once_and_reads_as_each_alone(biased):
     for read, bench in zip(predict(study, variant), study.benches, strict=True):
         alone = bench.readings(bench.run(variant), variant)
         assert all(np.array_equal(read[name], alone[name]) for name in alone)
+
+
+@pytest.mark.parametrize("cores", [1, 3])
+def test_work_on_the_records_is_the_same_on_one_core_and_on_more(cores, monkeypatch):
+    monkeypatch.setattr(engine, "cores", lambda: cores)
+    assert engine.each(lambda a, b: a - b, [5, 7, 9, 11], [1, 2, 3, 4]) == [4, 5, 6, 7]
+
+
+def test_what_a_fit_has_run_is_not_run_again_to_see_from_it(biased, monkeypatch):
+    study = biased[0].study
+    fit = engine.evaluate(study, biased[0].fit.point, ())
+    variant, asked, run = fit.variant(study.base), [], Bench.run
+    for at_spacing in (study, study.coarse()):
+        _, columns = engine.see(at_spacing, variant)
+        with monkeypatch.context() as patch:
+            patch.setattr(Bench, "run", lambda bench, other: asked.append(other) or run(bench, other))
+            _, same = engine.see_from(at_spacing, fit)
+        assert variant not in asked
+        for mine, others in zip(same, columns, strict=True):
+            assert all(np.array_equal(mine[name], others[name]) for name in others)
+    assert asked  # what acts within a step is run on its own, see `hypotheses.RUN`
+
+
+def test_a_refit_keeps_no_courses_and_nor_does_a_long_session(biased):
+    base, _ = biased
+    (candidate,) = [c for c in base.study.candidates if c.family == "sensor_bias@load_flow"]
+    assert refit(base, [Extra(candidate, candidate.typical)]).courses == ()
+    assert engine.evaluate(replace(base.study, is_long=True), base.fit.point, ()).courses == ()
 
 
 def test_views_of_a_repeat_have_its_own_readings(biased):
