@@ -130,7 +130,9 @@ class Model:
         x, u, c = State(*state[:6]), Inputs(*inputs), Coefficients(*coefficients[: len(Coefficients._fields)])
         theta, omega, p1, p2, x_v, v = x
         i, i_rate, drive_rates = self.drive.current(u, x, tuple(state[6 : 6 + len(self.drive.memory)]), c)
-        added, memory_rates = self._effects(_situation(x, u, i, i_rate, c), state, coefficients)
+        added, memory_rates = Ports(), ()
+        if self.effects:
+            added, memory_rates = self._effects(_situation(x, u, i, i_rate, c), state, coefficients)
         u = u._replace(
             supply_pressure=u.supply_pressure + added.supply_pressure,
             return_pressure=u.return_pressure + added.return_pressure,
