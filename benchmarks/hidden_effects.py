@@ -65,6 +65,7 @@ from valvesim.noise import Noise  # noqa: E402
 from valvesim.prediction import prepare  # noqa: E402
 from valvesim.scene import Scene, look  # noqa: E402
 from valvesim.session import Session, load_session  # noqa: E402
+from valvesim.simulate import cores  # noqa: E402
 from valvesim.study import (  # noqa: E402
     BaseFit,
     Extra,
@@ -799,7 +800,7 @@ def main() -> None:
     parser.add_argument("--seed-offset", type=int, default=TABLE_SEEDS, help="10000 while the diagnosis is worked on")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--strengths", type=Path, default=RESULTS, help="rows whose strengths need no tuning again")
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--workers", type=int, default=cores())
     parser.add_argument("--baselines", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT, help="the report's file")
     options = parser.parse_args()

@@ -8,7 +8,6 @@ The valve is valvesim's own with a null gap 1 % wide: this measures time, `hidde
 """
 
 import argparse
-import os
 import sys
 import tempfile
 import time
@@ -20,6 +19,7 @@ import numpy as np
 import valvesim as vs
 from valvesim.catalogue import CATALOGUE
 from valvesim.commands import Table
+from valvesim.simulate import cores
 from valvesim.units import parse
 
 CLOCK = np.arange(60_001) / 1e3  # s
@@ -81,7 +81,7 @@ def main() -> None:
             last = stage
 
         found = vs.diagnose(folder, progress=tell)
-        print(f"{time.perf_counter() - begin:.0f} s on {os.cpu_count()} cores: {found.summary}")
+        print(f"{time.perf_counter() - begin:.0f} s on {cores()} cores: {found.summary}")
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ import numpy as np
 import valvesim as vs
 from valvesim import commands, rosenbrock
 from valvesim.compiled import trace
+from valvesim.simulate import cores
 from valvesim.static import follow_branch
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -500,7 +501,7 @@ def batch() -> list[Row]:
     what = f"{count} valves, 5 mA step, 0.1 s"
     measured = f"{seconds:.3g} s, error {same:.1e}"
     rows = [
-        Row(f"{what}, preparation included, {os.cpu_count()} threads", "", f"{seconds:.3g} s, worst error {error:.1e}"),
+        Row(f"{what}, preparation included, {cores()} threads", "", f"{seconds:.3g} s, worst error {error:.1e}"),
         Row(f"{what}, one thread", "", f"{lone:.3g} s", "", f"{lone / seconds:.3g}"),
     ]
     for peer, name, target in (

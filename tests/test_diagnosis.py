@@ -32,6 +32,7 @@ from valvesim.search import (
     _left_behind,
     _none_listed,
     _refitted,
+    _taken_along,
     _with_others,
 )
 from valvesim.session import load_session
@@ -394,6 +395,18 @@ def test_a_pair_that_ends_above_one_of_its_own_two_is_fitted_on_from_that_one(mo
 def stretched(deviance, most, *names):
     """A hypothesis whose fit has the base parameter so many prior deviations out."""
     return Explained(replace(explained(deviance, *names).fit, point=np.full(1, most)))
+
+
+def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypatch):
+    lap, air = explained(0.0, "spool_lap").fit, explained(0.0, "entrained_air").fit
+    monkeypatch.setattr(engine, "evaluate", lambda study, point, extras: Fit(point, extras, 1.0, (), np.zeros(1), 1.0))
+    monkeypatch.setattr(engine, "width_of", lambda base, best: 0.0)
+    ends = {"spool_lap": np.inf, "entrained_air": 0.5}
+    monkeypatch.setattr(
+        engine, "refit_on", lambda base, fit: replace(fit, deviance=ends[fit.extras[0].candidate.family])
+    )
+    found = _taken_along(SimpleNamespace(study=None), [lap, air], lambda share: None)
+    assert [(one.label, one.fit.deviance) for one in found] == [("entrained_air", 0.5)]
 
 
 def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_that_does_not(monkeypatch):

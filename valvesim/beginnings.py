@@ -7,6 +7,7 @@ these does not explain the whole either, so that few hypotheses are left to be f
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -31,16 +32,14 @@ def begin(study: Study, tell: Callable[[str, float], None]) -> tuple[BaseFit, Se
     """
     stage = "fitting the nominal model"
     tell(stage, 0.0)
-    if not study.is_long:
-        return fit_base(study, lambda share: tell(stage, share)), ()
-    try:
-        searched = _search_beginnings(study, lambda what, share: tell(f"{what}, in the first seconds", 0.5 * share))
-        tell(stage, 0.5)
-        base = fit_base_near(study, searched.base.fit.point, peaks=not searched.base.study.weights)
-    except (SolveError, InputError):  # a record's beginning need not hold what makes it a record
-        return fit_base(study, lambda share: tell(stage, share)), ()
-    known = searched.rivals or searched.found[:UNEXPLAINED]
-    return base, [one.fit for one in known if one.fit.extras]
+    if study.is_long:
+        with suppress(SolveError, InputError):  # a record's beginning need not hold what makes it a record
+            searched = _search_beginnings(study, lambda what, share: tell(f"{what}, in the first seconds", 0.5 * share))
+            tell(stage, 0.5)
+            base = fit_base_near(study, searched.base.fit.point, peaks=not searched.base.study.weights)
+            known = searched.rivals or searched.found[:UNEXPLAINED]
+            return base, [one.fit for one in known if one.fit.extras]
+    return fit_base(study, lambda share: tell(stage, share)), ()
 
 
 def _search_beginnings(study: Study, tell: Callable[[str, float], None]) -> Searched:

@@ -23,7 +23,7 @@ from .model import Model
 from .parameters import Coefficients, Valve
 from .scenario import Scenario
 from .session import Record, Session, record_scenario
-from .simulate import between, brackets, temperature_knots
+from .simulate import between, brackets, on_lines, temperature_knots
 from .static import solve_rest
 from .thermal import TemperaturePath
 
@@ -160,12 +160,7 @@ class Bench:
             return tuple(columns)
         k, share = brackets(self.times if times is None else times, path.times)
         share = share.reshape(-1, *(1,) * (columns[0].ndim - 1))
-        return tuple(
-            column[:1]
-            if np.all(column == column[0])
-            else column.take(k, 0) + share * np.diff(column, axis=0).take(k, 0)
-            for column in columns
-        )
+        return tuple(column[:1] if np.all(column == column[0]) else on_lines(column, k, share) for column in columns)
 
     def switched_off(self, model: Model, active: Sequence[ActiveEffect]) -> np.ndarray:
         """True for each state of the model that is the memory of an effect which is not active."""
@@ -213,15 +208,15 @@ class Bench:
             column = _read(active, times, column, oil)
         return column
 
-    def bends(self, values: dict[str, np.ndarray], course: Course, variant: Variant) -> dict[str, np.ndarray]:
-        """By how much each channel, on the fine grid, bends next to a sample (n_samples,): half its second difference.
+    def bends(self, course: Course, variant: Variant) -> dict[str, np.ndarray]:
+        """By how much each reading, on the fine grid, bends next to a sample (n_samples,): half its second difference.
 
         Zero where the grid is that of the samples.
         """
         from scipy.ndimage import maximum_filter1d
 
         step, bends = self.refinement * self.finer, {}
-        for name, column in values.items():
+        for name, column in course.at_valve.items():
             bend = np.zeros(len(column))
             if step > 1:
                 bend[1:-1] = np.abs(np.diff(self._acted(name, column, course, variant), 2)) / 2.0

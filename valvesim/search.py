@@ -30,6 +30,7 @@ from .study import (
     refit,
     refit_afresh,
     refit_from,
+    refit_on,
     unstretched,
 )
 from .weighing import ANSWER_RATIO, Explained, is_nothing, ran, ranked, rivals_of, settled, width_of, worth
@@ -69,9 +70,8 @@ class Searched:
 def search(base: BaseFit, tell: Callable[[str, float], None], known: Sequence[Fit] = ()) -> Searched:
     """Look for what explains what a base fit leaves: hypotheses of one and of two candidates if that is an alarm.
 
-    Those `known` from elsewhere are the only ones to begin with, each from where it was fitted.
-
-    Again where these show that the base fit had stopped short. `tell(stage, share)` is told what is being done.
+    Again where these show that the base fit had stopped short. Those `known` from elsewhere are the only ones to begin
+    with, each from where it was fitted. `tell(stage, share)` is told what is being done.
     """
     tell("looking for causes", 0.0)
     scene = look(base, base.fit)
@@ -189,7 +189,8 @@ def _taken_along(base: BaseFit, known: Sequence[Fit], tell: Callable[[float], No
     for k, fit in enumerate(sorted(begun, key=lambda fit: fit.deviance)):
         tell(k / len(begun))
         near = found and fit.deviance < found[0].fit.deviance + AS_GOOD * width_of(base, found[0])
-        found.append(Explained(fit if near else refit_from(base, fit)))
+        refitted = fit if near else refit_on(base, fit)
+        found += [Explained(refitted)] if ran(refitted) else []
     return found
 
 
@@ -234,7 +235,7 @@ def _beside_members(base: BaseFit, found: Sequence[Explained]) -> list[Explained
         for member, other in ((first, second), (second, first)):
             fit = alone.get(member.candidate.family)
             if fit is not None and fit.deviance < pair.deviance:
-                again.append(refit_from(base, replace(fit, extras=(*fit.extras, replace(other, excess=0.0)))))
+                again.append(refit_from(base, fit.with_extras((*fit.extras, replace(other, excess=0.0)))))
     return [Explained(fit) for fit in again if ran(fit)]
 
 
@@ -329,7 +330,8 @@ def _pairs(scene: Scene, fall: np.ndarray, failed: Set[str]) -> list[tuple[Extra
         for k, c in enumerate(scene.candidates)
     ]
     pairs = []
-    for i, j in _joint(projected, np.flatnonzero(scene.visible() & ~np.array(barred)), 0.999 * enough):
+    of = np.flatnonzero(scene.visible() & ~np.array(barred))
+    for i, j in _joint(projected, of, 0.999 * enough):  # but for rounding, which the solution below decides
         first, second = scene.candidates[i], scene.candidates[j]
         if first.excludes(second) or first.is_same_as(second):
             continue

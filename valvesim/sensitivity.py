@@ -141,8 +141,8 @@ class Linearised:
         d = np.empty_like(g)
         d[0] = -np.linalg.lstsq(self.A[0], g[0], rcond=1e-12)[0]  # a memory at rest stays where it is
         _machine()[1](self.E, self.early, self.late, g, d)
-        ends = (d.min(axis=(0, 1)) > -ENDLESS) & (d.max(axis=(0, 1)) < ENDLESS)
-        d[:, :, ~ends] = 0.0
+        bounded = (d.min(axis=(0, 1)) > -ENDLESS) & (d.max(axis=(0, 1)) < ENDLESS)
+        d[:, :, ~bounded] = 0.0
         return d
 
     def channel(self, name: str, answers: np.ndarray, direct: np.ndarray | None = None, every: int = 1) -> np.ndarray:

@@ -270,6 +270,10 @@ class Fit:
         own = [np.log(dict(extra.shapes)[shape]) if shape else extra.excess for extra, shape in self.kinds]
         return np.array([*self.point, *own])
 
+    def with_extras(self, extras: Sequence[Extra]) -> Fit:
+        """The same point with other extras: the courses were run with these ones, and are left behind."""
+        return replace(self, extras=tuple(extras), courses=())
+
     def variant(self, base: Base) -> Variant:
         """The valve and effects of this fit."""
         variant = base.at(self.point)
@@ -375,7 +379,7 @@ def fit_base_near(study: Study, point: np.ndarray, *, peaks: bool) -> BaseFit:
     base = seen_at(study, _weighed(study, fit))
     for last in (False, True):
         weighed = base.study if peaks else _less_peaks(base.study, base.views)
-        base = _settle(_under(weighed, base), SETTLED, lambda share: None)
+        base = _settle(_under(weighed, base), SETTLED)
         if last or all(noise.verified for noise in base.study.noise.values()):
             break
         base = _under(replace(study, noise=find_noise(study, base.fit.readings)), base)
@@ -388,7 +392,7 @@ def fit_base_from(base: BaseFit, fit: Fit) -> BaseFit:
     start = _weighed(study, fit)
     if start.deviance > ASTRAY * start.rows:
         return fit_from(study, fit)
-    return _settle(seen_at(study, start), SETTLED, lambda share: None)
+    return _settle(seen_at(study, start), SETTLED)
 
 
 def _afar(study: Study, fit: Fit, tell: Callable[[float], None]) -> BaseFit:
@@ -458,7 +462,7 @@ def _robust(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> Study:
     return study.weighed([1.0 / np.hypot(1.0, r / (FAR_OFF * max(float(np.median(np.abs(r))), 1.0))) for r in white])
 
 
-def _settle(base: BaseFit, enough: float, tell: Callable[[float], None]) -> BaseFit:
+def _settle(base: BaseFit, enough: float, tell: Callable[[float], None] = lambda share: None) -> BaseFit:
     """The base fitted under its study's noise, from where it is, until the deviance falls by no more than enough."""
     for look in range(BASE_LOOKS):
         tell(0.5 + 0.5 * look / BASE_LOOKS)
@@ -483,7 +487,7 @@ def _less_peaks(study: Study, views: Sequence[View]) -> Study:
     weights = []
     for seen in views:
         record = seen.bench.record
-        bends = seen.bench.bends(seen.course.at_valve, seen.course, seen.variant)
+        bends = seen.bench.bends(seen.course, seen.variant)
         for name in record.outputs:
             noise = study.noise[name, record.pace]
             row = 1.0 / np.hypot(1.0, PEAK * bends[name] / noise.innovation)
@@ -623,9 +627,16 @@ def refit_afresh(base: BaseFit, start: Sequence[Extra]) -> Fit:
 
 def refit_from(base: BaseFit, fit: Fit) -> Fit:
     """A fit fitted further from where it is, by answers of its own; its deviance is infinite where it cannot be run."""
+    try:
+        return refit_on(base, evaluate(base.study, fit.point, fit.extras))
+    except (SolveError, InputError):
+        return _not_run(base, fit.extras)
+
+
+def refit_on(base: BaseFit, fit: Fit) -> Fit:
+    """The same for a fit that has been run in the base's study."""
     study = base.study
     try:
-        fit = evaluate(study, fit.point, fit.extras)
         answers = _answers(study, fit, *see_from(study, fit))
     except (SolveError, InputError):
         return _not_run(base, fit.extras)
@@ -665,7 +676,7 @@ def unstretched(base: BaseFit) -> np.ndarray:
 
 def _not_run(base: BaseFit, start: Sequence[Extra]) -> Fit:
     """In place of a fit that no valve could be run for."""
-    return replace(base.fit, extras=tuple(replace(e, excess=0.0) for e in start), deviance=np.inf)
+    return replace(base.fit.with_extras([replace(e, excess=0.0) for e in start]), deviance=np.inf)
 
 
 def _led_near(base: BaseFit, fit: Fit, looks: int) -> Fit:
@@ -700,11 +711,11 @@ def _descended(study: Study, fit: Fit, answers: np.ndarray, enough: float, looks
 def _leap(base: BaseFit, start: tuple[Extra, ...]) -> Fit | None:
     """Where the linear equations put everything at once: a base parameter stretched by the cause goes back at once."""
     p = base.J.shape[1]
-    absent = replace(base.fit, extras=start)  # its residual is that without the extras
+    absent = base.fit.with_extras(start)  # its residual is that without the extras
     try:
         S = _added_columns(base, absent)
         own = [k for k, (_, shape) in enumerate(absent.kinds) if not shape]
-        plain = replace(base.fit, extras=tuple(replace(e, shapes=()) for e in start))
+        plain = base.fit.with_extras([replace(e, shapes=()) for e in start])
         H, gradient = _normal(plain, np.column_stack([base.J, S[:, own]]))
         room = np.transpose([(-np.inf, np.inf)] * p + [_inside(e.candidate) for e in start])
         step = _step(H, gradient, room)
@@ -870,7 +881,7 @@ def own_steps(fit: Fit) -> list[tuple[Candidate, Fit]]:
         for j, (name, value) in enumerate(extra.shapes):
             shapes = (*extra.shapes[:j], (name, value * SHAPE_STEP), *extra.shapes[j + 1 :])
             moved.append(replace(extra, shapes=shapes))
-        steps += [(extra.candidate, replace(fit, extras=(*fit.extras[:k], m, *fit.extras[k + 1 :]))) for m in moved]
+        steps += [(extra.candidate, fit.with_extras((*fit.extras[:k], m, *fit.extras[k + 1 :]))) for m in moved]
     return steps
 
 
