@@ -15,6 +15,7 @@ test: $(STAMP)
 lint: $(STAMP)
 	$(VENV)/bin/python -m ruff check .
 	$(VENV)/bin/python -m mypy
+	$(VENV)/bin/lint-imports --no-cache
 
 # Keeps the pins that still fit; `rm requirements.lock` first to move them all.
 lock: | $(VENV)/bin/pip-compile

@@ -14,27 +14,31 @@ from typing import Any
 
 import numpy as np
 
-from valvesim.answer import Diagnosis
 from valvesim.channels import STATE_CHANNELS
-from valvesim.scene import Scene
-from valvesim.study import BaseFit, Extra, Fit, refit
+from valvesim.diagnosis.result import Diagnosis
+from valvesim.diagnosis.score_test import ScoreTest
+from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.hypothesis_fit import fit_hypothesis
+from valvesim.identification.nominal_fit import NominalFit
 
 REFITTED, LOOKS = 12, 1  # candidates, the best by score first; looks at those the diagnosis left out
 SPARSITY = 0.05  # threshold of the sparse fit, on scaled terms
 MEASURED = ("armature_angle", "nozzle_pressure_1", "nozzle_pressure_2", "spool_position")
 
 
-def baselines(base: BaseFit | None, scene: Scene | None, fits: Sequence[Fit], found: Diagnosis) -> dict[str, Any]:
+def baselines(
+    nominal: NominalFit | None, scores: ScoreTest | None, fits: Sequence[Fit], found: Diagnosis
+) -> dict[str, Any]:
     """Their answers: a channel, two labels (None: nothing), and a balance or the reason why there is none."""
     answers: dict[str, Any] = {"largest_residual": largest_residual(found)}
-    if base is None or scene is None:
+    if nominal is None or scores is None:
         return answers
-    refitted = refit_all(base, scene, fits)
+    refitted = refit_all(nominal, scores, fits)
     if refitted:
-        answers["lowest_rmse"] = min(refitted, key=lambda fit: fit.residual @ fit.residual).extras[0].candidate.family
+        answers["lowest_rmse"] = min(refitted, key=lambda fit: fit.residual @ fit.residual).fitted[0].candidate.label
         best = min(refitted, key=_aic)
-        answers["aic"] = best.extras[0].candidate.family if _aic(best) < base.fit.deviance else None
-    answers["pysindy"] = discrepancy_fit(base)
+        answers["aic"] = best.fitted[0].candidate.label if _aic(best) < nominal.fit.chi_square else None
+    answers["pysindy"] = discrepancy_fit(nominal)
     return answers
 
 
@@ -47,32 +51,34 @@ def largest_residual(found: Diagnosis) -> str:
     return max(pooled, key=lambda channel: pooled[channel])
 
 
-def refit_all(base: BaseFit, scene: Scene, fits: Sequence[Fit]) -> list[Fit]:
+def refit_all(nominal: NominalFit, scores: ScoreTest, fits: Sequence[Fit]) -> list[Fit]:
     """One fit a family for the best by score; those that the diagnosis has refitted are taken from it."""
-    done = {fit.extras[0].candidate.family: fit for fit in fits if len(fit.extras) == 1 and np.isfinite(fit.deviance)}
-    z, projected, chosen = scene.z(), scene.projected, {}
+    done = {fit.fitted[0].candidate.label: fit for fit in fits if len(fit.fitted) == 1 and np.isfinite(fit.chi_square)}
+    z, projected, chosen = scores.z(), scores.projected, {}
     for k in np.argsort(-z, kind="stable"):
-        family = scene.candidates[k].family
-        if z[k] > 0.0 and len(chosen) < REFITTED and family not in chosen:
-            chosen[family] = done.get(family) or refit(base, (_start(scene, int(k), projected),), looks=LOOKS)
-    return [fit for fit in chosen.values() if np.isfinite(fit.deviance)]
+        hypothesis = scores.candidates[k].label
+        if z[k] > 0.0 and len(chosen) < REFITTED and hypothesis not in chosen:
+            chosen[hypothesis] = done.get(hypothesis) or fit_hypothesis(
+                nominal, (_start(scores, int(k), projected),), linearisations=LOOKS
+            )
+    return [fit for fit in chosen.values() if np.isfinite(fit.chi_square)]
 
 
-def _start(scene: Scene, k: int, projected: Any) -> Extra:
-    candidate, amount = scene.candidates[k], projected.score[k] / projected.overlap[k, k]
+def _start(scores: ScoreTest, k: int, projected: Any) -> FittedCandidate:
+    candidate, amount = scores.candidates[k], projected.score[k] / projected.overlap[k, k]
     low, high = candidate.limits
     fixed = dict(candidate.fixed)
     shapes = tuple((p.name, fixed.get(p.name, p.default)) for p in candidate.shapes())
-    return Extra(candidate, float(np.clip(amount * scene.sizes[k], 0.9 * low, 0.9 * high)), shapes)
+    return FittedCandidate(candidate, float(np.clip(amount * scores.sizes[k], 0.9 * low, 0.9 * high)), shapes)
 
 
 def _aic(fit: Fit) -> float:
-    return fit.deviance + 2.0 * sum(1 + len(extra.shapes) for extra in fit.extras)
+    return fit.chi_square + 2.0 * sum(1 + len(member.shapes) for member in fit.fitted)
 
 
-def discrepancy_fit(base: BaseFit) -> dict[str, str]:
+def discrepancy_fit(nominal: NominalFit) -> dict[str, str]:
     """{"balance": name} of the largest term that a sparse polynomial finds, or {"skipped": reason}."""
-    records = [bench.record for bench in base.study.benches]
+    records = [predictor.record for predictor in nominal.study.predictors]
     if any(set(MEASURED) - set(record.outputs) for record in records):
         return {"skipped": "angle, pressures and spool are not all measured"}
     if any(record.command != "current" for record in records):
@@ -85,25 +91,25 @@ def discrepancy_fit(base: BaseFit) -> dict[str, str]:
     scales = np.array([channel.scale for channel in STATE_CHANNELS])
     differ = ps.SmoothedFiniteDifference(smoother_kws={"window_length": 11, "polyorder": 3})
     states, inputs, missing, rates = [], [], [], []
-    for seen in base.views:
-        record, every = seen.bench.record, seen.bench.refinement
-        x = np.column_stack([seen.course.states[::every, k] for k in range(len(names))])
+    for seen in nominal.linearised:
+        record, every = seen.predictor.record, seen.predictor.oversampling
+        x = np.column_stack([seen.trajectory.states[::every, k] for k in range(len(names))])
         for name in MEASURED:
             x[:, names.index(name)] = record.values[name]
         for slow, fast in (("armature_angle", "armature_rate"), ("spool_position", "spool_velocity")):
             x[:, names.index(fast)] = differ(x[:, [names.index(slow)]], record.time)[:, 0]
-        measured = differ(x, record.time)
+        measured_channels = differ(x, record.time)
         model = seen.model if not seen.model.effects else None
         if model is None:
             return {"skipped": "the base model has effects of its own"}
-        along = [v[::every] if len(v) > 1 else v for v in seen.bench.coefficients_along(seen.variant, model)]
-        u = seen.bench.inputs[::every]
+        along = [v[::every] if len(v) > 1 else v for v in seen.predictor.coefficients_along(seen.variant, model)]
+        u = seen.predictor.inputs[::every]
         own = model.rhs(tuple(x.T), tuple(u.T), tuple(along))
         own = np.column_stack([np.broadcast_to(rate, len(x)) for rate in own])
         states.append(x / scales)
         inputs.append(u[:, :1] / 1e-2)
-        missing.append(measured - own)
-        rates.append(measured)
+        missing.append(measured_channels - own)
+        rates.append(measured_channels)
     spread = np.std(np.concatenate(rates), axis=0)
     model = ps.SINDy(optimizer=ps.STLSQ(threshold=SPARSITY), feature_library=ps.PolynomialLibrary(degree=2))
     model.fit(states, t=records[0].time[1], x_dot=[m / spread for m in missing], u=inputs)

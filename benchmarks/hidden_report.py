@@ -15,7 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from valvesim.catalogue import CATALOGUE, MOTOR, PILOT, SENSORS, SPOOL, SUPPLY
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.effects.motor import MOTOR
+from valvesim.valve.effects.pilot import PILOT
+from valvesim.valve.effects.sensors import SENSORS
+from valvesim.valve.effects.spool import SPOOL
+from valvesim.valve.effects.supply import SUPPLY
 
 Row = dict[str, Any]
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 import valvesim as vs
-from valvesim.catalogue import CATALOGUE
-from valvesim.commands import Table
-from valvesim.simulate import cores
+from valvesim.inputs import Table
+from valvesim.simulation.run import cores
 from valvesim.units import parse
+from valvesim.valve.catalogue import CATALOGUE
 
 CLOCK = np.arange(60_001) / 1e3  # s
 HEADERS = {"spool_position": ("mm", 1e3), "load_flow": ("L/min", 6e4)}

@@ -31,10 +31,11 @@ from unittest.mock import patch
 import numpy as np
 
 import valvesim as vs
-from valvesim import commands, rosenbrock
-from valvesim.compiled import trace
-from valvesim.simulate import cores
-from valvesim.static import follow_branch
+from valvesim import inputs as commands
+from valvesim.simulation.run import cores
+from valvesim.solver import rodas5p as rosenbrock
+from valvesim.solver.codegen import trace
+from valvesim.valve.equilibrium import follow_branch
 
 ROOT = Path(__file__).resolve().parent.parent
 LAUNCH = ROOT / "scenarios" / "launch_shock.toml"
@@ -99,7 +100,7 @@ def error_of(spool: np.ndarray, reference: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Case:
-    """A scenario as the peers take it, set up apart from `valvesim.simulate`: at rest until `times[0]`, then one input.
+    """A scenario as the peers take it, set up apart from `simulation.run`: at rest until `times[0]`, then one input.
 
     start (6,) scaled; rows: one piece an input; knot_times (m,), knots (m, n_c): coefficients, evenly spaced.
     """
@@ -344,7 +345,7 @@ class Own(NamedTuple):
 
 def tight(scenario: vs.Scenario) -> np.ndarray:
     """Spool positions of the reference: tolerance 1e-7, coefficients at the closest knots that valvesim lays."""
-    with patch.object(import_module("valvesim.simulate"), "KNOT_ERROR", 1e-8):
+    with patch.object(import_module("valvesim.simulation.run"), "KNOT_ERROR", 1e-8):
         return vs.simulate(replace(scenario, tolerance=1e-7)).values["spool_position"]
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from valvesim import Effect, Parameter, Ports
 from valvesim.channels import Channel
-from valvesim.laws import lagged, land_opening
-from valvesim.model import main_stage
+from valvesim.valve.equations import main_stage
+from valvesim.valve.laws import lagged, land_opening
 
 RATE_TIME = 0.2  # s, tau: short beside a sweep of minutes, long beside the time in which the valve settles
 

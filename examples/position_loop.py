@@ -22,7 +22,8 @@ import matplotlib
 import numpy as np
 
 import valvesim as vs
-from valvesim.linear import gain_schedule, nonlinear_system, rest_state
+from valvesim.characterisation.control_block import nonlinear_system, rest_state
+from valvesim.characterisation.gain_schedule import gain_schedule
 
 AREA, VOLUME, MASS = 1e-3, 1.2e-4, 60.0  # m^2, m^3, kg
 VISCOUS, COULOMB, COULOMB_SPEED = 500.0, 100.0, 2e-3  # N s/m, N, m/s

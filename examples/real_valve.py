@@ -20,24 +20,24 @@ from pathlib import Path
 import numpy as np
 
 import valvesim as vs
-from valvesim.answer import Diagnosis, Trace
-from valvesim.bench import (
-    Record,
-    blocked_load_pressure,
-    branch_curves,
-    cycle,
-    half_split,
-    measured,
-    read_record,
-)
-from valvesim.figures import Figure
-from valvesim.laws import orifice_flow
-from valvesim.model import main_stage
-from valvesim.noise import Noise
-from valvesim.parameters import PartTemperatures, Valve
-from valvesim.prediction import prepare
-from valvesim.static import solve_rest
-from valvesim.study import Extra, evaluate, prepare_study, refit, seen_at
+from valvesim.characterisation.acceptance.acceptance_tests import record_figures
+from valvesim.characterisation.acceptance.cycle import cycle
+from valvesim.characterisation.acceptance.leakage import branch_curves, half_split
+from valvesim.characterisation.acceptance.pressure_gain import blocked_load_pressure
+from valvesim.characterisation.acceptance.record import AcceptanceRecord, read_record
+from valvesim.characterisation.figure_of_merit import FigureOfMerit
+from valvesim.diagnosis.result import Diagnosis, Trace
+from valvesim.identification.fit import FittedCandidate, evaluate_fit
+from valvesim.identification.hypothesis_fit import fit_hypothesis
+from valvesim.identification.noise_model import NoiseModel
+from valvesim.identification.nominal_fit import linearise_nominal
+from valvesim.identification.predictor import prepare_record
+from valvesim.identification.study import prepare_study
+from valvesim.valve.coefficients import PartTemperatures
+from valvesim.valve.equations import main_stage
+from valvesim.valve.equilibrium import solve_rest
+from valvesim.valve.laws import orifice_flow
+from valvesim.valve.parameters import Valve
 
 OIL_TEMPERATURE = 20.0  # °C: the records state none
 SUPPLY, FLOW_SUPPLY = 205.5e5, 70e5  # Pa: 2980 psi; the flow curve's flow at full current is that of 70 bar drop
@@ -65,7 +65,7 @@ def valve_of(pilot: float, port_width: float, null_opening: float) -> Valve:
     )  # fmt: skip
 
 
-def bench_curves(valve: Valve) -> dict[str, Record]:
+def bench_curves(valve: Valve) -> dict[str, AcceptanceRecord]:
     """The static records of a valve: `flow` without load at 70 bar, `blocked` with load pressure and leakage."""
     c = valve.at(PartTemperatures.uniform(OIL_TEMPERATURE))
     half = np.sinh(np.linspace(-5.0, 5.0, 401)) / np.sinh(5.0) * 0.95 * RATED  # dense about null
@@ -86,20 +86,23 @@ def bench_curves(valve: Valve) -> dict[str, Record]:
     flow = {"time": time, "current": i, "load_flow": main_stage(low.spool_position, FLOW_SUPPLY, 0.0, c)[0]}
     leakage = pilot + main_stage(x, SUPPLY, p_L, c)[1]
     blocked = {"time": time, "current": i, "load_pressure": p_L, "internal_leakage": leakage}
-    return {"flow": Record(source="model", values=flow), "blocked": Record(source="model", values=blocked)}
+    return {
+        "flow": AcceptanceRecord(source="model", values=flow),
+        "blocked": AcceptanceRecord(source="model", values=blocked),
+    }
 
 
-def gains(flow: Record, blocked: Record) -> tuple[float, float]:
+def gains(flow: AcceptanceRecord, blocked: AcceptanceRecord) -> tuple[float, float]:
     """(flow gain m^3/s/A, mean of both polarities; pressure gain Pa/A) of records, reduced as on a bench."""
     figures = (
-        *measured(flow, "flow", rated_current=RATED),
-        *measured(blocked, "pressure-gain", rated_current=RATED),
+        *record_figures(flow, "flow", rated_current=RATED),
+        *record_figures(blocked, "pressure-gain", rated_current=RATED),
     )
-    value = {figure.name: figure.value for figure in figures if isinstance(figure, Figure)}
+    value = {figure.name: figure.value for figure in figures if isinstance(figure, FigureOfMerit)}
     return (value["flow_gain_negative"] + value["flow_gain_positive"]) / 2.0, value["pressure_gain"]
 
 
-def middle_curve(record: Record, at: np.ndarray) -> np.ndarray:
+def middle_curve(record: AcceptanceRecord, at: np.ndarray) -> np.ndarray:
     """Leakage (m^3/s) at currents from null, mean of the branches, each moved by half of what is between them."""
     c = cycle(record, "internal_leakage")
     grid, rising, falling = branch_curves(c)
@@ -221,8 +224,6 @@ role = "test"
     return folder
 
 
-
-
 # ---------------------------------------------------------------- the page
 
 
@@ -297,14 +298,14 @@ def pair_lines(folder: Path) -> list[str]:
     """Markdown of loop and lag together, fitted to a session by hand: what naming them would gain."""
     session = vs.load_session(folder)
     study = prepare_study(session)
-    white = Noise(LEAKAGE_MISFIT, (), False, "what the land law can be trusted to")
-    study = replace(study, noise={(name, b.record.pace): white for b in study.benches for name in b.record.outputs})
-    nominal = np.zeros(len(study.base.parameters))
-    base = seen_at(study, evaluate(study, nominal, ()))
-    pair = [candidate for candidate in study.candidates if candidate.family in PAIR]
-    start = [Extra(one, one.typical, tuple((p.name, p.default) for p in one.shapes())) for one in pair]
-    fit = refit(base, start)
-    variant = fit.variant(study.base)
+    white = NoiseModel(LEAKAGE_MISFIT, (), False, "what the land law can be trusted to")
+    study = replace(study, noise={(name, b.record.pace): white for b in study.predictors for name in b.record.outputs})
+    start_point = np.zeros(len(study.nominal.parameters))
+    nominal = linearise_nominal(study, evaluate_fit(study, start_point, ()))
+    pair = [candidate for candidate in study.candidates if candidate.label in PAIR]
+    start = [FittedCandidate(one, one.typical, tuple((p.name, p.default) for p in one.shapes())) for one in pair]
+    fit = fit_hypothesis(nominal, start)
+    variant = fit.variant(study.nominal)
     lines = [
         "## A loop and a lag, by hand", "",
         "The same session with friction of the spool and a slow meter chosen by hand; noise taken as white, "
@@ -314,11 +315,12 @@ def pair_lines(folder: Path) -> list[str]:
         "| record | friction and slow meter, L/min rms |", "|---|---|",
     ]  # fmt: skip
     for record in session.records:
-        bench = prepare(session, record, study.benches[0].universe)
-        left = record.values["internal_leakage"] - bench.readings(bench.run(variant), variant)["internal_leakage"]
+        predictor = prepare_record(session, record, study.predictors[0].universe, options=study.options)
+        predicted = predictor.readings(predictor.run(variant), variant)["internal_leakage"]
+        left = record.values["internal_leakage"] - predicted
         locked = " (locked away)" if record.role == "test" else ""
         lines.append(f"| {record.name}{locked} | {LPM * float(np.sqrt(np.mean(left**2))):.3f} |")
-    found = ", ".join(f"{e.candidate.family} {e.excess:.3g} {e.candidate.unit}" for e in fit.extras)
+    found = ", ".join(f"{e.candidate.label} {e.above_neutral:.3g} {e.candidate.unit}" for e in fit.fitted)
     return [*lines, "", f"Found: {found}. For the lag by `valvesim bench` see measurements.md.", ""]
 
 

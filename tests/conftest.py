@@ -6,7 +6,7 @@ import warnings
 import pytest
 from hypothesis import settings
 
-from valvesim import cli
+from valvesim.cli import main as cli
 from valvesim.errors import forget_warnings
 
 # derandomize: the same examples in every run, so that a failure is never a matter of luck

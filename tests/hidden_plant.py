@@ -24,8 +24,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from valvesim.parameters import PART_NAMES, PartTemperatures, Valve
-from valvesim.thermal import ThermalNetwork
+from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
+from valvesim.valve.parameters import Valve
+from valvesim.valve.thermal_network import ThermalNetwork
 
 MU_0 = 4e-7 * math.pi
 PLAYS = 10  # play operators of the hysteresis

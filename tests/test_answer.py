@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from valvesim.answer import (
+from valvesim.diagnosis.result import (
     CAUSE,
     CandidateAnswer,
     DetectionLimit,

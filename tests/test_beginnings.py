@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 from hidden_plant import draw, write_session
 
-from valvesim import beginnings, diagnose, search, study
-from valvesim.beginnings import BEFORE, begin
-from valvesim.beginnings import beginnings as beginnings_of
+from valvesim import diagnose
+from valvesim.diagnosis import coarse_to_fine as leading_segments  # noqa: E402
+from valvesim.diagnosis import isolation
+from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
+from valvesim.diagnosis.coarse_to_fine import leading_segments as beginnings_of
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.options import CoarseToFineOptions, DiagnosisOptions
 from valvesim.errors import SolveError
-from valvesim.session import load_session
-from valvesim.study import SETTLED, prepare_study, restricted
+from valvesim.identification.fit import predict_readings
+from valvesim.identification.nominal_fit import fit_nominal, fit_nominal_near
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.options import FitOptions, IdentificationOptions
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_study, restricted_study
 
 
 @pytest.fixture(scope="module")
@@ -22,12 +30,11 @@ def session(tmp_path_factory):
     return load_session(folder)
 
 
-@pytest.fixture
-def long(monkeypatch):
-    """Any session counts as long; of each of its records a good half is searched first."""
-    monkeypatch.setattr(study, "LONG", 0)
-    monkeypatch.setattr(beginnings, "SAMPLES", 0)
-    monkeypatch.setattr(beginnings, "FEWEST", 600)
+LONG = DiagnosisOptions(
+    identification=IdentificationOptions(fit=FitOptions(long_session=0)),
+    coarse_to_fine=CoarseToFineOptions(samples=0, least_samples=600),
+)
+"""Any session counts as long; of each of its records a good half is searched first."""
 
 
 def late(record, samples, label=None):
@@ -47,8 +54,8 @@ def late(record, samples, label=None):
 
 def test_a_beginning_is_kept_from_just_before_the_inputs_move(session):
     record = next(r for r in session.training if not np.ptp(r.values[r.command][:3]) == 0.0)
-    (part,) = beginnings_of([late(record, 3000)], 40)
-    before = round(BEFORE * record.rate)
+    (part,) = beginnings_of([late(record, 3000)], 40, options=DIAGNOSIS)
+    before = round(DIAGNOSIS.coarse_to_fine.lead * record.rate)
     assert len(part.time) == 500
     assert part.time[0] == 0.0
     assert part.rate == pytest.approx(record.rate)
@@ -59,7 +66,7 @@ def test_a_beginning_is_kept_from_just_before_the_inputs_move(session):
 
 
 def test_a_record_shorter_than_a_beginning_is_kept_whole(session):
-    parts = beginnings_of(session.training, len(session.training))
+    parts = beginnings_of(session.training, len(session.training), options=DIAGNOSIS)
     for part, record in zip(parts, session.training, strict=True):
         np.testing.assert_array_equal(part.time, record.time)
         for name, values in record.values.items():
@@ -68,39 +75,39 @@ def test_a_record_shorter_than_a_beginning_is_kept_whole(session):
 
 def test_repeats_keep_in_step(session):
     record = session.training[0]
-    early, later = beginnings_of([late(record, 3000, "a"), late(record, 3010, "a")], 40)
+    early, later = beginnings_of([late(record, 3000, "a"), late(record, 3010, "a")], 40, options=DIAGNOSIS)
     np.testing.assert_array_equal(early.values[record.command][:-10], later.values[record.command][10:])
 
 
 def test_beginnings_read_what_the_whole_reads_there(session):
     whole = prepare_study(session)
     most = 400
-    parts = [beginnings._part(bench.record, slice(0, most)) for bench in whole.benches]
-    short = restricted(whole, parts)
-    assert short.base is whole.base
+    parts = [leading_segments._part(predictor.record, slice(0, most)) for predictor in whole.predictors]
+    short = restricted_study(whole, parts)
+    assert short.nominal is whole.nominal
     assert short.candidates is whole.candidates
-    variant = whole.base.at(np.zeros(len(whole.base.parameters)))
-    for mine, own in zip(study.predict(short, variant), study.predict(whole, variant), strict=True):
+    variant = whole.nominal.at(np.zeros(len(whole.nominal.parameters)))
+    for mine, own in zip(predict_readings(short, variant), predict_readings(whole, variant), strict=True):
         for name, read in mine.items():
             np.testing.assert_allclose(read, own[name][:most], atol=1e-4 * np.ptp(own[name]))
 
 
 def test_a_short_session_is_searched_as_a_whole(session):
-    base, known = begin(prepare_study(session), lambda stage, share: None)
+    nominal, known = fit_coarse_to_fine(prepare_study(session), lambda stage, share: None, options=DIAGNOSIS)
     assert known == ()
-    assert len(base.fit.readings[0]["load_flow"]) == len(session.training[0].time)
+    assert len(nominal.fit.readings[0]["load_flow"]) == len(session.training[0].time)
 
 
-def test_in_a_long_session_what_its_beginnings_show_is_fitted_to_the_whole(session, long, monkeypatch):
+def test_in_a_long_session_what_its_beginnings_show_is_fitted_to_the_whole(session, monkeypatch):
     searched_in, stages = [], []
 
-    def starts(scene, failed):
-        searched_in.append(len(scene.fit.readings[0]["load_flow"]))
-        return own(scene, failed)
+    def starts(scores, failed):
+        searched_in.append(len(scores.fit.readings[0]["load_flow"]))
+        return own(scores, failed)
 
-    own = search._starts
-    monkeypatch.setattr(search, "_starts", starts)
-    found = diagnose(session, progress=lambda stage, share: stages.append((stage, share)))
+    own = isolation.start_points
+    monkeypatch.setattr(isolation, "start_points", starts)
+    found = diagnose(session, progress=lambda stage, share: stages.append((stage, share)), options=LONG)
     assert found.causes == ("sensor_bias",)
     hidden = dict(draw(9, "sensor", name="sensor_bias").hidden)["sensor_bias"]["bias"]
     assert found.parameters[0].low < hidden < found.parameters[0].high
@@ -109,29 +116,31 @@ def test_in_a_long_session_what_its_beginnings_show_is_fitted_to_the_whole(sessi
     assert [share for _, share in stages] == sorted(share for _, share in stages)
 
 
-def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, long, monkeypatch):
-    def not_run(*given):
+def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkeypatch):
+    def not_run(*given, options):
         raise SolveError("no valve")
 
-    monkeypatch.setattr(beginnings, "_search_beginnings", not_run)
-    monkeypatch.setattr(beginnings, "fit_base", lambda study, tell: study)
-    whole = prepare_study(session)
-    assert begin(whole, lambda stage, share: None) == (whole, ())
+    monkeypatch.setattr(leading_segments, "_isolate_in_segments", not_run)
+    monkeypatch.setattr(leading_segments, "fit_nominal", lambda study, tell: study)
+    whole = prepare_study(session, options=LONG.identification)
+    assert fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG) == (whole, ())
 
 
 def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(session):
-    afar = study.fit_base(prepare_study(session))
+    afar = fit_nominal(prepare_study(session))
     assert not afar.study.weights
-    for peaks in (True, False):
-        near = study.fit_base_near(prepare_study(session), afar.fit.point, peaks=peaks)
-        assert bool(near.study.weights) is not peaks
-        if peaks:
-            assert near.fit.deviance < afar.fit.deviance + 2.0 * SETTLED
+    for full_weight in (True, False):
+        near = fit_nominal_near(prepare_study(session), afar.fit.point, full_weight=full_weight)
+        assert bool(near.study.weights) is not full_weight
+        if full_weight:
+            assert near.fit.chi_square < afar.fit.chi_square + 2.0 * OPTIONS.fit.nominal_ftol
 
 
 def test_what_hardly_helps_is_left_in_a_long_session_alone(session):
     whole = prepare_study(session)
-    fit = study.Fit(np.zeros(1), (), 1e6, (), np.zeros(0), 1e3)
-    assert whole.hardly(fit) == 0.0
-    assert replace(whole, is_long=True).hardly(fit) == pytest.approx(study.HARDLY * (1e6 - study.ASTRAY * 1e3))
-    assert replace(whole, is_long=True).hardly(replace(fit, deviance=1e3)) == 0.0
+    assert whole.negligible_reduction(1e6, 1e3) == 0.0
+    long_session = replace(whole, is_long=True)
+    assert long_session.negligible_reduction(1e6, 1e3) == pytest.approx(
+        OPTIONS.fit.negligible_share * (1e6 - OPTIONS.fit.inadequate_ratio * 1e3)
+    )
+    assert long_session.negligible_reduction(1e3, 1e3) == 0.0

@@ -9,12 +9,16 @@ import pytest
 from scipy.optimize import brentq
 
 import valvesim as vs
-from valvesim import bench as b
-from valvesim import report_bench
+from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests, record_figures
+from valvesim.characterisation.acceptance.cycle import cycle
+from valvesim.characterisation.acceptance.leakage import common_hysteresis, half_split
+from valvesim.characterisation.acceptance.pressure_gain import blocked_load_pressure
+from valvesim.characterisation.acceptance.record import AcceptanceRecord, read_record
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, table
 from valvesim.errors import InputError
-from valvesim.figures import Absent, Figure, table
-from valvesim.model import main_stage
-from valvesim.static import solve_rest
+from valvesim.reports import acceptance as report_bench
+from valvesim.valve.equations import main_stage
+from valvesim.valve.equilibrium import solve_rest
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "servovalve-5329"
 measured_data = pytest.mark.skipif(not DATA.is_dir(), reason="the measured valve's data (../shared/data) is not here")
@@ -36,7 +40,7 @@ def refusal(function, *arguments, **options):
 
 @pytest.fixture(scope="module")
 def reference():
-    return b.bench(vs.reference_valve())
+    return acceptance_tests(vs.reference_valve())
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +56,7 @@ def blocked_at_rest():
     load = np.zeros(current.shape)
     for _ in range(60):
         rest = solve_rest(c, current, 20.0, valve.supply_pressure, valve.return_pressure, load)
-        load = b.blocked_load_pressure(rest.spool_position, valve.supply_pressure, c)
+        load = blocked_load_pressure(rest.spool_position, valve.supply_pressure, c)
     orifice = np.pi * c.fixed_orifice_diameter_1**2 / 4 * c.orifice_flow_coefficient * np.sqrt(2 / c.density)
     drops = (valve.supply_pressure - p for p in (rest.nozzle_pressure_1, rest.nozzle_pressure_2))
     pilot = orifice * sum(np.sqrt(drop) for drop in drops)
@@ -103,7 +107,7 @@ def test_blocked_ports_pass_no_load_flow(reference):
 
 def test_rated_flow_is_that_of_the_static_solution_at_70_bar_valve_drop():
     valve = replace(vs.reference_valve(), spool_stroke=0.6e-3)  # so that no stop is reached
-    figures = by_name(b.bench(valve).figures)
+    figures = by_name(acceptance_tests(valve).figures)
     load = valve.supply_pressure - 70 * BAR
     rest = vs.static_solution(replace(valve, load_pressure=load), current=valve.rated_current)
     c = valve.at(vs.PartTemperatures.uniform(20.0))
@@ -121,7 +125,7 @@ def test_the_symmetric_valve_has_no_null_hysteresis_threshold_or_asymmetry(figur
 
 def test_null_bias_and_its_shifts_are_those_of_the_static_solution():
     valve = replace(vs.reference_valve(), null_gap_difference=1e-6)
-    figures = by_name(b.bench(valve).figures)
+    figures = by_name(acceptance_tests(valve).figures)
 
     def null(valve, temperature=20.0):
         def position(i):
@@ -142,7 +146,7 @@ def test_null_bias_and_its_shifts_are_those_of_the_static_solution():
 
 def test_magnetic_hysteresis_is_found_again_in_every_test():
     loop = vs.effect("magnetic_hysteresis")(coercive_current=0.1 * MA)
-    figures = by_name(b.bench(vs.reference_valve(), effects=(loop,)).figures)
+    figures = by_name(acceptance_tests(vs.reference_valve(), effects=(loop,)).figures)
     assert figures["flow.hysteresis"].value == pytest.approx(0.02, rel=0.03)  # 2 i_c over 10 mA
     assert figures["pressure-gain.hysteresis"].value == pytest.approx(0.02, rel=0.03)
     assert figures["leakage.hysteresis"].value == pytest.approx(0.2 * MA, rel=0.03)
@@ -170,19 +174,19 @@ def made(tmp=None, *, period=100.0, top=5 * MA, hysteresis=0.2 * MA, lag=0.0, de
             out[k] = out[k - 1] + weight * (y[k] - out[k - 1])
         y = out
     values = {"time": t, "current": np.round(50 * current / top) * top / 50, "internal_leakage": np.round(y, 10)}
-    return b.Record(source="made", values=values)
+    return AcceptanceRecord(source="made", values=values)
 
 
 def test_a_delay_and_a_hysteresis_are_parted_by_two_rates():
     records = [made(period=period, delay=1.5) for period in (100.0, 500.0)]
-    figures = by_name(b.common_hysteresis(records))
+    figures = by_name(common_hysteresis(records))
     assert figures["half_hysteresis"].value == pytest.approx(0.1 * MA, abs=0.01 * MA)
     assert figures["lag"].value == pytest.approx(1.5, abs=0.05)
 
 
 def test_a_first_order_lag_is_within_the_stated_uncertainty():
     records = [made(period=period, lag=1.5) for period in (100.0, 200.0, 500.0)]
-    figures = by_name(b.common_hysteresis(records))
+    figures = by_name(common_hysteresis(records))
     for name, true in (("half_hysteresis", 0.1 * MA), ("lag", 1.5)):
         assert abs(figures[name].value - true) < 3 * figures[name].uncertainty
     assert figures["half_hysteresis"].uncertainty < 0.02 * MA
@@ -190,13 +194,13 @@ def test_a_first_order_lag_is_within_the_stated_uncertainty():
 
 def test_a_stated_lag_is_taken_off_one_record():
     record = made(period=100.0, delay=1.0)
-    assert isinstance(by_name(b.measured(record, "leakage"))["hysteresis"], Absent)
-    figure = by_name(b.measured(record, "leakage", lag=1.0))["hysteresis"]
+    assert isinstance(by_name(record_figures(record, "leakage"))["hysteresis"], Absent)
+    figure = by_name(record_figures(record, "leakage", lag=1.0))["hysteresis"]
     assert figure.value == pytest.approx(0.2 * MA, abs=3 * figure.uncertainty)
 
 
 def test_one_rate_cannot_part_hysteresis_from_lag():
-    assert "two or more rates" in refusal(b.common_hysteresis, [made(), made()])
+    assert "two or more rates" in refusal(common_hysteresis, [made(), made()])
 
 
 def flow_record(*, gain=0.4, bias=0.1 * MA, width=0.5 * MA, step=0.0, dead=0.0, clip=np.inf, polarity=1.0, n=20000):
@@ -215,13 +219,13 @@ def flow_record(*, gain=0.4, bias=0.1 * MA, width=0.5 * MA, step=0.0, dead=0.0, 
         for k in range(1, len(y)):
             held[k] = held[k - 1] if abs(y[k]) < dead else y[k]
         y = held
-    return b.Record(source="made", values={"time": t, "current": i, "load_flow": y})
+    return AcceptanceRecord(source="made", values={"time": t, "current": i, "load_flow": y})
 
 
 @pytest.mark.parametrize("polarity", [1.0, -1.0])
 @pytest.mark.parametrize("step", [0.0, 0.05 * L_MIN, 0.38 * L_MIN])
 def test_gain_hysteresis_and_null_are_found_again_within_their_uncertainty(polarity, step):
-    figures = by_name(b.measured(flow_record(polarity=polarity, step=step), "flow"))
+    figures = by_name(record_figures(flow_record(polarity=polarity, step=step), "flow"))
     assert figures["polarity"].value == polarity
     spread = 0.01 + step / (0.4 * L_MIN)
     for name in ("flow_gain_negative", "flow_gain_positive"):
@@ -234,28 +238,28 @@ def test_gain_hysteresis_and_null_are_found_again_within_their_uncertainty(polar
 
 def test_a_dead_zone_is_found_and_kept_out_of_the_hysteresis():
     record = flow_record(step=2e-3 * L_MIN, dead=0.24 * L_MIN)
-    figures = by_name(b.measured(record, "flow"))
+    figures = by_name(record_figures(record, "flow"))
     assert figures["dead_zone"].value == pytest.approx(0.24 * L_MIN, rel=0.03)
     assert figures["null_loop"].value > 1.0 * MA
     assert figures["hysteresis"].value == pytest.approx(0.02, rel=0.02)
-    assert by_name(b.measured(flow_record(step=2e-3 * L_MIN), "flow"))["dead_zone"].value == 0.0
-    assert by_name(b.measured(record, "flow", dead_zone=0.3 * L_MIN))["dead_zone"].value == 0.3 * L_MIN
+    assert by_name(record_figures(flow_record(step=2e-3 * L_MIN), "flow"))["dead_zone"].value == 0.0
+    assert by_name(record_figures(record, "flow", dead_zone=0.3 * L_MIN))["dead_zone"].value == 0.3 * L_MIN
 
 
 def test_a_stated_lag_is_taken_off_the_flow_loop():
-    plain, freed = (by_name(b.measured(flow_record(), "flow", lag=lag)) for lag in (None, 1.0))
+    plain, freed = (by_name(record_figures(flow_record(), "flow", lag=lag)) for lag in (None, 1.0))
     assert plain["loop_width"].value - freed["loop_width"].value == pytest.approx(2 * 0.2 * MA, rel=1e-3)
 
 
 def test_a_saturated_flow_gives_no_figures_of_its_ends():
-    figures = by_name(b.measured(flow_record(clip=8 * L_MIN), "flow"))
+    figures = by_name(record_figures(flow_record(clip=8 * L_MIN), "flow"))
     for name in ("flow_at_rated", "linearity", "symmetry"):
         assert isinstance(figures[name], Absent) and "saturated" in figures[name].reason
-    assert isinstance(figures["hysteresis"], Figure)
+    assert isinstance(figures["hysteresis"], FigureOfMerit)
 
 
 def test_gain_is_absent_where_rated_current_is_not_reached():
-    figures = by_name(b.measured(flow_record(), "flow", rated_current=50 * MA))
+    figures = by_name(record_figures(flow_record(), "flow", rated_current=50 * MA))
     assert isinstance(figures["flow_gain_positive"], Absent) and "50 mA" in figures["flow_gain_positive"].reason
 
 
@@ -263,21 +267,23 @@ def test_gain_is_absent_where_rated_current_is_not_reached():
 
 
 def with_values(record, **changes):
-    return b.Record(source="bad", values={**record.values, **changes})
+    return AcceptanceRecord(source="bad", values={**record.values, **changes})
 
 
 def test_a_missing_column_is_named():
-    assert "'load_pressure'" in refusal(b.measured, flow_record(), "pressure-gain")
+    assert "'load_pressure'" in refusal(record_figures, flow_record(), "pressure-gain")
 
 
 def test_an_unknown_test_is_refused_with_the_nearest():
-    assert "'leakage'" in refusal(b.measured, flow_record(), "leakag")
+    assert "'leakage'" in refusal(record_figures, flow_record(), "leakag")
 
 
 def test_a_gap_in_time_is_refused():
     record = flow_record()
     kept = (record.values["time"] < 100.0) | (record.values["time"] > 120.0)
-    assert "gap of 20" in refusal(lambda: b.Record(source="x", values={k: v[kept] for k, v in record.values.items()}))
+    assert "gap of 20" in refusal(
+        lambda: AcceptanceRecord(source="x", values={k: v[kept] for k, v in record.values.items()})
+    )
 
 
 def test_a_column_with_nan_is_refused():
@@ -288,58 +294,58 @@ def test_a_column_with_nan_is_refused():
 def test_a_clipped_current_is_refused():
     record = flow_record()
     clipped = with_values(record, current=np.clip(record.values["current"], -20 * MA, 20 * MA))
-    assert "clipped" in refusal(b.measured, clipped, "flow")
+    assert "clipped" in refusal(record_figures, clipped, "flow")
 
 
 def test_a_record_without_a_complete_cycle_is_refused():
     record = flow_record()
     kept = (record.values["time"] > 130.0) & (record.values["time"] < 370.0)
-    part = b.Record(source="part", values={name: v[kept] for name, v in record.values.items()})
-    assert "no complete cycle" in refusal(b.measured, part, "flow")
+    part = AcceptanceRecord(source="part", values={name: v[kept] for name, v in record.values.items()})
+    assert "no complete cycle" in refusal(record_figures, part, "flow")
 
 
 def test_too_few_points_a_period_are_refused():
-    assert "too few" in refusal(b.measured, flow_record(n=80), "flow")
+    assert "too few" in refusal(record_figures, flow_record(n=80), "flow")
     assert "samples" in refusal(flow_record, n=40)
 
 
 def test_a_coarse_current_is_refused():
     record = flow_record()
     coarse = np.round(record.values["current"] / (10 * MA)) * 10 * MA
-    assert "too coarse" in refusal(b.measured, with_values(record, current=coarse), "flow")
+    assert "too coarse" in refusal(record_figures, with_values(record, current=coarse), "flow")
 
 
 def test_a_current_of_one_polarity_is_refused():
     record = flow_record()
     moved = with_values(record, current=record.values["current"] + 30 * MA)
-    assert "one polarity" in refusal(b.measured, moved, "flow")
+    assert "one polarity" in refusal(record_figures, moved, "flow")
 
 
 def test_a_flow_that_never_changes_sign_is_refused():
     record = flow_record()
     moved = with_values(record, load_flow=record.values["load_flow"] + 15 * L_MIN)
-    assert "never changes sign" in refusal(b.measured, moved, "flow")
+    assert "never changes sign" in refusal(record_figures, moved, "flow")
 
 
 def test_a_load_pressure_that_stays_near_zero_gives_no_pressure_gain():
     record = flow_record()
     low = np.where(record.values["load_flow"] > 0.0, 200 * BAR, -20 * BAR) + 1e3 * record.values["time"]
-    figures = by_name(b.measured(with_values(record, load_pressure=low), "pressure-gain"))
+    figures = by_name(record_figures(with_values(record, load_pressure=low), "pressure-gain"))
     assert isinstance(figures["pressure_gain"], Absent)
 
 
 def test_a_clipped_leakage_has_no_null_leakage():
     record = made(period=500.0)
     clipped = np.minimum(record.values["internal_leakage"], 1.2 * L_MIN)
-    figures = by_name(b.measured(with_values(record, internal_leakage=clipped), "leakage"))
+    figures = by_name(record_figures(with_values(record, internal_leakage=clipped), "leakage"))
     assert isinstance(figures["null_leakage"], Absent) and "clipped" in figures["null_leakage"].reason
 
 
 def test_a_constant_channel_is_refused():
     record = flow_record()
     zero = np.zeros(record.values["time"].shape)
-    assert "never changes" in refusal(b.measured, with_values(record, load_flow=zero), "flow")
-    assert "current never changes" in refusal(b.measured, with_values(record, current=zero), "flow")
+    assert "never changes" in refusal(record_figures, with_values(record, load_flow=zero), "flow")
+    assert "current never changes" in refusal(record_figures, with_values(record, current=zero), "flow")
 
 
 def test_time_that_falls_is_refused():
@@ -348,18 +354,20 @@ def test_time_that_falls_is_refused():
 
 
 def test_a_leakage_that_still_falls_has_no_tare():
-    figures = by_name(b.measured(made(top=3 * MA), "leakage"))
+    figures = by_name(record_figures(made(top=3 * MA), "leakage"))
     assert isinstance(figures["tare"], Absent) and "still falls" in figures["tare"].reason
 
 
 def test_a_sweep_that_hardly_passes_the_peak_is_refused():
-    assert "sweep further" in refusal(b.measured, made(top=0.12 * MA), "leakage")
+    assert "sweep further" in refusal(record_figures, made(top=0.12 * MA), "leakage")
 
 
 def test_a_short_range_of_pressure_gives_no_exponent():
     t = np.linspace(0.0, 1.0, 1000)
-    record = b.Record(source="x", values={"time": t, "pressure_drop": 6e6 + 1e6 * t, "load_flow": 1e-4 + 1e-5 * t})
-    assert all(isinstance(figure, Absent) for figure in b.measured(record, "flow-load"))
+    record = AcceptanceRecord(
+        source="x", values={"time": t, "pressure_drop": 6e6 + 1e6 * t, "load_flow": 1e-4 + 1e-5 * t}
+    )
+    assert all(isinstance(figure, Absent) for figure in record_figures(record, "flow-load"))
 
 
 # ---------------------------------------------------------------- files, table and pictures
@@ -374,8 +382,8 @@ def write_csv(path, record, header, factors):
 def test_both_headers_give_the_same_record(tmp_path):
     record = flow_record(n=500)
     header = "time [s],current [mA],load_flow [L/min]"
-    units = b.read_record(write_csv(tmp_path / "units.csv", record, header, (1, 1e3, 6e4)))
-    plain = b.read_record(write_csv(tmp_path / "plain.csv", record, "t_s,current_A,flow_m3s", (1, 1, 1)))
+    units = read_record(write_csv(tmp_path / "units.csv", record, header, (1, 1e3, 6e4)))
+    plain = read_record(write_csv(tmp_path / "plain.csv", record, "t_s,current_A,flow_m3s", (1, 1, 1)))
     for name, values in record.values.items():
         assert units.values[name] == pytest.approx(values, rel=1e-12)
         assert plain.values[name] == pytest.approx(values, rel=1e-12)
@@ -392,11 +400,11 @@ def test_both_headers_give_the_same_record(tmp_path):
 )
 def test_a_bad_file_is_refused(tmp_path, text, part):
     (tmp_path / "bad.csv").write_text(text)
-    assert part in refusal(b.read_record, tmp_path / "bad.csv")
+    assert part in refusal(read_record, tmp_path / "bad.csv")
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    assert "no such file" in refusal(b.read_record, tmp_path / "none.csv")
+    assert "no such file" in refusal(read_record, tmp_path / "none.csv")
 
 
 def test_the_table_has_figures_with_units_and_reasons(figures):
@@ -419,7 +427,7 @@ def test_pictures_are_written(tmp_path, reference):
 
 
 def real(name, test, **options):
-    return by_name(b.measured(b.read_record(DATA / f"{name}.csv"), test, **options))
+    return by_name(record_figures(read_record(DATA / f"{name}.csv"), test, **options))
 
 
 @measured_data
@@ -458,14 +466,14 @@ def test_leakage_of_the_real_valve():
 
 @measured_data
 def test_both_periods_of_the_real_valve_reduce_to_one_hysteresis():
-    records = [b.read_record(DATA / f"leakage_sweep_{period}s.csv") for period in (100, 500)]
-    common = by_name(b.common_hysteresis(records))
+    records = [read_record(DATA / f"leakage_sweep_{period}s.csv") for period in (100, 500)]
+    common = by_name(common_hysteresis(records))
     h, lag = common["half_hysteresis"], common["lag"]
     assert h.value == pytest.approx(0.125 * MA, abs=0.01 * MA) and h.uncertainty < 0.02 * MA
     assert 1.03 < lag.value < 1.8  # field.md's 1.03 s is a line through periods down to 20 s, which bends
     for record in records:
-        c = b.cycle(record, "internal_leakage")
-        split, _, error = b.half_split(c)
+        c = cycle(record, "internal_leakage")
+        split, _, error = half_split(c)
         assert abs(split - lag.value * c.rate - h.value) < max(error, 0.01 * MA)
 
 

@@ -21,14 +21,15 @@ from test_effects import (
     valve,
 )
 
-from valvesim.catalogue import CATALOGUE, effect
 from valvesim.channels import State
-from valvesim.effects import Reading
-from valvesim.fluid import aerated_bulk_modulus
-from valvesim.laws import lagged
-from valvesim.model import AT_20, NOMINAL, Model, VoltageDrive, main_stage, torque_constant
-from valvesim.parameters import PART_NAMES, PartTemperatures, Valve
-from valvesim.static import nozzle_pressures, solve_rest
+from valvesim.valve.catalogue import CATALOGUE, effect
+from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
+from valvesim.valve.effect import Reading
+from valvesim.valve.equations import AT_20, NOMINAL, Model, VoltageDrive, main_stage, torque_constant
+from valvesim.valve.equilibrium import nozzle_pressures, solve_rest
+from valvesim.valve.fluid import aerated_bulk_modulus
+from valvesim.valve.laws import lagged
+from valvesim.valve.parameters import Valve
 
 FIXED_NAMES = (  # what records, scenarios and answers of a diagnosis call them
     "magnet_demagnetization magnetic_hysteresis magnetic_saturation coil_turns_loss eddy_current_lag "

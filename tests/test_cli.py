@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import valvesim as vs
-from valvesim.thermal import ThermalNetwork
 from valvesim.units import quantities
+from valvesim.valve.thermal_network import ThermalNetwork
 
 SCENARIO = """\
 title = "Small"
@@ -169,8 +169,9 @@ def test_wrong_words_for_static_are_refused_in_one_line(refused, words, message)
 
 
 def test_a_static_solution_that_cannot_be_found_exits_with_1(refused):
-    message = refused("static", "--current", "100 mA", "--oil-temperature", "20 degC", code=1)
-    assert message.startswith("static solution: at 100 mA no stable root")
+    weak = ("--set", "valve.spring_tube_stiffness=1 N*m/rad", "--set", "valve.feedback_rod_stiffness=100 N/m")
+    message = refused("static", "--current", "1 mA", "--oil-temperature", "20 degC", *weak, code=1)
+    assert message.startswith("static solution: no stable null")
 
 
 # --- run -------------------------------------------------------------------------------------------------------------
@@ -262,7 +263,7 @@ def test_results_go_to_a_folder_of_the_scenarios_name(call, case, tmp_path, monk
             (),
             "unknown channel 'spol_position'; did you mean 'spool_position'?",
         ),
-        (SCENARIO, ("--set", "thermal.oil_temperature=-300 degC"), "oil mil_prf_5606: -300 °C is outside -100 to 400"),
+        (SCENARIO, ("--set", "thermal.oil_temperature=-300 degC"), "-300 °C at t = 0 s is outside -100 to 400"),
         (
             SCENARIO.replace("isothermal = true", 'isothermal = true\noil_temperature = "100 degC"'),
             ("--set", "valve.spool_expansion=6e-5 1/K"),
@@ -286,7 +287,7 @@ def test_run_needs_a_scenario(refused):
 @pytest.mark.parametrize("below", ["file", "file/out", "file/out/deep"])
 def test_an_output_folder_that_cannot_be_is_refused_before_the_run(refused, case, tmp_path, below, monkeypatch):
     (tmp_path / "file").write_text("kept")
-    monkeypatch.setattr("valvesim.compiled.compile_model", None)  # whoever calls it fails otherwise than refused
+    monkeypatch.setattr("valvesim.solver.codegen.compile_model", None)  # whoever calls it fails otherwise than refused
     message = refused("run", case, "-o", tmp_path / below)
     assert message.startswith(str(tmp_path / below)) and "cannot be written" in message
     assert (tmp_path / "file").read_text() == "kept"
@@ -299,15 +300,17 @@ def test_a_run_that_fails_exits_with_1_and_leaves_no_file(refused, case, tmp_pat
         "--set",
         "valve.spring_tube_stiffness=1 N*m/rad",
         "--set",
+        "valve.feedback_rod_stiffness=100 N/m",
+        "--set",
         "valve.rated_current=60 mA",
     )
     message = refused("run", case, "-o", tmp_path / "out", *words, code=1)
-    assert message.startswith("static solution: at 60 mA no stable root")
+    assert message.startswith("static solution: no stable null")
     assert not list((tmp_path / "out").iterdir())
 
 
 def test_an_integration_that_fails_exits_with_1(refused, case, tmp_path, monkeypatch):
-    monkeypatch.setattr(import_module("valvesim.simulate"), "MAX_STEPS", 2)
+    monkeypatch.setattr(import_module("valvesim.simulation.run"), "MAX_STEPS", 2)
     message = refused("run", case, "-o", tmp_path / "out", code=1)
     assert message.startswith("the integration failed at t = ") and "Try a larger" in message
 
@@ -316,7 +319,7 @@ def test_an_interrupted_run_exits_with_130_and_leaves_no_file(call, case, tmp_pa
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(import_module("valvesim.simulate"), "write_atomically", interrupt)
+    monkeypatch.setattr(import_module("valvesim.simulation.run"), "write_atomically", interrupt)
     code, out, err = call("run", case, "-o", tmp_path / "out")
     assert (code, out, err.strip()) == (130, "", "error: interrupted; nothing half-written is left")
     assert not list((tmp_path / "out").iterdir())
@@ -354,6 +357,8 @@ def test_parameters_lists_every_figure_with_value_unit_range_and_source(call):
         for where, instance in (("valve", vs.Valve()), ("oil", vs.MIL_PRF_5606), ("thermal", ThermalNetwork()))
         for name in quantities(instance)
     }
+    law = rows.pop("valve.flow_law")
+    assert law["value"] == "yan_2019" and "reynolds_number" in law["range"]
     assert code == 0 and list(rows) == list(declared)
     assert [float(row["value"]) for row in rows.values()] == pytest.approx(list(declared.values()), rel=1e-5)
     assert all(row["unit"] and row["range"] and row["meaning"] and row["source"] for row in rows.values())
@@ -380,7 +385,7 @@ def test_help_and_version_are_shown(call, words):
 
 
 def test_the_program_runs_as_a_module_without_loading_what_it_does_not_need():
-    words = [sys.executable, "-X", "importtime", "-m", "valvesim.cli"]
+    words = [sys.executable, "-X", "importtime", "-m", "valvesim.cli.main"]
     words += ["static", "--current=1 mA", "--oil-temperature=20 degC", "--format=csv"]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     header, row = done.stdout.splitlines()
@@ -392,7 +397,7 @@ def test_the_program_runs_as_a_module_without_loading_what_it_does_not_need():
 
 def test_an_error_of_the_module_is_one_line_without_a_traceback(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "valvesim.cli", "run", str(tmp_path / "none.toml")], capture_output=True, text=True
+        [sys.executable, "-m", "valvesim.cli.main", "run", str(tmp_path / "none.toml")], capture_output=True, text=True
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: {tmp_path / 'none.toml'}: no such file\n"

@@ -8,24 +8,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valvesim.commands import (
+from valvesim.errors import InputError
+from valvesim.inputs import (
     COMMANDS,
     Chirp,
     Constant,
+    Extremes,
     Pulse,
     Ramp,
+    Scaled,
     Sine,
     Staircase,
     Step,
     Sum,
     Table,
     evaluate,
+    extremes,
     largest,
     merge,
     piece_value,
     read_table,
 )
-from valvesim.errors import InputError
 
 END = 2.0
 
@@ -113,7 +116,7 @@ def defined(c, t):
             return c.offset + c.amplitude * math.sin(2 * math.pi * turns)
         case Pulse():
             starts = [c.time] if c.period == np.inf else [c.time + k * c.period for k in range(int(END / c.period) + 2)]
-            return c.height if any(start <= t < start + c.width for start in starts) else c.base
+            return c.base + (c.height if any(start <= t < start + c.width for start in starts) else 0.0)
         case Staircase():
             jumps = sum(k * c.hold <= t for k in range(1, int(c.steps) + 1))
             return c.start_value + (c.end_value - c.start_value) * jumps / c.steps
@@ -185,9 +188,9 @@ def test_a_train_of_pulses_reaches_the_end():
 
 JUMPS = [
     (Step(before=1.0, after=5.0, time=0.7), 0.7, 1.0, 5.0),
-    (Pulse(base=1.0, height=5.0, width=0.1, time=0.7), 0.7, 1.0, 5.0),
-    (Pulse(base=1.0, height=5.0, width=0.1, time=0.7), 0.7 + 0.1, 5.0, 1.0),
-    (Pulse(base=1.0, height=5.0, width=0.1, time=0.7, period=0.3), 0.7 + 3 * 0.3, 1.0, 5.0),
+    (Pulse(base=1.0, height=4.0, width=0.1, time=0.7), 0.7, 1.0, 5.0),
+    (Pulse(base=1.0, height=4.0, width=0.1, time=0.7), 0.7 + 0.1, 5.0, 1.0),
+    (Pulse(base=1.0, height=4.0, width=0.1, time=0.7, period=0.3), 0.7 + 3 * 0.3, 1.0, 5.0),
     (Staircase(start_value=0.0, end_value=10.0, steps=10, hold=0.1), 3 * 0.1, 2.0, 3.0),
     (Sine(amplitude=4.0, phase=math.pi / 2, offset=1.0, time=0.7), 0.7, 1.0, 5.0),
     (Chirp(amplitude=4.0, start_frequency=1.25, end_frequency=1.25, duration=1.0, offset=1.0), 1.0, 5.0, 1.0),
@@ -296,6 +299,59 @@ def test_the_largest_value_of_a_straight_command_is_reached(kind, data):
 )
 def test_the_largest_value_counts_only_what_happens_until_the_end(command, bound):
     assert largest(command, END) == pytest.approx(bound, abs=1e-12)
+
+
+@given(mixtures)
+def test_extremes_are_bounds_that_are_reached(several):
+    command = Sum(tuple(several))
+    reach, rows = extremes(command, END), command.pieces(END)
+    times = np.unique(np.concatenate([watched(command), np.linspace(0.0, END, 20_001)]))
+    seen = evaluate(command, times)
+    size = 1.0 + max(abs(reach.lowest), abs(reach.highest))
+    assert reach.lowest - 1e-9 * size <= seen.min() and seen.max() <= reach.highest + 1e-9 * size
+    for value, at in ((reach.lowest, reach.lowest_at), (reach.highest, reach.highest_at)):
+        ends = [piece_value(row, at)[0] for row in rows[:, :] if row[0] <= at]  # at a jump both sides count
+        assert 0.0 <= at <= END and min(abs(value - end) for end in ends) <= 1e-8 * size
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_the_extremes_of_a_chirp_on_a_line_are_where_its_rate_vanishes(logarithmic):
+    chirp = Chirp(
+        amplitude=2.0, start_frequency=0.3, end_frequency=9.0, duration=2.0, time=0.1, logarithmic=logarithmic
+    )
+    command = Sum((chirp, Ramp(end_value=6.0, rate=3.0)))
+    reach, h = extremes(command, END), 1e-7
+    for value, at in ((reach.lowest, reach.lowest_at), (reach.highest, reach.highest_at)):
+        before, here, after = evaluate(command, [at - h, at, at + h])
+        assert here == pytest.approx(value, abs=1e-9)
+        assert at == 0.0 or abs(after - before) / (2 * h) < 1e-2  # rates reach 100 a second
+    assert reach.highest < 8.0 and reach.lowest > -2.0  # less than line and amplitude together
+
+
+@pytest.mark.parametrize(
+    "command, end, lowest, highest",
+    [
+        (Sine(amplitude=30.0, frequency=1e5, offset=21.0), 1e5, -9.0, 51.0),  # 1e10 periods
+        (Sum((Sine(amplitude=3.0, frequency=1e5), Ramp(end_value=5.0, rate=5e-5))), 1e5, -3.0, 8.0),
+        (Sum((Sine(amplitude=3.0, frequency=7.0), Scaled(Sine(amplitude=3.0, frequency=7.0), -1.0))), 50.0, 0.0, 0.0),
+        (
+            Sum((Sine(amplitude=3.0, frequency=7.0), Sine(amplitude=4.0, frequency=7.0, phase=math.pi / 2))),
+            9.0,
+            -5.0,
+            5.0,
+        ),
+        (Sum((Sine(amplitude=1.0, frequency=1.0), Sine(amplitude=1.0, frequency=2.0))), 3.0, -1.7601725, 1.7601725),
+    ],
+)
+def test_extremes_of_any_number_of_periods(command, end, lowest, highest):
+    reach = extremes(command, end)
+    assert (reach.lowest, reach.highest) == pytest.approx((lowest, highest), abs=1e-6)
+
+
+def test_values_just_before_a_jump_and_at_the_end_count():
+    command = Sum((Ramp(end_value=9.0, rate=1.0), Step(after=-5.0, time=1.0)))
+    assert extremes(command, 1.5) == Extremes(-4.0, 1.0, 1.0, 1.0)
+    assert extremes(Ramp(end_value=9.0, rate=1.0), 1.5) == Extremes(0.0, 0.0, 1.5, 1.5)
 
 
 # ---------------------------------------------------------------- sums and merging

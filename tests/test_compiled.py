@@ -10,15 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valvesim import compiled, rosenbrock
-from valvesim.catalogue import CATALOGUE
 from valvesim.channels import INPUT_CHANNELS, Inputs, State
-from valvesim.commands import Constant, Sine, merge
-from valvesim.compiled import compile_model, derivatives
-from valvesim.effects import Effect, Parameter, Ports
-from valvesim.model import NOMINAL, Model, VoltageDrive
-from valvesim.parameters import PartTemperatures, Valve, reference_valve
-from valvesim.static import static_solution
+from valvesim.inputs import Constant, Sine, merge
+from valvesim.solver import codegen as compiled
+from valvesim.solver import rodas5p as rosenbrock
+from valvesim.solver.codegen import compile_model, derivatives
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.coefficients import PartTemperatures
+from valvesim.valve.effect import Effect, Parameter, Ports
+from valvesim.valve.equations import NOMINAL, Model, VoltageDrive
+from valvesim.valve.equilibrium import static_solution
+from valvesim.valve.parameters import Valve, reference_valve
 
 valve = reference_valve()
 sharp = Valve(transition_pressure=1.0)  # roots of the oracle

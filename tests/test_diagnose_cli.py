@@ -11,10 +11,11 @@ import pytest
 from test_answer import answer
 
 import valvesim as vs
-from valvesim import cli, diagnosis
-from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, NO_TEST, UNKNOWN
-from valvesim.files import read_columns
-from valvesim.user_effects import load_effects
+from valvesim.cli import main as cli
+from valvesim.diagnosis import diagnose as diagnosis
+from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, NO_TEST, UNKNOWN
+from valvesim.io import read_columns
+from valvesim.valve.effect_files import load_effects
 
 EFFECT = """
 import valvesim as vs
@@ -169,7 +170,7 @@ def test_whatever_fails_leaves_the_answer_before(call, found, session, tmp_path,
 
 
 def test_interrupted_while_writing_leaves_nothing(call, found, session, tmp_path, monkeypatch):
-    from valvesim import report_diagnosis
+    from valvesim.reports import diagnosis as report_diagnosis
 
     def write_report(diagnosis, folder):
         raise KeyboardInterrupt

@@ -10,47 +10,39 @@ import pytest
 from hidden_plant import draw, truth, write_session
 
 import valvesim as vs
-from valvesim import search as engine
-from valvesim.answer import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
-from valvesim.catalogue import CATALOGUE
-from valvesim.diagnosis import _candidate_answers, _explains_more, _gain, _summary, _verdict
-from valvesim.evidence import Projected
-from valvesim.hypotheses import SHORT_LAG, BaseParameter, Candidate
-from valvesim.parameters import Valve
-from valvesim.search import (
-    LEFT_SHARE,
-    MOST_AT_ONCE,
-    NOT_QUIET,
-    STRETCHED,
-    _afresh,
-    _beside_members,
-    _better_base,
-    _from_within,
-    _in_place_of_figures,
-    _joint,
-    _left,
-    _left_behind,
-    _none_listed,
-    _refitted,
-    _taken_along,
-    _with_others,
-)
-from valvesim.session import load_session
-from valvesim.study import UNSETTLED, Extra, Fit, fit_base, prepare_study
-from valvesim.units import quantities
-from valvesim.weighing import (
-    ANSWER_RATIO,
-    ANSWER_SHARE,
-    MATERIAL_PRICE,
-    PARAMETER_PRICE,
-    WORTH,
-    Explained,
-    chance_beside,
+from valvesim.diagnosis import isolation, refits, second_cause
+from valvesim.diagnosis.answer_tables import candidate_answers
+from valvesim.diagnosis.detection import unexplained_share
+from valvesim.diagnosis.diagnose import _term_explains_more, verdict_of
+from valvesim.diagnosis.holdout_gain import holdout_gain
+from valvesim.diagnosis.isolation import _better_nominal, _known_hypotheses, unknown_reason_of
+from valvesim.diagnosis.model_selection import (
+    FittedHypothesis,
+    answer_set_of,
+    answer_set_width,
+    distinct,
+    null_hypothesis_beside,
     ranked,
-    rivals_of,
-    settled,
-    width_of,
 )
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.refits import _from_best_point, _pairs_from_members, _restarted_within_tolerance, fit_starts
+from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
+from valvesim.diagnosis.second_cause import effects_for_parameters, with_other_pairs, with_singles_from_prior
+from valvesim.diagnosis.starts import _joint_reductions
+from valvesim.diagnosis.wording import summary_text
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.nominal_fit import fit_nominal
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.prior import NuisanceParameter
+from valvesim.identification.projection import ProjectedScores
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_study
+from valvesim.units import quantities
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.parameters import Valve
+
+BEFORE = SimpleNamespace(options=DIAGNOSIS)  # a score test that is made anew where the best has changed
 
 
 def diagnosed(folder, seed, kind, name=None, strength=1.0):
@@ -145,17 +137,19 @@ def test_the_same_session_gives_the_same_answer(tmp_path):
 
 def test_a_locked_record_that_cannot_be_simulated_costs_its_gain_and_nothing_else(tmp_path, monkeypatch):
     write_session(draw(0, "none"), tmp_path)
-    base = fit_base(prepare_study(load_session(tmp_path)))
-    (locked, *_) = base.study.session.locked
+    nominal = fit_nominal(prepare_study(load_session(tmp_path)))
+    (locked, *_) = nominal.study.session.locked
 
-    def prepare(session, record, universe):
+    def prepare_record(session, record, universe, *, options):
         raise vs.InputError(f"record {record.name}: radial clearance closes")
 
-    monkeypatch.setattr("valvesim.diagnosis.prepare", prepare)
-    variant = base.fit.variant(base.study.base)
-    gain, claimed, offered, traces, failed = _gain(base, base.fit, variant, base.fit.readings)
+    monkeypatch.setattr("valvesim.diagnosis.holdout_gain.prepare_record", prepare_record)
+    variant = nominal.fit.variant(nominal.study.nominal)
+    gain, claimed, offered, traces, failed = holdout_gain(
+        nominal, nominal.fit, variant, nominal.fit.readings, options=DIAGNOSIS
+    )
     assert not gain and not claimed and not offered and {trace.role for trace in traces} == {"train"}
-    assert len(failed) == len(base.study.session.locked)
+    assert len(failed) == len(nominal.study.session.locked)
     assert f"record {locked.name}: radial clearance closes" in failed[0]
 
 
@@ -177,8 +171,8 @@ def test_records_of_another_valve_are_said_to_be_that_before_anything_is_named(t
 
 def _entry(name):
     """The catalogue's entry of an effect, or of a sensor fault with its channel as in `sensor_bias@load_flow`."""
-    family, _, channel = name.partition("@")
-    return CATALOGUE[family].on(channel) if channel else CATALOGUE[family]
+    hypothesis, _, channel = name.partition("@")
+    return CATALOGUE[hypothesis].on(channel) if channel else CATALOGUE[hypothesis]
 
 
 def _candidate(name):
@@ -189,24 +183,24 @@ def _candidate(name):
     valve, declared = Valve(), quantities(Valve)[figure].metadata
     return Candidate(
         name,
-        parameter=BaseParameter(figure, declared["unit"], getattr(valve, figure), 1e-9, declared["bounds"]),
+        parameter=NuisanceParameter(figure, declared["unit"], getattr(valve, figure), 1e-9, declared["bounds"]),
     )
 
 
-def explained(deviance, *names):
+def explained(chi_square, *names):
     """A hypothesis fitted, of catalogue effects at their typical strength."""
     candidates = [_candidate(name) for name in names]
-    extras = tuple(Extra(candidate, candidate.typical) for candidate in candidates)
-    return Explained(Fit(np.zeros(1), extras, deviance, (), np.zeros(1), 5000.0))
+    fitted = tuple(FittedCandidate(candidate, candidate.typical) for candidate in candidates)
+    return FittedHypothesis(Fit(np.zeros(1), fitted, chi_square, (), np.zeros(1), 5000.0), options=DIAGNOSIS)
 
 
-def order(base, *found):
-    return [one.label for one in ranked(base, sorted(found, key=lambda one: one.evidence))]
+def order(nominal, *found):
+    return [one.label for one in ranked(nominal, sorted(found, key=lambda one: one.evidence))]
 
 
 def test_among_those_that_fit_alike_the_plainer_goes_first():
     coulomb, stribeck = (f"spool_{kind}_friction" for kind in ("coulomb", "stribeck"))
-    strong, weak = (SimpleNamespace(fit=SimpleNamespace(deviance=1000.0 + gained)) for gained in (1600.0, 64.0))
+    strong, weak = (SimpleNamespace(fit=SimpleNamespace(chi_square=1000.0 + gained)) for gained in (1600.0, 64.0))
     both = explained(1000.0, coulomb), explained(991.0, stribeck)
     assert order(strong, *both) == [coulomb, stribeck]  # 9 of 1600 are less than a model that is not the plant errs by
     assert order(weak, *both) == [stribeck, coulomb]
@@ -214,54 +208,62 @@ def test_among_those_that_fit_alike_the_plainer_goes_first():
 
 
 def test_one_more_cause_that_explains_next_to_nothing_is_left_out():
-    base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=2500.0))
     alone, pair = explained(1030.0, "spool_lap"), explained(1000.0, "spool_lap", "entrained_air")
-    assert ANSWER_SHARE * 1500.0 > 30.0
-    best_first = ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
-    assert [one.label for one in rivals_of(base, best_first)] == ["spool_lap"]
+    assert DIAGNOSIS.selection.answer_share * 1500.0 > 30.0
+    best_first = ranked(nominal, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in answer_set_of(nominal, best_first, options=DIAGNOSIS)] == ["spool_lap"]
     pair = explained(900.0, "spool_lap", "entrained_air")
-    best_first = ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
-    assert [one.label for one in rivals_of(base, best_first)] == ["spool_lap + entrained_air"]
-    weak = SimpleNamespace(fit=SimpleNamespace(deviance=1100.0))
+    best_first = ranked(nominal, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in answer_set_of(nominal, best_first, options=DIAGNOSIS)] == ["spool_lap + entrained_air"]
+    weak = SimpleNamespace(fit=SimpleNamespace(chi_square=1100.0))
     for fall, labels in ((29.0, ["spool_lap + entrained_air", "spool_lap"]), (31.0, ["spool_lap + entrained_air"])):
         pair = explained(1030.0 - fall, "spool_lap", "entrained_air")
         best_first = ranked(weak, sorted([alone, pair], key=lambda one: one.evidence))
-        assert [one.label for one in rivals_of(weak, best_first)] == labels
+        assert [one.label for one in answer_set_of(weak, best_first, options=DIAGNOSIS)] == labels
     pair = explained(930.0, "spool_lap", "entrained_air")  # a model that is not the plant may need as much: either
-    best_first = ranked(base, sorted([alone, pair], key=lambda one: one.evidence))
-    assert [one.label for one in rivals_of(base, best_first)] == ["spool_lap + entrained_air", "spool_lap"]
+    best_first = ranked(nominal, sorted([alone, pair], key=lambda one: one.evidence))
+    assert [one.label for one in answer_set_of(nominal, best_first, options=DIAGNOSIS)] == [
+        "spool_lap + entrained_air",
+        "spool_lap",
+    ]
 
 
 def test_what_leaves_something_over_stands_beside_what_says_more():
-    base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=2500.0))
     found = [explained(1030.0, "spool_lap"), explained(1000.0, "spool_lap", "entrained_air")]
-    assert [one.label for one in rivals_of(base, found, whole=True)] == ["spool_lap"]
-    assert [one.label for one in rivals_of(base, found, whole=False)] == ["spool_lap", "spool_lap + entrained_air"]
+    assert [one.label for one in answer_set_of(nominal, found, whole=True, options=DIAGNOSIS)] == ["spool_lap"]
+    assert [one.label for one in answer_set_of(nominal, found, whole=False, options=DIAGNOSIS)] == [
+        "spool_lap",
+        "spool_lap + entrained_air",
+    ]
 
 
 def test_the_share_that_does_not_count_goes_by_the_law_and_never_beyond_the_noise():
-    base = SimpleNamespace(fit=SimpleNamespace(deviance=2500.0))
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=2500.0))
     lap, loop = explained(1000.0, "spool_lap"), explained(1000.0, "magnetic_hysteresis")
     law_error = CATALOGUE["magnetic_hysteresis"].law_error
-    assert width_of(base, lap) == pytest.approx(ANSWER_SHARE * 1500.0)
-    assert law_error > ANSWER_SHARE and width_of(base, loop) == pytest.approx(law_error * 1500.0)
-    astray = SimpleNamespace(fit=SimpleNamespace(deviance=1e7))
-    assert width_of(astray, lap) == pytest.approx(ANSWER_SHARE * lap.fit.rows)
+    assert answer_set_width(nominal, lap) == pytest.approx(DIAGNOSIS.selection.answer_share * 1500.0)
+    assert law_error > DIAGNOSIS.selection.answer_share and answer_set_width(nominal, loop) == pytest.approx(
+        law_error * 1500.0
+    )
+    astray = SimpleNamespace(fit=SimpleNamespace(chi_square=1e7))
+    assert answer_set_width(astray, lap) == pytest.approx(DIAGNOSIS.selection.answer_share * lap.fit.rows)
 
 
 def test_what_explains_too_little_stands_beside_noise_alone():
     lap, level = explained(1000.0, "spool_lap"), 4.0
 
     def answer(fall):
-        base = SimpleNamespace(fit=replace(lap.fit, deviance=1000.0 + fall, extras=()))
-        in_set = [lap, *chance_beside(base, [lap], level)]
-        answers = _candidate_answers(base, [lap], in_set, level)
+        nominal = SimpleNamespace(fit=replace(lap.fit, chi_square=1000.0 + fall, fitted=()))
+        in_set = [lap, *null_hypothesis_beside(nominal, [lap], level, options=DIAGNOSIS)]
+        answers = candidate_answers(nominal, [lap], in_set, level, options=DIAGNOSIS)
         members = {a.label: a.probability for a in answers if a.in_set}
-        return _verdict(True, in_set), members, _summary(_verdict(True, in_set), in_set, None, ())
+        return verdict_of(True, in_set), members, summary_text(verdict_of(True, in_set), in_set, None, ())
 
-    verdict, members, summary = answer(level**2 + ANSWER_RATIO + 0.1)
+    verdict, members, summary = answer(level**2 + DIAGNOSIS.selection.answer_ratio + 0.1)
     assert verdict == CAUSE and list(members) == ["spool_lap"] and summary == "The cause is spool lap."
-    verdict, members, summary = answer(level**2 + ANSWER_RATIO - 0.1)
+    verdict, members, summary = answer(level**2 + DIAGNOSIS.selection.answer_ratio - 0.1)
     assert verdict == AMBIGUOUS and list(members) == ["spool_lap", "nothing but noise"]
     assert summary == "Something may be wrong, or noise alone shows it; it would be spool lap."
     _, members, _ = answer(level**2)  # no more than what passes the alarm by chance
@@ -271,8 +273,8 @@ def test_what_explains_too_little_stands_beside_noise_alone():
 @pytest.mark.parametrize("fall", [64.0, 1600.0, 1e5])
 def test_however_much_a_cause_explains_it_may_be_one_that_nobody_has_listed(fall):
     lap = explained(1000.0, "spool_lap")
-    base = SimpleNamespace(fit=replace(lap.fit, deviance=1000.0 + fall, extras=()))
-    named, unlisted = _candidate_answers(base, [lap], [lap], 4.0)[:2]
+    nominal = SimpleNamespace(fit=replace(lap.fit, chi_square=1000.0 + fall, fitted=()))
+    named, unlisted = candidate_answers(nominal, [lap], [lap], 4.0, options=DIAGNOSIS)[:2]
     assert (unlisted.label, unlisted.in_set) == ("none of the known causes", False)
     assert [named.probability, unlisted.probability] == pytest.approx([0.96, 0.04], abs=0.002)
 
@@ -280,70 +282,81 @@ def test_however_much_a_cause_explains_it_may_be_one_that_nobody_has_listed(fall
 def leaving(z, *names, gained=1000.0, term=3.0, wander=0.0):
     """(base, final scene) of a hypothesis that leaves one further candidate at z, a free term, an amplitude astray."""
     noise = {"any": SimpleNamespace(verified=True)}
-    base = SimpleNamespace(fit=SimpleNamespace(deviance=1.0 + gained), study=SimpleNamespace(noise=noise))
-    scene = SimpleNamespace(
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=1.0 + gained), study=SimpleNamespace(noise=noise))
+    scores = SimpleNamespace(
+        options=DIAGNOSIS,
         fit=explained(1.0, *names).fit, z=lambda: np.array([z]), level=lambda probability: 4.0,
-        family_tests=lambda: [(term, 5), (0.0, 0)], constancy=lambda: (wander, 7),
+        term_tests=lambda: [(term, 5), (0.0, 0)], constancy=lambda: (wander, 7),
     )  # fmt: skip
-    return base, scene
+    return nominal, scores
 
 
 def test_what_is_left_is_a_share_of_what_is_explained_beyond_chance():
     from scipy.stats import chi2
 
     both = ("spool_lap", "entrained_air")
-    assert len(both) == MOST_AT_ONCE
-    assert _left(*leaving(3.9, *both)) == 0.0  # no alarm
-    assert _left(*leaving(5.0, *both)) == pytest.approx(0.025)
-    assert _left(*leaving(5.0, *both, gained=500.0)) == pytest.approx(0.05)
-    assert _left(*leaving(5.0, "spool_lap")) == 0.0  # beside one cause it has been tried as the second
-    chance = chi2.isf(NOT_QUIET, 5)
-    assert _left(*leaving(0.0, "spool_lap", term=chance - 0.1)) == 0.0
-    assert _left(*leaving(0.0, "spool_lap", term=chance + 20.0)) == pytest.approx(0.02)
-    assert _left(*leaving(0.0, "spool_lap", wander=chi2.isf(1e-3, 7) + 10.0)) == pytest.approx(0.01)
-    base, scene = leaving(0.0, "spool_lap")
-    scene.fit = replace(scene.fit, deviance=2.0 * scene.fit.rows)
-    assert _left(base, scene) == np.inf  # more than the noise
+    assert len(both) == DIAGNOSIS.isolation.most_causes
+    assert unexplained_share(*leaving(3.9, *both)) == 0.0  # no alarm
+    assert unexplained_share(*leaving(5.0, *both)) == pytest.approx(0.025)
+    assert unexplained_share(*leaving(5.0, *both, gained=500.0)) == pytest.approx(0.05)
+    assert unexplained_share(*leaving(5.0, "spool_lap")) == 0.0  # beside one cause it has been tried as the second
+    chance = chi2.isf(DIAGNOSIS.detection.term_significance, 5)
+    assert unexplained_share(*leaving(0.0, "spool_lap", term=chance - 0.1)) == 0.0
+    assert unexplained_share(*leaving(0.0, "spool_lap", term=chance + 20.0)) == pytest.approx(0.02)
+    assert unexplained_share(*leaving(0.0, "spool_lap", wander=chi2.isf(1e-3, 7) + 10.0)) == pytest.approx(0.01)
+    nominal, scores = leaving(0.0, "spool_lap")
+    scores.fit = replace(scores.fit, chi_square=2.0 * scores.fit.rows)
+    assert unexplained_share(nominal, scores) == np.inf  # more than the noise
 
 
 def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_causes():
     lap, two = explained(1000.0, "spool_lap"), explained(1000.0, "sensor_bias@load_flow", "sensor_gain@spool_position")
-    assert _none_listed(lap, LEFT_SHARE) == "" and _none_listed(two, 0.0) == ""
-    reason = _none_listed(lap, 1.1 * LEFT_SHARE)
+    assert unknown_reason_of(lap, DIAGNOSIS.isolation.unexplained_share) == "" and unknown_reason_of(two, 0.0) == ""
+    reason = unknown_reason_of(lap, 1.1 * DIAGNOSIS.isolation.unexplained_share)
     assert reason
-    base = SimpleNamespace(fit=replace(lap.fit, deviance=2500.0, extras=()))
-    assert _verdict(True, [lap], reason) == AMBIGUOUS and _verdict(True, [lap]) == CAUSE
-    answers = _candidate_answers(base, [lap], [lap], 4.0, reason)
+    nominal = SimpleNamespace(fit=replace(lap.fit, chi_square=2500.0, fitted=()))
+    assert verdict_of(True, [lap], reason) == AMBIGUOUS and verdict_of(True, [lap]) == CAUSE
+    answers = candidate_answers(nominal, [lap], [lap], 4.0, reason, options=DIAGNOSIS)
     assert [(a.label, a.in_set) for a in answers][:2] == [("spool_lap", True), ("none of the known causes", True)]
     assert answers[0].probability > answers[1].probability > 0.2
-    said = _summary(AMBIGUOUS, [lap], None, (), reason)
+    said = summary_text(AMBIGUOUS, [lap], None, (), reason)
     assert said == f"Something is wrong, perhaps spool lap, or none of the known causes: {reason}."
 
 
 def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_of_a_cause():
     lap, air = explained(1000.0, "spool_lap"), explained(1010.0, "entrained_air")
-    price = np.log(lap.fit.rows)
-    needed = 1000.0 - ANSWER_RATIO
-    assert _explains_more(SimpleNamespace(deviance=needed - 3.0 * price - 0.1, freedom=3), [air, lap])
-    assert not _explains_more(SimpleNamespace(deviance=needed - 3.0 * price + 0.1, freedom=3), [air, lap])
-    assert not _explains_more(SimpleNamespace(deviance=needed - 3.0 * price - 0.1, freedom=12), [air, lap])
+    prior_penalty = np.log(lap.fit.rows)
+    needed = 1000.0 - DIAGNOSIS.selection.answer_ratio
+    assert _term_explains_more(
+        SimpleNamespace(chi_square=needed - 3.0 * prior_penalty - 0.1, freedom=3), [air, lap], options=DIAGNOSIS
+    )
+    assert not _term_explains_more(
+        SimpleNamespace(chi_square=needed - 3.0 * prior_penalty + 0.1, freedom=3), [air, lap], options=DIAGNOSIS
+    )
+    assert not _term_explains_more(
+        SimpleNamespace(chi_square=needed - 3.0 * prior_penalty - 0.1, freedom=12),
+        [air, lap],
+        options=DIAGNOSIS,
+    )
 
 
 def test_two_sensors_that_err_alike_may_be_one_thing():
-    assert _none_listed(explained(1.0, "sensor_bias@load_flow", "sensor_bias@spool_position"), 0.0)
-    assert not _none_listed(explained(1.0, "sensor_bias@load_flow", "spool_lap"), 0.0)
+    assert unknown_reason_of(explained(1.0, "sensor_bias@load_flow", "sensor_bias@spool_position"), 0.0)
+    assert not unknown_reason_of(explained(1.0, "sensor_bias@load_flow", "spool_lap"), 0.0)
 
 
 def test_a_lag_that_any_amplifier_has_is_not_named_for_sure():
     def lagging(name, seconds):
         fit = explained(1.0, name).fit
-        return Explained(replace(fit, extras=(replace(fit.extras[0], excess=seconds),)))
+        return FittedHypothesis(
+            replace(fit, fitted=(replace(fit.fitted[0], above_neutral=seconds),)), options=DIAGNOSIS
+        )
 
     sensor = "sensor_lag@load_flow"
-    assert _none_listed(lagging(sensor, 0.9 * SHORT_LAG), 0.0)
-    assert not _none_listed(lagging(sensor, 1.1 * SHORT_LAG), 0.0)
-    assert not _none_listed(lagging("thermal_lag", 0.9 * SHORT_LAG), 0.0)  # of no sensor
-    assert not _none_listed(explained(1.0, "spool_lap"), 0.0)  # of still less, in metres
+    assert unknown_reason_of(lagging(sensor, 0.9 * OPTIONS.prior.ordinary_lag), 0.0)
+    assert not unknown_reason_of(lagging(sensor, 1.1 * OPTIONS.prior.ordinary_lag), 0.0)
+    assert not unknown_reason_of(lagging("thermal_lag", 0.9 * OPTIONS.prior.ordinary_lag), 0.0)  # of no sensor
+    assert not unknown_reason_of(explained(1.0, "spool_lap"), 0.0)  # of still less, in metres
 
 
 def test_pairs_are_tried_that_fall_far_enough_together_and_are_not_all_but_one():
@@ -356,126 +369,166 @@ def test_pairs_are_tried_that_fall_far_enough_together_and_are_not_all_but_one()
         both = np.ix_([i, j], [i, j])
         falls[int(i), int(j)] = float(score[[i, j]] @ np.linalg.solve(overlap[both], score[[i, j]]))
     del falls[4, 5]
-    least = float(np.median(list(falls.values())))
-    found = _joint(Projected(score, overlap, 0.0), of, least)
+    ordered = np.sort(list(falls.values()))
+    gap = 3 + int(np.argmax(np.diff(ordered[3:-3])))  # between two that differ: columns 4 and 5 are nearly one
+    least = float(np.mean(ordered[gap : gap + 2]))
+    found = _joint_reductions(ProjectedScores(score, overlap, 0.0), of, least)
     assert found == [pair for pair, fall in falls.items() if fall >= least] and 0 < len(found) < len(falls)
 
 
 def test_where_one_of_a_pair_is_slight_the_other_is_fitted_alone_too_from_where_it_got(monkeypatch):
-    lap, air = explained(0.0, "spool_lap", "entrained_air").fit.extras
+    lap, air = explained(0.0, "spool_lap", "entrained_air").fit.fitted
     asked, share = [], 1e-3
 
-    def refit(base, start, point):
-        asked.append(([extra.candidate.name for extra in start], point))
-        left = (start[0], replace(start[1], excess=share * air.candidate.typical)) if len(start) == 2 else tuple(start)
+    def fit_hypothesis(nominal, start, point):
+        asked.append(([member.candidate.name for member in start], point))
+        left = (
+            (start[0], replace(start[1], above_neutral=share * air.candidate.typical))
+            if len(start) == 2
+            else tuple(start)
+        )
         return Fit(np.full(1, 7.0), left, 10.0, (), np.zeros(1), 1.0)
 
-    monkeypatch.setattr(engine, "refit", refit)
-    found = _refitted(None, [(lap, air)])
-    assert {one.label for one in settled(found)} == {"spool_lap + entrained_air", "spool_lap"}
+    monkeypatch.setattr(refits, "fit_hypothesis", fit_hypothesis)
+    found = fit_starts(None, [(lap, air)], options=DIAGNOSIS)
+    assert {one.label for one in distinct(found, options=DIAGNOSIS)} == {
+        "spool_lap + entrained_air",
+        "spool_lap",
+    }
     assert asked == [(["spool_lap", "entrained_air"], None), (["spool_lap"], np.full(1, 7.0))]
     share = 1e-4  # that is nothing: of two that say the same the pair is none
-    assert [one.label for one in settled(_refitted(None, [(lap, air)]))] == ["spool_lap"]
+    assert [one.label for one in distinct(fit_starts(None, [(lap, air)], options=DIAGNOSIS), options=DIAGNOSIS)] == [
+        "spool_lap"
+    ]
 
 
 def test_a_pair_that_ends_above_one_of_its_own_two_is_fitted_on_from_that_one(monkeypatch):
     asked = []
 
-    def refit_from(base, fit):
-        asked.append((fit.deviance, [(e.candidate.name, e.excess / e.candidate.typical) for e in fit.extras]))
-        return replace(fit, deviance=80.0)
+    def continue_fit(nominal, fit):
+        asked.append((fit.chi_square, [(e.candidate.name, e.above_neutral / e.candidate.typical) for e in fit.fitted]))
+        return replace(fit, chi_square=80.0)
 
-    monkeypatch.setattr(engine, "refit_from", refit_from)
+    monkeypatch.setattr(refits, "continue_fit", continue_fit)
     lap, air, pair = explained(100.0, "spool_lap"), explained(200.0, "entrained_air"), ("spool_lap", "entrained_air")
-    (again,) = _beside_members(None, [lap, air, explained(150.0, *pair)])
-    assert asked == [(100.0, [("spool_lap", 1.0), ("entrained_air", 0.0)])] and again.fit.deviance == 80.0
-    assert _beside_members(None, [lap, air, explained(90.0, *pair)]) == []
+    (again,) = _pairs_from_members(None, [lap, air, explained(150.0, *pair)], options=DIAGNOSIS)
+    assert asked == [(100.0, [("spool_lap", 1.0), ("entrained_air", 0.0)])] and again.fit.chi_square == 80.0
+    assert _pairs_from_members(None, [lap, air, explained(90.0, *pair)], options=DIAGNOSIS) == []
 
 
-def stretched(deviance, most, *names):
+def stretched(chi_square, most, *names):
     """A hypothesis whose fit has the base parameter so many prior deviations out."""
-    return Explained(replace(explained(deviance, *names).fit, point=np.full(1, most)))
+    return FittedHypothesis(replace(explained(chi_square, *names).fit, point=np.full(1, most)), options=DIAGNOSIS)
 
 
 def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypatch):
     lap, air = explained(0.0, "spool_lap").fit, explained(0.0, "entrained_air").fit
-    monkeypatch.setattr(engine, "evaluate", lambda study, point, extras: Fit(point, extras, 1.0, (), np.zeros(1), 1.0))
-    monkeypatch.setattr(engine, "width_of", lambda base, best: 0.0)
+    did_run = lambda study, point, fitted: Fit(point, fitted, 1.0, (), np.zeros(1), 1.0)  # noqa: E731
+    monkeypatch.setattr(isolation, "evaluate_fit", did_run)
+    monkeypatch.setattr(isolation, "answer_set_width", lambda nominal, best: 0.0)
     ends = {"spool_lap": np.inf, "entrained_air": 0.5}
     monkeypatch.setattr(
-        engine, "refit_on", lambda base, fit: replace(fit, deviance=ends[fit.extras[0].candidate.family])
+        isolation, "continue_from", lambda nominal, fit: replace(fit, chi_square=ends[fit.fitted[0].candidate.label])
     )
-    found = _taken_along(SimpleNamespace(study=None), [lap, air], lambda share: None)
-    assert [(one.label, one.fit.deviance) for one in found] == [("entrained_air", 0.5)]
+    found = _known_hypotheses(SimpleNamespace(study=None), [lap, air], lambda share: None, options=DIAGNOSIS)
+    assert [(one.label, one.fit.chi_square) for one in found] == [("entrained_air", 0.5)]
 
 
 def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_that_does_not(monkeypatch):
-    monkeypatch.setattr(engine, "refit", lambda base, start, point: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0))
-    best, behind = stretched(100.0, 0.5, "spool_lap"), stretched(300.0, STRETCHED + 1.0, "entrained_air")
-    (again,) = _left_behind(stretched(900.0, STRETCHED + 1.0), [best, behind], best.fit)
+    monkeypatch.setattr(
+        refits, "fit_hypothesis", lambda nominal, start, point: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0)
+    )
+    best, behind = (
+        stretched(100.0, 0.5, "spool_lap"),
+        stretched(300.0, DIAGNOSIS.isolation.shifted + 1.0, "entrained_air"),
+    )
+    (again,) = _from_best_point(
+        stretched(900.0, DIAGNOSIS.isolation.shifted + 1.0), [best, behind], best.fit, options=DIAGNOSIS
+    )
     assert again.label == "entrained_air" and again.fit.point == best.fit.point
-    assert _left_behind(stretched(900.0, STRETCHED - 1.0), [best, behind], best.fit) == []
-    assert _left_behind(stretched(900.0, STRETCHED + 1.0), [best, behind], behind.fit) == []
+    assert (
+        _from_best_point(
+            stretched(900.0, DIAGNOSIS.isolation.shifted - 1.0),
+            [best, behind],
+            best.fit,
+            options=DIAGNOSIS,
+        )
+        == []
+    )
+    assert (
+        _from_best_point(
+            stretched(900.0, DIAGNOSIS.isolation.shifted + 1.0),
+            [best, behind],
+            behind.fit,
+            options=DIAGNOSIS,
+        )
+        == []
+    )
 
 
 def test_the_base_is_fitted_again_where_a_hypothesis_explains_as_much_without_its_cause(monkeypatch):
-    base, found = explained(1000.0), [stretched(200.0, 1.0, "spool_lap"), stretched(100.0, 2.0, "entrained_air")]
+    nominal, found = explained(1000.0), [stretched(200.0, 1.0, "spool_lap"), stretched(100.0, 2.0, "entrained_air")]
     without, ends = {1.0: 210.0, 2.0: 600.0}, 205.0
 
-    def evaluate(study, point, extras):
-        assert extras == ()
-        return Fit(point, extras, without[float(point[0])], (), np.zeros(1), 1.0)
+    def evaluate_fit(study, point, fitted):
+        assert fitted == ()
+        return Fit(point, fitted, without[float(point[0])], (), np.zeros(1), 1.0)
 
-    monkeypatch.setattr(engine, "evaluate", evaluate)
-    monkeypatch.setattr(engine, "in_full", lambda base: base)
-    monkeypatch.setattr(engine, "fit_base_from", lambda base, fit: Explained(replace(fit, deviance=ends)))
-    base = SimpleNamespace(fit=base.fit, study=None)
-    better = _better_base(base, found)  # not the best's: most of what that explains needs its cause
-    assert better.fit.point == 1.0 and better.fit.deviance == 205.0
+    monkeypatch.setattr(isolation, "evaluate_fit", evaluate_fit)
+    monkeypatch.setattr(isolation, "unweighted", lambda nominal: nominal)
+    monkeypatch.setattr(
+        isolation,
+        "refit_nominal",
+        lambda nominal, fit: FittedHypothesis(replace(fit, chi_square=ends), options=DIAGNOSIS),
+    )
+    nominal = SimpleNamespace(fit=nominal.fit, study=None)
+    better = _better_nominal(nominal, found)  # not the best's: most of what that explains needs its cause
+    assert better.fit.point == 1.0 and better.fit.chi_square == 205.0
     ends = 1001.0
-    assert _better_base(base, found) is None and _better_base(base, []) is None
+    assert _better_nominal(nominal, found) is None and _better_nominal(nominal, []) is None
     ends, without[1.0] = 205.0, 650.0
-    assert _better_base(base, found) is None
+    assert _better_nominal(nominal, found) is None
 
 
 def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
     best = explained(100.0, "spool_lap", "entrained_air")
-    lap, air = best.fit.extras
-    hysteresis = explained(0.0, "magnetic_hysteresis").fit.extras[0]
+    lap, air = best.fit.fitted
+    hysteresis = explained(0.0, "magnetic_hysteresis").fit.fitted[0]
     tried = []
 
-    def refitted(base, starts, point):
-        tried.extend([extra.candidate.name for extra in start] for start in starts)
+    def refitted(nominal, starts, point, options):
+        tried.extend([member.candidate.name for member in start] for start in starts)
         return [explained(50.0, *names) if len(names) == 2 else explained(500.0, *names) for names in tried[-1:]]
 
-    monkeypatch.setattr(engine, "_refitted", refitted)
-    monkeypatch.setattr(engine, "refit", lambda base, start, point: replace(best.fit, extras=start))
-    monkeypatch.setattr(engine, "look", lambda base, fit: SimpleNamespace(fit=fit, z=lambda: np.array([9.0, 8.0])))
-    monkeypatch.setattr(engine, "_best_of_families", lambda scene, value, least: [0, 1])
-    monkeypatch.setattr(engine, "_alone", lambda scene, k: (air, hysteresis)[k])
-    found, final = _with_others(None, [best], "before")
+    monkeypatch.setattr(second_cause, "fit_starts", refitted)
+    monkeypatch.setattr(second_cause, "fit_hypothesis", lambda nominal, start, point: replace(best.fit, fitted=start))
+    tested = lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit, z=lambda: np.array([9.0, 8.0]))  # noqa: E731
+    monkeypatch.setattr(second_cause, "score_test", tested)
+    monkeypatch.setattr(second_cause, "best_of_labels", lambda scores, value, least: [0, 1])
+    monkeypatch.setattr(second_cause, "linear_amplitude", lambda scores, k: (air, hysteresis)[k])
+    found, final = with_other_pairs(None, [best], BEFORE)
     assert ["spool_lap", "magnetic_hysteresis"] in tried and ["spool_lap", "entrained_air"] not in tried
     assert found[0].label == "spool_lap + magnetic_hysteresis" and final.fit is found[0].fit
     one = [explained(100.0, "spool_lap")]
-    assert _with_others(None, one, "before") == (one, "before")
+    assert with_other_pairs(None, one, BEFORE) == (one, BEFORE)
 
 
 def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeypatch):
     asked = []
 
-    def unsettled(deviance, promised):
-        return replace(explained(deviance, "spool_lap").fit, promised=promised)
+    def unsettled(chi_square, predicted_reduction):
+        return replace(explained(chi_square, "spool_lap").fit, predicted_reduction=predicted_reduction)
 
-    def refit(base, extras, point):
+    def fit_hypothesis(nominal, fitted, point):
         asked.append(point)
-        return unsettled(100.0 - 10.0 * len(asked), UNSETTLED + 1.0 if len(asked) == 1 else 0.0)
+        return unsettled(100.0 - 10.0 * len(asked), OPTIONS.fit.unconverged + 1.0 if len(asked) == 1 else 0.0)
 
-    monkeypatch.setattr(engine, "unstretched", lambda base: "within")
-    monkeypatch.setattr(engine, "refit", refit)
-    monkeypatch.setattr(engine, "refit_afresh", lambda base, extras: unsettled(np.inf, 0.0))  # no valve runs there
-    assert _from_within(None, unsettled(100.0, 0.0)) == [] and not asked
-    again = _from_within(None, unsettled(100.0, UNSETTLED + 1.0))
-    assert asked == ["within"] * 2 and [one.fit.deviance for one in again] == [90.0, 80.0]
+    monkeypatch.setattr(refits, "clipped_to_tolerance", lambda nominal: "within")
+    monkeypatch.setattr(refits, "fit_hypothesis", fit_hypothesis)
+    monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, fitted: unsettled(np.inf, 0.0))  # no valve runs there
+    assert _restarted_within_tolerance(None, unsettled(100.0, 0.0), options=DIAGNOSIS) == [] and not asked
+    again = _restarted_within_tolerance(None, unsettled(100.0, OPTIONS.fit.unconverged + 1.0), options=DIAGNOSIS)
+    assert asked == ["within"] * 2 and [one.fit.chi_square for one in again] == [90.0, 80.0]
 
 
 def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_its_place(monkeypatch):
@@ -484,61 +537,75 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     names = (other, "spool_lap", "spool_silting", "thermal_lag", beside, "sensor_lag@load_flow", "null_gap_asymmetry")
     candidates = [explained(0.0, name).candidates[0] for name in names]
     z = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
-    scene = SimpleNamespace(candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
-    tried, deviances = [], {other: 50.0, "thermal_lag": np.inf}
+    scores = SimpleNamespace(options=DIAGNOSIS, candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
+    tried, chi_squares = [], {other: 50.0, "thermal_lag": np.inf}
 
-    def falls(base, starts):
-        tried[:] = [tuple(extra.candidate.name for extra in start) for start in starts]
-        assert all(start[-1].excess == pytest.approx(start[-1].candidate.typical) for start in starts)
+    def falls(nominal, starts):
+        tried[:] = [tuple(member.candidate.name for member in start) for start in starts]
+        assert all(start[-1].above_neutral == pytest.approx(start[-1].candidate.typical) for start in starts)
         return np.array([{other: 9.0, "thermal_lag": 8.0}.get(start[-1].candidate.name, -1.0) for start in starts])
 
-    def afresh(base, start):
-        return replace(pair.fit, extras=start, deviance=deviances.get(start[-1].candidate.name, 95.0))
+    def afresh(nominal, start):
+        return replace(pair.fit, fitted=start, chi_square=chi_squares.get(start[-1].candidate.name, 95.0))
 
-    monkeypatch.setattr(engine, "falls_afresh", falls)
-    monkeypatch.setattr(engine, "refit_afresh", afresh)
-    monkeypatch.setattr(engine, "look", lambda base, fit: fit)
-    found, final = _in_place_of_figures(None, scene, [figure], "before")
+    monkeypatch.setattr(second_cause, "reductions_from_prior", falls)
+    monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
+    monkeypatch.setattr(
+        second_cause, "score_test", lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit)
+    )
+    found, final = effects_for_parameters(None, scores, [figure], BEFORE)
     one_sided = {name for name, c in zip(names, candidates, strict=True) if c.one_sided}
     linear, fault = "spool_silting", "sensor_lag@load_flow"  # the one has the right sign, the other reads and acts not
     assert {other, "thermal_lag"} <= {name for (name,) in tried} == one_sided - {linear, fault}
-    assert found[0].label == other and final is found[0].fit and figure in found
-    found, final = _in_place_of_figures(None, scene, [pair], "before")
+    assert found[0].label == other and final.fit is found[0].fit and figure in found
+    found, final = effects_for_parameters(None, scores, [pair], BEFORE)
     assert (beside, other) in tried and (beside, beside) not in tried and found[0].label == f"{beside} + {other}"
-    deviances[other] = 95.0
-    assert _in_place_of_figures(None, scene, [pair], "before")[1] == "before"  # nothing is better: nothing to look at
+    chi_squares[other] = 95.0
+    assert effects_for_parameters(None, scores, [pair], BEFORE)[1] == BEFORE  # nothing is better: nothing to look at
     tried.clear()
     without = explained(90.0, beside)
-    assert _in_place_of_figures(None, scene, [without], "before") == ([without], "before") and not tried
+    assert effects_for_parameters(None, scores, [without], BEFORE) == ([without], BEFORE) and not tried
 
 
 def test_a_figure_of_the_material_is_rarer_than_one_of_the_part():
     names = "parameter:spool_area", "parameter:spool_expansion", "spool_lap"
-    part, material, effect = (explained(100.0, name).price for name in names)
-    assert [part - effect, material - effect] == pytest.approx([PARAMETER_PRICE, MATERIAL_PRICE])
+    part, material, effect = (explained(100.0, name).prior_penalty for name in names)
+    assert [part - effect, material - effect] == pytest.approx(
+        [DIAGNOSIS.selection.parameter_penalty, DIAGNOSIS.selection.material_penalty]
+    )
 
 
 def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypatch):
     old, new = explained(900.0, "entrained_air"), explained(100.0, "spool_lap")
-    scene, base = SimpleNamespace(z=lambda: np.zeros(2)), SimpleNamespace(fit=SimpleNamespace(deviance=1000.0))
-    deviances, tried = {"entrained_air": np.inf, "spool_lap": 100.0}, []
+    scores, nominal = (
+        SimpleNamespace(options=DIAGNOSIS, z=lambda: np.zeros(2)),
+        SimpleNamespace(fit=SimpleNamespace(chi_square=1000.0)),
+    )
+    chi_squares, tried = {"entrained_air": np.inf, "spool_lap": 100.0}, []
 
-    def afresh(base, start):
-        (extra,) = start
-        tried.append(extra.candidate.name)
-        return replace(new.fit, extras=tuple(start), deviance=deviances[extra.candidate.name])
+    def afresh(nominal, start):
+        (member,) = start
+        tried.append(member.candidate.name)
+        return replace(new.fit, fitted=tuple(start), chi_square=chi_squares[member.candidate.name])
 
-    monkeypatch.setattr(engine, "_singles", lambda scene, fall, share: [old.fit.extras])
-    monkeypatch.setattr(engine, "_typical", lambda base, scene: [new.fit.extras])
-    monkeypatch.setattr(engine, "refit_afresh", afresh)
-    monkeypatch.setattr(engine, "look", lambda base, fit: fit)
-    monkeypatch.setattr(engine, "_with_more", lambda base, final, found: (found, final))
-    found, final = _afresh(base, scene, 4.0, [old], "before")
-    assert tried == ["spool_lap", "entrained_air"] and found[0].label == "spool_lap" and final is found[0].fit
-    found, final = _afresh(base, scene, 4.0, [], "before")
-    assert [one.label for one in found] == ["spool_lap"] and final is found[0].fit
-    deviances["spool_lap"] = 950.0
-    assert _afresh(base, scene, 4.0, [old], "before") == ([old], "before")
-    deviances["spool_lap"] = 990.0
-    assert 1000.0 - 990.0 < WORTH * 4.0**2 and _afresh(base, scene, 4.0, [], "before") == ([], "before")
-    assert STRETCHED > 2.0  # beyond a tolerance
+    monkeypatch.setattr(second_cause, "single_starts", lambda scores, fall, share: [old.fit.fitted])
+    monkeypatch.setattr(second_cause, "_typical_starts", lambda nominal, scores: [new.fit.fitted])
+    monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
+    monkeypatch.setattr(
+        second_cause, "score_test", lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit)
+    )
+    monkeypatch.setattr(second_cause, "with_second_cause", lambda nominal, final, found: (found, final))
+    found, final = with_singles_from_prior(nominal, scores, 4.0, [old], BEFORE)
+    assert tried == ["spool_lap", "entrained_air"] and found[0].label == "spool_lap" and final.fit is found[0].fit
+    found, final = with_singles_from_prior(nominal, scores, 4.0, [], BEFORE)
+    assert [one.label for one in found] == ["spool_lap"] and final.fit is found[0].fit
+    chi_squares["spool_lap"] = 950.0
+    assert with_singles_from_prior(nominal, scores, 4.0, [old], BEFORE) == ([old], BEFORE)
+    chi_squares["spool_lap"] = 990.0
+    assert 1000.0 - 990.0 < DIAGNOSIS.selection.minimum_gain * 4.0**2 and with_singles_from_prior(
+        nominal, scores, 4.0, [], BEFORE
+    ) == (
+        [],
+        BEFORE,
+    )
+    assert DIAGNOSIS.isolation.shifted > 2.0  # beyond a tolerance

@@ -5,12 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from valvesim.catalogue import CATALOGUE, effect
 from valvesim.channels import SIGNAL_CHANNELS, STATE_CHANNELS, Channel, Inputs, State
-from valvesim.effects import CHANNEL, READABLE, Effect, Parameter, Ports, Reading
 from valvesim.errors import InputError
-from valvesim.model import AT_20, Model, VoltageDrive
-from valvesim.parameters import PART_NAMES, PartTemperatures, reference_valve
+from valvesim.valve.catalogue import CATALOGUE, effect
+from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
+from valvesim.valve.effect import CHANNEL, READABLE, Effect, Parameter, Ports, Reading
+from valvesim.valve.equations import AT_20, Model, VoltageDrive
+from valvesim.valve.parameters import reference_valve
 
 valve = reference_valve()
 C20 = valve.at(PartTemperatures.uniform(20.0))

@@ -4,13 +4,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from valvesim.evidence import DRAWS, Gram, Projected, alarm_level, block_statistic, inverse_of, project
+from valvesim.identification.projection import (
+    GramMatrix,
+    ProjectedScores,
+    alarm_level,
+    block_statistic,
+    inverse_of,
+    project,
+)
 
 N, P, Q = 120, 4, 5
 T_NOW = np.array([0.5, -1.0, 0.0, 2.0])
 
+DRAWS = 20_000
 
-def columns(seed=0):
+
+def columns(seed=0, draws=DRAWS):
     """Residual (N,), answers to base parameters (N, P) of very different strength, to candidates (N, Q), all alike."""
     rng = np.random.default_rng(seed)
     J = rng.normal(size=(N, P)) * np.array([30.0, 3.0, 0.3, 0.03])
@@ -18,11 +27,11 @@ def columns(seed=0):
     return rng.normal(size=N), J, S
 
 
-def gram_of(r, J, S, prior=T_NOW, parts=3):
+def gram_matrix(r, J, S, prior=T_NOW, parts=3):
     """The products over `parts` segments of the rows."""
     rows = np.array_split(np.column_stack([r, J, S]), parts)
     products = np.stack([one.T @ one for one in rows])
-    return Gram(products, prior, tuple(map(len, rows)))
+    return GramMatrix(products, prior, tuple(map(len, rows)))
 
 
 def with_prior(r, J, S, prior=T_NOW):
@@ -41,20 +50,20 @@ def off(J, columns):
 
 def test_a_gram_is_the_sum_of_its_segments():
     r, J, S = columns()
-    whole, split = gram_of(r, J, S, parts=1), gram_of(r, J, S, parts=5)
+    whole, split = gram_matrix(r, J, S, parts=1), gram_matrix(r, J, S, parts=5)
     assert split.total == pytest.approx(whole.total)
     assert split.parameters == P
-    assert split.deviance == pytest.approx(r @ r + T_NOW @ T_NOW)
+    assert split.chi_square == pytest.approx(r @ r + T_NOW @ T_NOW)
 
 
 def test_projecting_is_least_squares_with_rows_for_the_prior():
     r, J, S = columns(2)
     r_, J_, S_ = with_prior(r, J, S)
     r_off, S_off = off(J_, r_), off(J_, S_)
-    projected = project(gram_of(r, J, S), 0, Q)
+    projected = project(gram_matrix(r, J, S), 0, Q)
     assert projected.score == pytest.approx(S_off.T @ r_off)
     assert projected.overlap == pytest.approx(S_off.T @ S_off)
-    assert projected.deviance == pytest.approx(r_off @ r_off)
+    assert projected.chi_square == pytest.approx(r_off @ r_off)
     assert projected.distance == pytest.approx(np.linalg.norm(S_off, axis=0))
     assert projected.z == pytest.approx(S_off.T @ r_off / np.linalg.norm(S_off, axis=0))
     unit = S_off / np.linalg.norm(S_off, axis=0)
@@ -62,7 +71,7 @@ def test_projecting_is_least_squares_with_rows_for_the_prior():
 
 
 def test_a_range_of_columns_is_projected_as_among_all():
-    gram = gram_of(*columns(3))
+    gram = gram_matrix(*columns(3))
     everything, some = project(gram, 0, Q), project(gram, 1, 3)
     assert some.score == pytest.approx(everything.score[1:3])
     assert some.overlap == pytest.approx(everything.overlap[1:3, 1:3])
@@ -71,10 +80,10 @@ def test_a_range_of_columns_is_projected_as_among_all():
 def test_the_fall_of_the_deviance_is_z_squared():
     r, J, S = columns(4)
     r_, J_, S_ = with_prior(r, J, S)
-    projected = project(gram_of(r, J, S), 0, Q)
+    projected = project(gram_matrix(r, J, S), 0, Q)
     for k in range(Q):
         left = off(np.column_stack([J_, S_[:, k]]), r_)
-        assert projected.deviance - left @ left == pytest.approx(projected.z[k] ** 2)
+        assert projected.chi_square - left @ left == pytest.approx(projected.z[k] ** 2)
 
 
 @pytest.mark.parametrize("taken", [(2,), (0, 3), (4, 1, 0)])
@@ -84,25 +93,25 @@ def test_without_is_projecting_the_taken_jointly_and_free(taken):
     wider = np.column_stack([J_, S_[:, taken]])  # no prior on those taken
     r_off, S_off = off(wider, r_), off(wider, S_)
     rest = [k for k in range(Q) if k not in taken]
-    left = project(gram_of(r, J, S), 0, Q).without(taken)
+    left = project(gram_matrix(r, J, S), 0, Q).without(taken)
     assert left.score[rest] == pytest.approx((S_off.T @ r_off)[rest])
     assert left.overlap[np.ix_(rest, rest)] == pytest.approx((S_off.T @ S_off)[np.ix_(rest, rest)])
-    assert left.deviance == pytest.approx(r_off @ r_off)
+    assert left.chi_square == pytest.approx(r_off @ r_off)
     assert left.distance[list(taken)] == pytest.approx(0.0) and left.z[list(taken)] == pytest.approx(0.0)
 
 
 def test_without_nothing_is_the_same_and_one_by_one_is_together():
-    projected = project(gram_of(*columns(6)), 0, Q)
+    projected = project(gram_matrix(*columns(6)), 0, Q)
     assert projected.without(()) is projected
     step_by_step, together = projected.without([1]).without([3]), projected.without([1, 3])
     assert step_by_step.score[[0, 2, 4]] == pytest.approx(together.score[[0, 2, 4]])
-    assert step_by_step.deviance == pytest.approx(together.deviance)
+    assert step_by_step.chi_square == pytest.approx(together.chi_square)
 
 
 def test_a_twin_of_one_taken_is_seen_no_more():
     r, J, S = columns(7)
     S[:, 1] = -2.0 * S[:, 0]
-    left = project(gram_of(r, J, S), 0, Q).without([0])
+    left = project(gram_matrix(r, J, S), 0, Q).without([0])
     assert left.distance[1] == 0.0 and left.z[1] == 0.0
     assert left.distance[2] > 1.0
 
@@ -112,7 +121,7 @@ def test_columns_that_show_nothing_give_zero():
     S[:, 0] = 0.0
     S[:, 1] = 1e6 * J[:, 0]
     J[:, 0] *= 1e8  # known so badly that the data alone fix it: what it can imitate is no evidence
-    projected = project(gram_of(r, J, S), 0, Q)
+    projected = project(gram_matrix(r, J, S), 0, Q)
     assert projected.score[:2] == pytest.approx(0.0, abs=0.0) and projected.z[:2] == pytest.approx(0.0, abs=0.0)
     assert not projected.overlap[:2].any() and not projected.overlap[:, :2].any()
     assert np.abs(projected.z[2:]).min() > 0.0
@@ -127,7 +136,7 @@ def null_draws(count, S, J):
     for _ in range(count):
         truth = rng.normal(size=J.shape[1])
         r = rng.normal(size=len(J)) + J @ (truth - T_NOW)
-        yield project(gram_of(r, J, S, parts=1), 0, S.shape[1])
+        yield project(gram_matrix(r, J, S, parts=1), 0, S.shape[1])
 
 
 def test_z_is_standard_normal_where_nothing_is_hidden():
@@ -147,22 +156,22 @@ def test_the_statistic_of_a_block_is_chi_square():
 
 
 def test_the_statistic_of_a_block_is_the_fall_of_the_deviance():
-    projected = project(gram_of(*columns(12)), 0, Q)
+    projected = project(gram_matrix(*columns(12)), 0, Q)
     chi, degrees = block_statistic(projected, (0, 2, 3))
     assert degrees == 3
-    assert chi == pytest.approx(projected.deviance - projected.without((0, 2, 3)).deviance)
+    assert chi == pytest.approx(projected.chi_square - projected.without((0, 2, 3)).chi_square)
     assert block_statistic(projected, (4,)) == (pytest.approx(projected.z[4] ** 2), 1)
 
 
 def test_a_block_that_shows_nothing_has_no_degree_of_freedom():
-    assert block_statistic(Projected(np.zeros(3), np.zeros((3, 3)), 1.0), (0, 2)) == (0.0, 0)
+    assert block_statistic(ProjectedScores(np.zeros(3), np.zeros((3, 3)), 1.0), (0, 2)) == (0.0, 0)
 
 
 def alike(correlation, count=12):
     """Candidates of very different strength whose z have this correlation."""
     d = np.geomspace(1e-3, 1e3, count)
     C = np.full((count, count), correlation) + (1.0 - correlation) * np.eye(count)
-    return Projected(np.zeros(count), C * np.outer(d, d), 0.0)
+    return ProjectedScores(np.zeros(count), C * np.outer(d, d), 0.0)
 
 
 @pytest.mark.parametrize("probability", [0.05, 0.01])
@@ -170,7 +179,7 @@ def alike(correlation, count=12):
 @pytest.mark.parametrize("correlation, trials", [(0.0, 12), (1.0, 1)])
 def test_the_alarm_has_its_rate(correlation, trials, one_sided, probability):
     """Independent candidates are as many trials; those that show the same are one."""
-    level = alarm_level(alike(correlation), np.full(12, one_sided), probability, seed=3)
+    level = alarm_level(alike(correlation), np.full(12, one_sided), probability, seed=3, draws=DRAWS)
     one = stats.norm.cdf(level) - (0.0 if one_sided else stats.norm.cdf(-level))
     assert 1.0 - one**trials == pytest.approx(probability, abs=4.0 * np.sqrt(probability / DRAWS))
 
@@ -179,14 +188,21 @@ def test_the_alarm_leaves_out_what_the_data_do_not_see():
     some = alike(0.0)
     overlap = some.overlap.copy()
     overlap[1:], overlap[:, 1:] = 0.0, 0.0
-    alone = alarm_level(Projected(some.score, overlap, 0.0), np.zeros(12, dtype=bool), 0.05, seed=0)
+    alone = alarm_level(ProjectedScores(some.score, overlap, 0.0), np.zeros(12, dtype=bool), 0.05, seed=0, draws=DRAWS)
     assert alone == pytest.approx(1.96, abs=0.05)
-    assert alarm_level(Projected(np.zeros(2), np.zeros((2, 2)), 0.0), np.zeros(2, dtype=bool), 0.05, seed=0) == np.inf
+    assert (
+        alarm_level(
+            ProjectedScores(np.zeros(2), np.zeros((2, 2)), 0.0), np.zeros(2, dtype=bool), 0.05, seed=0, draws=DRAWS
+        )
+        == np.inf
+    )
 
 
 def test_the_alarm_is_the_same_for_a_seed():
     two_sided = np.zeros(12, dtype=bool)
-    assert alarm_level(alike(0.3), two_sided, 0.05, seed=1) == alarm_level(alike(0.3), two_sided, 0.05, seed=1)
+    assert alarm_level(alike(0.3), two_sided, 0.05, seed=1, draws=DRAWS) == alarm_level(
+        alike(0.3), two_sided, 0.05, seed=1, draws=DRAWS
+    )
 
 
 def test_the_inverse_minds_neither_sizes_nor_what_nothing_is_known_of():

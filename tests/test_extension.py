@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 
 import valvesim as vs
-from valvesim.catalogue import CATALOGUE
-from valvesim.commands import Constant, evaluate
-from valvesim.extension import EFFECT_FILE, effect_file, effect_files, scenario_text
-from valvesim.fluid import YH12_PAPER
-from valvesim.hypotheses import base_of
-from valvesim.prediction import Variant
-from valvesim.session import load_session, record_scenario
-from valvesim.simulate import simulate
-from valvesim.terms import LAG, NONE, PATH, term_effect
+from valvesim.diagnosis.extended_model import EFFECT_FILE, effect_file, effect_files, scenario_text
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.predictor import ModelVariant
+from valvesim.identification.prior import nominal_model_of
+from valvesim.identification.record_scenario import record_scenario
+from valvesim.identification.session_toml import load_session
+from valvesim.inputs import Constant, evaluate
+from valvesim.simulation.run import simulate
 from valvesim.units import quantities
-from valvesim.user_effects import load_effects
+from valvesim.valve.additive_term import LAG, NONE, PATH, term_effect
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.effect_files import load_effects
+from valvesim.valve.fluid import YH12_PAPER
 
 TIME = np.arange(200) / 1e3
 OWN = """
@@ -47,7 +50,10 @@ def reread(session, variant, folder):
     """The scenario that the text says, with the files that it needs, in a folder of its own."""
     folder = folder / "answer"
     folder.mkdir()
-    for name, text in {"extended.toml": scenario_text(session, variant), **effect_files(session, variant)}.items():
+    for name, text in {
+        "extended.toml": scenario_text(session, variant, options=DIAGNOSIS),
+        **effect_files(session, variant),
+    }.items():
         (folder / name).write_text(text, encoding="utf-8")
     return vs.load_scenario(folder / "extended.toml")
 
@@ -64,13 +70,13 @@ def assert_same_inputs(scenario, meant):
 
 def test_a_nominal_variant_comes_back_with_the_inputs_of_the_record(tmp_path):
     session = write(tmp_path)
-    variant = Variant(session.valve)
+    variant = ModelVariant(session.valve)
     scenario, meant = reread(session, variant, tmp_path), record_scenario(session, session.records[0])
     assert scenario.valve == meant.valve and scenario.oil == meant.oil and scenario.thermal == meant.thermal
     assert (scenario.effects, scenario.duration, scenario.output_rate) == ((), meant.duration, meant.output_rate)
     assert scenario.title == meant.title and scenario.drive == vs.CurrentDrive()
     assert_same_inputs(scenario, meant)
-    text = scenario_text(session, variant)
+    text = scenario_text(session, variant, options=DIAGNOSIS)
     assert "[valve]" not in text and "[pressures]" not in text and "[[" not in text and "effects_files" not in text
     assert str((tmp_path / "wave.csv").absolute()) in text and 'start = "0 s"' in text
 
@@ -84,15 +90,21 @@ def test_every_figure_of_a_valve_comes_back_exactly(tmp_path):
         if declared.default != 0.0
     }
     session = write(tmp_path)
-    variant = Variant(replace(valve, **moved))
+    variant = ModelVariant(replace(valve, **moved))
     assert reread(session, variant, tmp_path).valve == variant.valve
-    line = next(line for line in scenario_text(session, variant).splitlines() if line.startswith("null_gap ="))
+    line = next(
+        line
+        for line in scenario_text(session, variant, options=DIAGNOSIS).splitlines()
+        if line.startswith("null_gap =")
+    )
     assert f"# {100.0 * (moved['null_gap'] / valve.null_gap - 1.0):+.3g} %" in line
 
 
 def test_a_figure_that_people_can_read_is_written_so(tmp_path):
     session = write(tmp_path)
-    assert 'null_gap = "0.03 mm"' in scenario_text(session, Variant(replace(session.valve, null_gap=3e-5)))
+    assert 'null_gap = "0.03 mm"' in scenario_text(
+        session, ModelVariant(replace(session.valve, null_gap=3e-5)), options=DIAGNOSIS
+    )
 
 
 def test_oil_law_and_thermal_settings_come_back(tmp_path):
@@ -102,7 +114,7 @@ def test_oil_law_and_thermal_settings_come_back(tmp_path):
         'ambient_temperature = "5 degC"\nbody_capacity = "123 J/K"\n'
     )
     session = write(tmp_path, settings=settings)
-    scenario = reread(session, Variant(session.valve), tmp_path)
+    scenario = reread(session, ModelVariant(session.valve), tmp_path)
     assert (scenario.oil, scenario.thermal, scenario.valve) == (session.oil, session.thermal, session.valve)
     assert scenario.oil == replace(YH12_PAPER, density_at_20=851.0) and scenario.thermal.network.body_capacity == 123.0
 
@@ -110,9 +122,9 @@ def test_oil_law_and_thermal_settings_come_back(tmp_path):
 @pytest.mark.parametrize("start", [0.0, 7.25, -2.0])
 def test_a_file_whose_clock_starts_elsewhere_gives_the_same_run(tmp_path, start):
     session = write(tmp_path, start=start)
-    scenario = reread(session, Variant(session.valve), tmp_path)
+    scenario = reread(session, ModelVariant(session.valve), tmp_path)
     assert_same_inputs(scenario, record_scenario(session, session.records[0]))
-    assert f'start = "{start:g} s"' in scenario_text(session, Variant(session.valve))
+    assert f'start = "{start:g} s"' in scenario_text(session, ModelVariant(session.valve), options=DIAGNOSIS)
 
 
 def test_temperatures_and_pressures_over_time_come_back(tmp_path):
@@ -121,7 +133,10 @@ def test_temperatures_and_pressures_over_time_come_back(tmp_path):
         tmp_path, settings="", oil_temperature__degC=20.0 + 30.0 * ramp, supply_pressure__bar=200.0 + 5.0 * ramp,
         return_pressure__bar=3.0, load_pressure__bar=60.0 * np.sin(20.0 * TIME), body_temperature__degC=21.0,
     )  # fmt: skip
-    scenario, meant = reread(session, Variant(session.valve), tmp_path), record_scenario(session, session.records[0])
+    scenario, meant = (
+        reread(session, ModelVariant(session.valve), tmp_path),
+        record_scenario(session, session.records[0]),
+    )
     assert_same_inputs(scenario, meant)
     assert scenario.thermal == meant.thermal and evaluate(scenario.return_pressure, 0.0) == pytest.approx(3e5)
 
@@ -130,22 +145,24 @@ def test_what_the_audit_changed_is_written_as_points(tmp_path):
     load = 205.0 * np.sin(20.0 * TIME)
     session = write(tmp_path, supply_pressure__bar=203.0, load_pressure__bar=load)
     assert any("held at it" in note for note in session.notes)  # clipped: the file is not what is used
-    scenario = reread(session, Variant(session.valve), tmp_path)
+    scenario = reread(session, ModelVariant(session.valve), tmp_path)
     assert_same_inputs(scenario, record_scenario(session, session.records[0]))
-    assert "times =" in scenario_text(session, Variant(session.valve))
+    assert "times =" in scenario_text(session, ModelVariant(session.valve), options=DIAGNOSIS)
 
 
 def test_a_record_without_a_file_is_written_as_points(tmp_path):
     session = write(tmp_path)
     loose = replace(session, records=(replace(session.records[0], path=None),))
-    scenario = reread(loose, Variant(session.valve), tmp_path)
+    scenario = reread(loose, ModelVariant(session.valve), tmp_path)
     assert_same_inputs(scenario, record_scenario(session, session.records[0]))
 
 
 def test_a_voltage_session_writes_a_voltage(tmp_path):
     session = write(tmp_path, drive="voltage [V]", current__mA=0.5 * np.sin(40.0 * TIME))
-    scenario = reread(session, Variant(session.valve), tmp_path)
-    assert scenario.drive == vs.VoltageDrive() and "[command.voltage]" in scenario_text(session, Variant(session.valve))
+    scenario = reread(session, ModelVariant(session.valve), tmp_path)
+    assert scenario.drive == vs.VoltageDrive() and "[command.voltage]" in scenario_text(
+        session, ModelVariant(session.valve), options=DIAGNOSIS
+    )
     assert_same_inputs(scenario, record_scenario(session, session.records[0]))
 
 
@@ -157,7 +174,7 @@ def test_every_effect_of_the_catalogue_comes_back(tmp_path, name):
     numbers[effect.amplitude.name] = effect.amplitude.typical / 3.0
     session = write(tmp_path)
     active = effect(**numbers)
-    assert reread(session, Variant(session.valve, (active,)), tmp_path).effects == (active,)
+    assert reread(session, ModelVariant(session.valve, (active,)), tmp_path).effects == (active,)
 
 
 def test_sensor_faults_are_in_small_errors_are_not_and_stated_lags_are(tmp_path):
@@ -166,8 +183,8 @@ def test_sensor_faults_are_in_small_errors_are_not_and_stated_lags_are(tmp_path)
     )
     faults = tuple(CATALOGUE["sensor_bias"].on(name)(bias=size)
                    for name, size in (("spool_position", 1e-5), ("nozzle_pressure_1", -2e5)))  # fmt: skip
-    base = base_of(session)
-    variant = base.at(np.full(len(base.parameters), 0.3))
+    nominal = nominal_model_of(session, options=OPTIONS)
+    variant = nominal.at(np.full(len(nominal.parameters), 0.3))
     assert len(variant.effects) == 6  # bias, gain and delay of each channel, within tolerance
     scenario = reread(session, replace(variant, effects=(*variant.effects, *faults)), tmp_path)
     assert scenario.effects == (*faults, CATALOGUE["sensor_lag"].on("spool_position")(time_constant=1e-3))
@@ -178,7 +195,7 @@ def test_two_effects_of_one_name_are_both_there(tmp_path):
     session = write(tmp_path)
     clogged = CATALOGUE["fixed_orifice_clogging"]
     both = (clogged(clogged_share=0.1, side=1.0), clogged(clogged_share=0.2, side=2.0))
-    assert reread(session, Variant(session.valve, both), tmp_path).effects == both
+    assert reread(session, ModelVariant(session.valve, both), tmp_path).effects == both
 
 
 TERMS = {
@@ -196,10 +213,12 @@ def test_a_recovered_term_comes_back_by_a_file_of_its_own(tmp_path, kind):
     session, effect = write(tmp_path), TERMS[kind]
     numbers = {p.name: p.default * 1.1 for p in effect.parameters} | {"share": 0.9}
     active = effect(**numbers)
-    (read,) = reread(session, Variant(session.valve, (active,)), tmp_path).effects
+    (read,) = reread(session, ModelVariant(session.valve, (active,)), tmp_path).effects
     assert read.numbers == active.numbers and read.effect.balance is effect.balance
     assert read.effect.memory == effect.memory and read.effect.name == "recovered_term"
-    assert f'effects_files = ["{EFFECT_FILE}"]' in scenario_text(session, Variant(session.valve, (active,)))
+    assert f'effects_files = ["{EFFECT_FILE}"]' in scenario_text(
+        session, ModelVariant(session.valve, (active,)), options=DIAGNOSIS
+    )
 
 
 def test_the_file_of_a_term_is_python_that_declares_it(tmp_path):
@@ -210,7 +229,7 @@ def test_the_file_of_a_term_is_python_that_declares_it(tmp_path):
 
 def test_only_a_term_gets_a_file(tmp_path):
     friction = CATALOGUE["spool_coulomb_friction"](friction_force=1.0)
-    assert effect_files(write(tmp_path), Variant(vs.reference_valve(), (friction,))) == {}
+    assert effect_files(write(tmp_path), ModelVariant(vs.reference_valve(), (friction,))) == {}
     with pytest.raises(vs.InputError, match=r"effects\.spool_coulomb_friction: is no recovered term"):
         effect_file(friction)
 
@@ -219,16 +238,18 @@ def test_a_users_effect_is_named_by_its_own_file(tmp_path):
     (tmp_path / "own.py").write_text(OWN, encoding="utf-8")
     session = write(tmp_path, settings='effects_files = ["own.py"]\n')
     (effect,) = session.user_effects
-    scenario = reread(session, Variant(session.valve, (effect(force=4.0),)), tmp_path)
+    scenario = reread(session, ModelVariant(session.valve, (effect(force=4.0),)), tmp_path)
     assert [(a.effect.name, a.numbers) for a in scenario.effects] == [("side_load", (4.0,))]
-    assert "effects_files" not in scenario_text(session, Variant(session.valve))  # where it does not act
+    assert "effects_files" not in scenario_text(
+        session, ModelVariant(session.valve), options=DIAGNOSIS
+    )  # where it does not act
 
 
 def test_a_term_of_another_session_is_a_users_effect_with_all_its_figures(tmp_path):
     (tmp_path / "own.py").write_text(effect_file(TERMS["path"](share=1.0)), encoding="utf-8")
     session = write(tmp_path, settings='effects_files = ["own.py"]\n')
     (effect,) = session.user_effects
-    variant = Variant(session.valve, (effect(share=0.5, width=5e-5),))
+    variant = ModelVariant(session.valve, (effect(share=0.5, width=5e-5),))
     assert effect_files(session, variant) == {}
     (read,) = reread(session, variant, tmp_path).effects
     assert read.numbers == variant.effects[0].numbers
@@ -238,34 +259,45 @@ def test_what_no_file_declares_is_refused(tmp_path):
     session = write(tmp_path)
     stranger = replace(CATALOGUE["spool_coulomb_friction"], name="stranger")(friction_force=1.0)
     with pytest.raises(vs.InputError, match=r"effects\.stranger: comes from no file"):
-        scenario_text(session, Variant(session.valve, (stranger,)))
+        scenario_text(session, ModelVariant(session.valve, (stranger,)), options=DIAGNOSIS)
 
 
 def test_a_law_and_an_oil_without_a_name_are_refused(tmp_path):
     session = write(tmp_path)
     own = replace(session.valve, flow_coefficients=lambda *a: (0.6, 0.7))
     with pytest.raises(vs.InputError, match=r"valve\.flow_law: .* knows yan_2019, reynolds"):
-        scenario_text(session, Variant(own))
+        scenario_text(session, ModelVariant(own), options=DIAGNOSIS)
     with pytest.raises(vs.InputError, match=r"oil\.name: 'mine' .* knows .*yh12_paper"):
-        scenario_text(replace(session, oil=replace(session.oil, name="mine")), Variant(session.valve))
+        lawless = replace(session.oil, name="mine", viscosity_law=lambda t: 1e-5 + 0.0 * t)
+        scenario_text(replace(session, oil=lawless), ModelVariant(session.valve), options=DIAGNOSIS)
+
+
+def test_an_oil_of_ones_own_comes_back_as_its_table(tmp_path):
+    settings = (
+        '[oil]\nname = "mine"\ntemperature = "-40, 40, 100 degC"\nviscosity = "400, 12.5, 4.75 mm^2/s"\n'
+        'density = "905, 850, 810 kg/m^3"\nbulk_modulus = "2, 1.5, 1.1 GPa"\nrated_high = "120 degC"\n'
+    )
+    session = write(tmp_path, settings=settings)
+    oil = reread(session, ModelVariant(session.valve), tmp_path).oil
+    assert replace(oil, sources=()) == replace(session.oil, sources=())
 
 
 def test_the_extended_scenario_runs_to_the_readings_of_the_record(tmp_path):
     """The spool of a valve with friction and a biased sensor, as the variant itself is run."""
     session = write(tmp_path, start=3.0)
     bias = CATALOGUE["sensor_bias"].on("spool_position")(bias=2e-5)
-    variant = Variant(replace(session.valve, null_gap=3.1e-5), (CATALOGUE["spool_lap"](overlap=3e-6), bias))
+    variant = ModelVariant(replace(session.valve, null_gap=3.1e-5), (CATALOGUE["spool_lap"](overlap=3e-6), bias))
     scenario = reread(session, variant, tmp_path)
     meant = record_scenario(session, session.records[0], valve=variant.valve, effects=variant.effects)
-    ran, own = simulate(replace(scenario, tolerance=1e-6)), simulate(replace(meant, tolerance=1e-6))
-    assert len(ran.time) == len(TIME)
+    did_run, own = simulate(replace(scenario, tolerance=1e-6)), simulate(replace(meant, tolerance=1e-6))
+    assert len(did_run.time) == len(TIME)
     for name in ("spool_position", "load_flow"):
-        assert np.allclose(ran[name].values, own[name].values, atol=1e-6 * np.ptp(own[name].values))
-    assert ran["spool_position"].values[0] == pytest.approx(2e-5, abs=2e-6)
+        assert np.allclose(did_run[name].values, own[name].values, atol=1e-6 * np.ptp(own[name].values))
+    assert did_run["spool_position"].values[0] == pytest.approx(2e-5, abs=2e-6)
 
 
 def test_a_constant_input_is_a_constant(tmp_path):
-    scenario = reread(session := write(tmp_path, supply_pressure__bar=190.0), Variant(session.valve), tmp_path)
+    scenario = reread(session := write(tmp_path, supply_pressure__bar=190.0), ModelVariant(session.valve), tmp_path)
     assert isinstance(scenario.supply_pressure, Constant) and scenario.supply_pressure.value == pytest.approx(1.9e7)
     assert scenario.oil_temperature == Constant(value=20.0)
 

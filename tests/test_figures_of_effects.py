@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from valvesim.catalogue import CATALOGUE
-from valvesim.model import AT_20
-from valvesim.parameters import Valve
 from valvesim.units import quantities
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.equations import AT_20
+from valvesim.valve.parameters import Valve
 
 NAMED = {name: effect for name, effect in CATALOGUE.items() if effect.figure}
 SIDED = ("fixed_orifice_clogging", "nozzle_erosion")  # they change the mean of both sides too

@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvesim.errors import InputError, ValidityWarning, forget_warnings
-from valvesim.fluid import ATMOSPHERE, MIL_PRF_5606, OILS, YH12_PAPER, Oil, WaltherViscosity, aerated_bulk_modulus
+from valvesim.valve.fluid import (
+    ATMOSPHERE,
+    MIL_PRF_5606,
+    YH12_PAPER,
+    Oil,
+    WaltherViscosity,
+    aerated_bulk_modulus,
+)
+from valvesim.valve.oils import OILS
 
 oil = MIL_PRF_5606
 

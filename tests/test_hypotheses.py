@@ -6,58 +6,48 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from test_prediction import UNIVERSE, bench_of, nominal, small_session
+from test_prediction import UNIVERSE, bench_of, nominal_variant, small_session
 
-from valvesim.catalogue import CATALOGUE
-from valvesim.effects import Effect, Parameter, Ports
 from valvesim.errors import InputError
-from valvesim.hypotheses import (
-    FAR,
-    LEAST,
-    NEAR,
-    RUN,
-    SENSOR_BIAS,
-    SENSOR_DELAY,
-    SENSOR_GAIN,
-    SHAPES,
-    Base,
-    BaseParameter,
-    Candidate,
-    SmallError,
-    base_of,
-    candidate_columns,
-    candidates_of,
-    measured,
-    neighbours,
-    parameter_columns,
-    view,
+from valvesim.identification.candidates import SHAPES, Candidate, candidates_of
+from valvesim.identification.jacobian import RUN, candidate_sensitivities, parameter_sensitivities, perturbed_variants
+from valvesim.identification.linearised_record import linearise_record
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.predictor import prepare_record
+from valvesim.identification.prior import (
+    NominalModel,
+    NuisanceParameter,
+    ToleratedSensorError,
+    measured_channels,
+    nominal_model_of,
 )
-from valvesim.parameters import Valve
-from valvesim.prediction import prepare
-from valvesim.session import Record
+from valvesim.identification.session import Record
 from valvesim.units import quantities
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.effect import Effect, Parameter, Ports
+from valvesim.valve.parameters import Valve
 
 CHANNELS = ("spool_position", "armature_angle", "nozzle_pressure_1", "load_flow", "internal_leakage")
 SENSOR_EFFECTS = tuple(effect.name for effect in CATALOGUE.values() if effect.reading is not None)
 
 
 @pytest.fixture(scope="module")
-def base() -> Base:
-    return base_of(small_session())
+def nominal() -> NominalModel:
+    return nominal_model_of(small_session(), options=OPTIONS)
 
 
 @pytest.fixture(scope="module")
-def candidates(base):
-    return candidates_of(small_session(), base)
+def candidates(nominal):
+    return candidates_of(small_session(), nominal)
 
 
 @pytest.fixture(scope="module")
-def seen():
-    return view(bench_of("fast"), nominal())
+def linear():
+    return linearise_record(bench_of("fast"), nominal_variant())
 
 
-def by_name(base):
-    return {p.name: p for p in base.parameters}
+def by_name(nominal):
+    return {p.name: p for p in nominal.parameters}
 
 
 def candidate(candidates, key):
@@ -73,87 +63,93 @@ def rms(values):
 # ---------------------------------------------------------------- the base
 
 
-def test_the_base_has_exactly_the_quantities_with_a_tolerance(base):
+def test_the_base_has_exactly_the_quantities_with_a_tolerance(nominal):
     uncertain = [name for name, declared in quantities(Valve).items() if declared.metadata["tolerance"] > 0.0]
     assert len(uncertain) > 30
-    assert [p.name for p in base.parameters if p.sensor is None] == uncertain
-    assert base.variant == nominal()
+    assert [p.name for p in nominal.parameters if p.sensor is None] == uncertain
+    assert nominal.variant == nominal_variant()
 
 
-def test_a_tolerance_is_two_standard_deviations(base):
-    rod = by_name(base)["feedback_rod_stiffness"]
+def test_a_tolerance_is_two_standard_deviations(nominal):
+    rod = by_name(nominal)["feedback_rod_stiffness"]
     assert (rod.nominal, rod.unit) == (2780.0, "N/m") and rod.deviation == pytest.approx(0.02 * 2780.0 / 2.0)
     assert rod.bounds == quantities(Valve)["feedback_rod_stiffness"].metadata["bounds"]
-    offset = by_name(base)["null_gap_difference"]  # nominally zero: its tolerance is in m, not a share
+    offset = by_name(nominal)["null_gap_difference"]  # nominally zero: its tolerance is in m, not a share
     assert offset.nominal == 0.0 and offset.deviation == pytest.approx(3e-7 / 2.0)
 
 
 def test_a_share_is_one_of_the_sessions_own_valve():
     valve = replace(small_session().valve, null_gap=3e-5, polarization_mmf_slope=-1.0)
-    found = by_name(base_of(replace(small_session(), valve=valve)))
+    found = by_name(nominal_model_of(replace(small_session(), valve=valve), options=OPTIONS))
     assert found["null_gap"].deviation == pytest.approx(0.02 * 3e-5 / 2.0)
     assert found["polarization_mmf_slope"].deviation == pytest.approx(0.05 / 2.0)  # a negative value has a width too
 
 
 def test_a_session_overrides_tolerances():
     stated = {"feedback_rod_stiffness": 139.0, "null_gap": 0.0, "rated_current": 1e-4}
-    found = by_name(base_of(replace(small_session(), tolerances=stated)))
+    found = by_name(nominal_model_of(replace(small_session(), tolerances=stated), options=OPTIONS))
     assert found["feedback_rod_stiffness"].deviation == pytest.approx(139.0 / 2.0)
     assert "null_gap" not in found  # exactly known
     assert found["rated_current"].deviation == pytest.approx(1e-4 / 2.0)
 
 
-def test_every_sensor_may_be_off_a_little(base):
-    assert set(measured(small_session())) == set(CHANNELS)
-    sensors = {p.name: p for p in base.parameters if p.sensor is not None}
-    kinds = ("sensor_bias", "sensor_gain", "sensor_delay")
-    assert set(sensors) == {f"{kind}@{channel}" for kind in kinds for channel in CHANNELS}
+def test_every_sensor_may_be_off_a_little(nominal):
+    assert set(measured_channels(small_session())) == set(CHANNELS)
+    sensors = {p.name: p for p in nominal.parameters if p.sensor is not None}
+    layout = ("sensor_bias", "sensor_gain", "sensor_delay")
+    assert set(sensors) == {f"{kind}@{channel}" for kind in layout for channel in CHANNELS}
     records = small_session().records
     span = max(np.ptp(record.values["spool_position"]) for record in records)
     bias = sensors["sensor_bias@spool_position"]
-    assert bias.deviation == pytest.approx(SENSOR_BIAS * span / 2.0) and bias.unit == "m"
-    assert sensors["sensor_gain@load_flow"].deviation == pytest.approx(SENSOR_GAIN / 2.0)
+    assert bias.deviation == pytest.approx(OPTIONS.prior.sensor_bias * span / 2.0) and bias.unit == "m"
+    assert sensors["sensor_gain@load_flow"].deviation == pytest.approx(OPTIONS.prior.sensor_gain / 2.0)
     delay = sensors["sensor_delay@armature_angle"]
-    assert delay.deviation == pytest.approx(SENSOR_DELAY / 2.0) and delay.bounds[0] == -delay.bounds[1] < 0.0
-    assert all(p.nominal == 0.0 and isinstance(p.sensor, SmallError) for p in sensors.values())
+    assert (
+        delay.deviation == pytest.approx(OPTIONS.prior.sensor_delay / 2.0) and delay.bounds[0] == -delay.bounds[1] < 0.0
+    )
+    assert all(p.nominal == 0.0 and isinstance(p.sensor, ToleratedSensorError) for p in sensors.values())
 
 
-def test_the_nominal_point_is_the_sessions_valve(base):
-    assert base.at(np.zeros(len(base.parameters))) == base.variant
+def test_the_nominal_point_is_the_sessions_valve(nominal):
+    assert nominal.at(np.zeros(len(nominal.parameters))) == nominal.variant
 
 
-def test_a_point_moves_each_parameter_by_its_deviations(base):
-    point = np.zeros(len(base.parameters))
-    names = [p.name for p in base.parameters]
+def test_a_point_moves_each_parameter_by_its_deviations(nominal):
+    point = np.zeros(len(nominal.parameters))
+    names = [p.name for p in nominal.parameters]
     point[names.index("null_gap")], point[names.index("sensor_gain@load_flow")] = 2.0, -1.0
-    variant = base.at(point)
+    variant = nominal.at(point)
     assert variant.valve.null_gap == pytest.approx(3.5e-5 * 1.02)
-    assert replace(variant.valve, null_gap=3.5e-5) == base.variant.valve
+    assert replace(variant.valve, null_gap=3.5e-5) == nominal.variant.valve
     (sensor,) = variant.effects
-    assert sensor.effect.channel == "load_flow" and sensor.numbers[0] == pytest.approx(-SENSOR_GAIN / 2.0)
+    assert sensor.effect.channel == "load_flow" and sensor.numbers[0] == pytest.approx(-OPTIONS.prior.sensor_gain / 2.0)
 
 
-def test_a_point_stays_within_the_bounds_and_off_zero_what_is_positive(base):
+def test_a_point_stays_within_the_bounds_and_off_zero_what_is_positive(nominal):
     alone = ("null_gap", "flux_share", "spool_damping", "sensor_gain@load_flow", "sensor_delay@load_flow")
     for far, side in ((-1e9, 0), (1e9, 1)):
-        variant = base.at(np.array([far if p.name in alone else 0.0 for p in base.parameters]))
+        variant = nominal.at(np.array([far if p.name in alone else 0.0 for p in nominal.parameters]))
         for name in alone[:3]:
-            p = by_name(base)[name]
-            assert getattr(variant.valve, name) == (p.bounds[1] if side else LEAST * p.nominal) != 0.0
-        assert [active.numbers[0] for active in variant.effects] == [by_name(base)[n].bounds[side] for n in alone[3:]]
+            p = by_name(nominal)[name]
+            assert (
+                getattr(variant.valve, name) == (p.bounds[1] if side else OPTIONS.prior.least_share * p.nominal) != 0.0
+            )
+        assert [active.numbers[0] for active in variant.effects] == [
+            by_name(nominal)[n].bounds[side] for n in alone[3:]
+        ]
 
 
 def test_known_effects_of_the_session_stay_in_the_base():
     known = (CATALOGUE["spool_coulomb_friction"](friction_force=2.0),)
-    base = base_of(replace(small_session(), effects=known))
-    assert base.at(np.zeros(len(base.parameters))).effects == known
+    nominal = nominal_model_of(replace(small_session(), effects=known), options=OPTIONS)
+    assert nominal.at(np.zeros(len(nominal.parameters))).effects == known
 
 
 # ---------------------------------------------------------------- candidates
 
 
 def test_every_effect_of_the_catalogue_is_looked_for_once_on_each_side_and_sensor(candidates):
-    families = {c.family for c in candidates if c.parameter is None}
+    term_hypotheses = {c.label for c in candidates if c.parameter is None}
     expected = set()
     for effect in CATALOGUE.values():
         if effect.reading is not None:
@@ -162,8 +158,8 @@ def test_every_effect_of_the_catalogue_is_looked_for_once_on_each_side_and_senso
             expected |= {f"{effect.name}[side=1]", f"{effect.name}[side=2]"}
         else:
             expected.add(effect.name)
-    assert families == expected
-    counts = Counter(c.family for c in candidates)
+    assert term_hypotheses == expected
+    counts = Counter(c.label for c in candidates)
     for name, shapes in SHAPES.items():
         for shape, values in shapes.items():
             assert all(counts[f] == (1 if shape == "side" else len(values)) for f in counts if f.startswith(name))
@@ -172,9 +168,9 @@ def test_every_effect_of_the_catalogue_is_looked_for_once_on_each_side_and_senso
     }  # fmt: skip
 
 
-def test_every_base_parameter_of_the_valve_is_a_candidate(candidates, base):
+def test_every_base_parameter_of_the_valve_is_a_candidate(candidates, nominal):
     names = {c.name for c in candidates if c.parameter is not None}
-    assert names == {f"parameter:{p.name}" for p in base.parameters if p.sensor is None}
+    assert names == {f"parameter:{p.name}" for p in nominal.parameters if p.sensor is None}
 
 
 def test_keys_are_unique(candidates):
@@ -193,7 +189,7 @@ def test_what_is_known_already_is_not_looked_for_and_a_users_effect_is():
     )  # fmt: skip
     known = (CATALOGUE["spool_coulomb_friction"](friction_force=2.0),)
     session = replace(small_session(), effects=known, user_effects=(own,))
-    names = {c.name for c in candidates_of(session, base_of(session))}
+    names = {c.name for c in candidates_of(session, nominal_model_of(session, options=OPTIONS))}
     assert "side_load" in names and "spool_coulomb_friction" not in names
     assert names >= set(SENSOR_EFFECTS)
 
@@ -221,7 +217,7 @@ def test_every_candidate_has_a_size_a_unit_and_a_place(candidates):
 def test_an_effect_is_added_within_its_bounds(candidates):
     for c in (c for c in candidates if c.effect is not None):
         for far, side in ((-1e12, 0), (1e12, 1)):
-            (active,) = c.add_to(nominal(), far).effects
+            (active,) = c.apply_to(nominal_variant(), far).effects
             for p, number in zip(active.effect.parameters, active.numbers, strict=True):
                 assert p.bounds[0] <= number <= p.bounds[1], c.key
             assert getattr(active.values, c.effect.amplitude.name) == c.effect.amplitude.bounds[side], c.key
@@ -233,7 +229,9 @@ def test_a_parameter_is_added_within_its_bounds_or_refused_by_the_valve(candidat
     for c in (c for c in candidates if c.parameter is not None):
         for far, side in ((-1e12, 0), (1e12, 1)):
             try:
-                assert getattr(c.add_to(nominal(), far).valve, c.parameter.name) == c.parameter.bounds[side], c.key
+                assert (
+                    getattr(c.apply_to(nominal_variant(), far).valve, c.parameter.name) == c.parameter.bounds[side]
+                ), c.key
             except InputError as error:
                 assert "must be smaller than twice" in str(error), c.key
                 refused.add(c.parameter.name)
@@ -241,13 +239,15 @@ def test_a_parameter_is_added_within_its_bounds_or_refused_by_the_valve(candidat
 
 
 def test_a_candidate_is_added_at_neutral_plus_its_excess_with_its_shapes(candidates):
-    grade = candidate(candidates, "oil_viscosity_grade").add_to(nominal(), 0.5).effects[0]
+    grade = candidate(candidates, "oil_viscosity_grade").apply_to(nominal_variant(), 0.5).effects[0]
     assert grade.values.viscosity_factor == pytest.approx(1.5)
     loop = candidate(candidates, "magnetic_hysteresis[turning_current=0.004]")
-    values = loop.add_to(nominal(), 1e-4).effects[0].values
+    values = loop.apply_to(nominal_variant(), 1e-4).effects[0].values
     assert (values.coercive_current, values.turning_current) == pytest.approx((1e-4, 4e-3))
-    assert loop.add_to(nominal(), 1e-4, turning_current=5e-3).effects[0].values.turning_current == pytest.approx(5e-3)
-    rod = candidate(candidates, "parameter:feedback_rod_stiffness").add_to(nominal(), -100.0)
+    assert loop.apply_to(nominal_variant(), 1e-4, turning_current=5e-3).effects[
+        0
+    ].values.turning_current == pytest.approx(5e-3)
+    rod = candidate(candidates, "parameter:feedback_rod_stiffness").apply_to(nominal_variant(), -100.0)
     assert rod.valve.feedback_rod_stiffness == pytest.approx(2680.0) and rod.effects == ()
 
 
@@ -267,173 +267,210 @@ def test_a_parameter_is_no_effect_and_a_candidate_is_one_of_both(candidates):
 # ---------------------------------------------------------------- what each shows
 
 
-def test_neighbours_are_a_little_off_in_one_parameter(base):
-    beside = neighbours(base, nominal())
-    plant = [p for p in base.parameters if p.sensor is None]
+def test_neighbours_are_a_little_off_in_one_parameter(nominal):
+    beside = perturbed_variants(nominal, nominal_variant())
+    plant = [p for p in nominal.parameters if p.sensor is None]
     assert len(beside) == len(plant)
     for p, variant in zip(plant, beside, strict=True):
-        step = FAR if p.name in RUN else NEAR
+        step = OPTIONS.sensitivity.simulated_step if p.name in RUN else OPTIONS.sensitivity.step
         assert getattr(variant.valve, p.name) == pytest.approx(p.nominal + step * p.deviation)
-        assert replace(variant.valve, **{p.name: p.nominal}) == nominal().valve
+        assert replace(variant.valve, **{p.name: p.nominal}) == nominal_variant().valve
 
 
-def test_a_parameter_at_its_most_is_moved_down_and_shows_the_same(base, seen):
-    free = Base(base.variant, tuple(p for p in base.parameters if p.name in ("nozzle_arm", "spool_area")))
+def test_a_parameter_at_its_most_is_moved_down_and_shows_the_same(nominal, linear):
+    free = NominalModel(
+        nominal.variant,
+        tuple(p for p in nominal.parameters if p.name in ("nozzle_arm", "spool_area")),
+        options=OPTIONS,
+    )
     at_most = replace(free, parameters=tuple(replace(p, bounds=(0.0, p.nominal)) for p in free.parameters))
-    beside = neighbours(at_most, nominal())
+    beside = perturbed_variants(at_most, nominal_variant())
     for p, variant in zip(at_most.parameters, beside, strict=True):
         assert 0.0 < getattr(variant.valve, p.name) < p.nominal
-    shown, known = parameter_columns(seen, at_most, beside), parameter_columns(seen, free, neighbours(free, nominal()))
+    shown, known = (
+        parameter_sensitivities(linear, at_most, beside),
+        parameter_sensitivities(linear, free, perturbed_variants(free, nominal_variant())),
+    )
     for channel in CHANNELS:
         for k in range(len(free.parameters)):
             assert rms(shown[channel][:, k] - known[channel][:, k]) <= 0.02 * rms(known[channel][:, k])
 
 
-def test_columns_of_base_parameters_are_differences_of_true_runs(base, seen):
+def test_columns_of_base_parameters_are_differences_of_true_runs(nominal, linear):
     """To first order, so at a tenth of their deviations; those that act within a step of the grid are run."""
     names = ("nozzle_arm", "null_gap_difference", "port_flow_coefficient", "chamber_volume", *RUN)
-    some = Base(base.variant, tuple(p for p in base.parameters if p.name in names))
+    some = NominalModel(nominal.variant, tuple(p for p in nominal.parameters if p.name in names), options=OPTIONS)
     assert len(some.parameters) == len(names)
-    columns = parameter_columns(seen, some, neighbours(some, nominal()))
-    assert columns["spool_position"].shape == (len(seen.bench.record.time), len(names))
+    columns = parameter_sensitivities(linear, some, perturbed_variants(some, nominal_variant()))
+    assert columns["spool_position"].shape == (len(linear.predictor.record.time), len(names))
     for k, p in enumerate(some.parameters):
-        valve = nominal().valve
+        valve = nominal_variant().valve
         high, low = (
-            seen.by_run(replace(nominal(), valve=replace(valve, **{p.name: getattr(valve, p.name) + by * p.deviation})))
-            for by in (FAR, -FAR)
+            linear.simulated_difference(
+                replace(nominal_variant(), valve=replace(valve, **{p.name: getattr(valve, p.name) + by * p.deviation}))
+            )
+            for by in (
+                OPTIONS.sensitivity.simulated_step,
+                -OPTIONS.sensitivity.simulated_step,
+            )
         )
-        truth = {channel: (high[channel] - low[channel]) / (2.0 * FAR) for channel in CHANNELS}
-        shown = [ch for ch in CHANNELS if rms(truth[ch]) > 1e-5 * np.ptp(seen.readings[ch])]
+        truth = {
+            channel: (high[channel] - low[channel]) / (2.0 * OPTIONS.sensitivity.simulated_step) for channel in CHANNELS
+        }
+        shown = [ch for ch in CHANNELS if rms(truth[ch]) > 1e-5 * np.ptp(linear.readings[ch])]
         assert shown, p.name
         for channel in shown:
             error = rms(columns[channel][:, k] - truth[channel])
             assert error <= (0.2 if p.name == "chamber_volume" else 0.05) * rms(truth[channel]), (p.name, channel)
 
 
-def test_columns_of_sensors_are_what_their_errors_do_on_their_channel(base, seen):
-    some = Base(base.variant, tuple(p for p in base.parameters if p.sensor is not None))
-    columns = parameter_columns(seen, some, [])
+def test_columns_of_sensors_are_what_their_errors_do_on_their_channel(nominal, linear):
+    some = NominalModel(nominal.variant, tuple(p for p in nominal.parameters if p.sensor is not None), options=OPTIONS)
+    columns = parameter_sensitivities(linear, some, [])
     at = {p.name: k for k, p in enumerate(some.parameters)}
-    spool, bias = columns["spool_position"], by_name(base)["sensor_bias@spool_position"].deviation
+    spool, bias = columns["spool_position"], by_name(nominal)["sensor_bias@spool_position"].deviation
     assert spool[:, at["sensor_bias@spool_position"]] == pytest.approx(bias, rel=1e-6)
     gain = spool[:, at["sensor_gain@spool_position"]]
-    assert gain == pytest.approx(SENSOR_GAIN / 2.0 * seen.readings["spool_position"], rel=1e-6, abs=1e-15)
-    time = seen.bench.record.time
-    slope = CubicSpline(time, seen.readings["spool_position"])(time[2:-2], 1)
+    assert gain == pytest.approx(
+        OPTIONS.prior.sensor_gain / 2.0 * linear.readings["spool_position"], rel=1e-6, abs=1e-15
+    )
+    time = linear.predictor.record.time
+    slope = CubicSpline(time, linear.readings["spool_position"])(time[2:-2], 1)
     late = spool[2:-2, at["sensor_delay@spool_position"]]
-    assert rms(late + SENSOR_DELAY / 2.0 * slope) < 0.03 * rms(late)
+    assert rms(late + OPTIONS.prior.sensor_delay / 2.0 * slope) < 0.03 * rms(late)
     assert not spool[:, at["sensor_gain@load_flow"]].any()
 
 
-def test_answers_to_a_candidate_with_memory_are_near_true_runs(candidates, seen):
+def test_answers_to_a_candidate_with_memory_are_near_true_runs(candidates, linear):
     loops = [c for c in candidates if c.name == "magnetic_hysteresis"]
     size = 0.05 * loops[0].typical
-    changed = [c.add_to(nominal(), size) for c in loops]
-    columns = candidate_columns(seen, loops, changed, Base(nominal(), ()), {})
+    changed = [c.apply_to(nominal_variant(), size) for c in loops]
+    columns = candidate_sensitivities(linear, loops, changed, NominalModel(nominal_variant(), (), options=OPTIONS), {})
     for k, variant in enumerate(changed):
-        truth = seen.by_run(variant)
+        truth = linear.simulated_difference(variant)
         for channel in ("spool_position", "armature_angle", "load_flow"):
-            assert rms(truth[channel]) > 1e-4 * np.ptp(seen.readings[channel])
+            assert rms(truth[channel]) > 1e-4 * np.ptp(linear.readings[channel])
             assert rms(columns[channel][:, k] - truth[channel]) < 0.15 * rms(truth[channel]), channel
 
 
-def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_runs(base, candidates, seen):
+def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_runs(nominal, candidates, linear):
     keys = ("spool_edge_wear", "nozzle_erosion[side=2]", "parameter:spool_area", "sensor_lag@spool_position",
             "thermal_lag", "sensor_temperature_drift@load_flow")  # fmt: skip
     some = [candidate(candidates, key) for key in keys]
-    changed = [c.add_to(nominal(), 0.01 * c.typical) for c in some]
-    own = Base(base.variant, tuple(p for p in base.parameters if p.name in ("spool_area", "null_opening")))
-    known = parameter_columns(seen, own, neighbours(own, nominal()))
-    columns = candidate_columns(seen, some, changed, own, known)
+    changed = [c.apply_to(nominal_variant(), 0.01 * c.typical) for c in some]
+    own = NominalModel(
+        nominal.variant,
+        tuple(p for p in nominal.parameters if p.name in ("spool_area", "null_opening")),
+        options=OPTIONS,
+    )
+    known = parameter_sensitivities(linear, own, perturbed_variants(own, nominal_variant()))
+    columns = candidate_sensitivities(linear, some, changed, own, known)
     for k, (c, variant) in enumerate(zip(some, changed, strict=True)):
-        truth = seen.by_run(variant)
-        shown = [ch for ch in CHANNELS if rms(truth[ch]) > 2e-5 * np.ptp(seen.readings[ch])]
+        truth = linear.simulated_difference(variant)
+        shown = [ch for ch in CHANNELS if rms(truth[ch]) > 2e-5 * np.ptp(linear.readings[ch])]
         assert shown, c.key
         for channel in shown:
             assert rms(columns[channel][:, k] - truth[channel]) < 0.05 * rms(truth[channel]), (c.key, channel)
 
 
-def test_an_effect_that_is_a_figure_off_shows_what_that_figure_shows(base, candidates):
+def test_an_effect_that_is_a_figure_off_shows_what_that_figure_shows(nominal, candidates):
     """However stiff the base holds the figure: what it has taken up is what the effect explains."""
     known = {"spool_lap": 2e6, "spool_edge_wear": 1.0 / 4.5e-7, "magnet_demagnetization": -100.0}  # by their laws
     for name, rate in known.items():
         lap = candidate(candidates, name)
-        assert lap.twin.name == lap.effect.figure and lap.rate_at(nominal()) == pytest.approx(rate, rel=1e-6)
-        twin, share = lap.share(lap.add_to(nominal(), 0.3 * lap.typical), nominal())
-        assert twin is lap.twin and share == pytest.approx(0.3 * lap.typical * rate, rel=1e-6)
+        assert lap.equivalent.name == lap.effect.figure and lap.equivalent_rate(nominal_variant()) == pytest.approx(
+            rate, rel=1e-6
+        )
+        equivalent, share = lap.share(lap.apply_to(nominal_variant(), 0.3 * lap.typical), nominal_variant())
+        assert equivalent is lap.equivalent and share == pytest.approx(0.3 * lap.typical * rate, rel=1e-6)
     delay = candidate(candidates, "sensor_delay@load_flow")
-    assert delay.twin.name == "sensor_delay@load_flow" and delay.rate_at(nominal()) == pytest.approx(
-        1.0 / delay.twin.deviation
-    )
-    within = base.at(np.array([2.0 * (p is delay.twin) for p in base.parameters]))  # its small error is not the fault
-    assert delay.share(delay.add_to(within, 1e-4), within)[1] == pytest.approx(1e-4 * delay.rate_at(within))
+    assert delay.equivalent.name == "sensor_delay@load_flow" and delay.equivalent_rate(
+        nominal_variant()
+    ) == pytest.approx(1.0 / delay.equivalent.deviation)
+    within = nominal.at(
+        np.array([2.0 * (p is delay.equivalent) for p in nominal.parameters])
+    )  # its small error is not the fault
+    assert delay.share(delay.apply_to(within, 1e-4), within)[1] == pytest.approx(1e-4 * delay.equivalent_rate(within))
     for other in ("fixed_orifice_clogging[side=1]", "coil_turns_loss", "spool_coulomb_friction"):  # no one figure
-        assert candidate(candidates, other).twin is None
-        assert candidate(candidates, other).share(nominal(), nominal()) is None
+        assert candidate(candidates, other).equivalent is None
+        assert candidate(candidates, other).share(nominal_variant(), nominal_variant()) is None
 
 
-def test_an_effect_that_scales_a_figure_moves_it_more_the_more_there_is_of_it(base, candidates):
+def test_an_effect_that_scales_a_figure_moves_it_more_the_more_there_is_of_it(nominal, candidates):
     """k (1 - loss): with a loss there a unit more of it takes the share 1/(1 - loss) of what is left of the figure."""
     weak = candidate(candidates, "flexure_stiffness_loss")
-    weakened = weak.add_to(nominal(), 0.25)
-    assert weak.rate_at(weakened) == pytest.approx(weak.rate_at(nominal()) / 0.75, rel=1e-3)
-    twin, share = weak.share(weak.add_to(nominal(), 0.26), weakened)
-    assert 0.75 * (twin.nominal + share * twin.deviation) == pytest.approx(0.74 * twin.nominal, rel=1e-6)
+    weakened = weak.apply_to(nominal_variant(), 0.25)
+    assert weak.equivalent_rate(weakened) == pytest.approx(weak.equivalent_rate(nominal_variant()) / 0.75, rel=1e-3)
+    equivalent, share = weak.share(weak.apply_to(nominal_variant(), 0.26), weakened)
+    assert 0.75 * (equivalent.nominal + share * equivalent.deviation) == pytest.approx(
+        0.74 * equivalent.nominal, rel=1e-6
+    )
 
 
-def test_answers_to_the_shape_of_a_memory_hold_in_a_record_that_starts_in_motion(base):
+def test_answers_to_the_shape_of_a_memory_hold_in_a_record_that_starts_in_motion(nominal):
     time = np.arange(301) / 1e3
     values = {"current": 2e-3 * np.sin(120.0 * time), "oil_temperature": np.full(301, 40.0)}
     session = small_session()
     usable = {"spool_position": np.ones(301, dtype=bool)}
     record = Record("moving", time, {**values, "spool_position": np.zeros(301)}, usable)
-    bench = prepare(session, record, ())
+    predictor = prepare_record(session, record, (), options=OPTIONS)
     loop = CATALOGUE["magnetic_hysteresis"]
     active, wider = (loop(coercive_current=1e-4, turning_current=by) for by in (2e-3, 2.1e-3))
-    seen = view(bench, nominal().with_effect(active))
-    changed = nominal().with_effect(wider)
-    truth, answer = seen.by_run(changed)["spool_position"], seen.by_answer([changed])["spool_position"][:, 0]
+    linear = linearise_record(predictor, nominal_variant().with_effect(active))
+    changed = nominal_variant().with_effect(wider)
+    truth, answer = (
+        linear.simulated_difference(changed)["spool_position"],
+        linear.linear_difference([changed])["spool_position"][:, 0],
+    )
     assert rms(truth) > 0.0 and rms(answer - truth) < 0.1 * rms(truth)
 
 
-def test_a_sensor_that_the_record_lacks_shows_nothing(seen):
+def test_a_sensor_that_the_record_lacks_shows_nothing(linear):
     absent = Candidate("sensor_bias", CATALOGUE["sensor_bias"].on("nozzle_pressure_2"))
-    for columns in candidate_columns(seen, [absent], [absent.add_to(nominal(), 1e5)], Base(nominal(), ()), {}).values():
+    for columns in candidate_sensitivities(
+        linear,
+        [absent],
+        [absent.apply_to(nominal_variant(), 1e5)],
+        NominalModel(nominal_variant(), (), options=OPTIONS),
+        {},
+    ).values():
         assert not columns.any()
 
 
-def test_a_fault_of_a_sensor_changes_what_it_shows_of_others(seen):
+def test_a_fault_of_a_sensor_changes_what_it_shows_of_others(linear):
     """By as much as the fault says: a sensor that reads 1.3 times too much shows 1.3 times as much."""
     gain = CATALOGUE["sensor_gain"].on("spool_position")(gain_error=0.3)
-    stiffer = Candidate("p", parameter=BaseParameter("spool_area", "m^2", 1.68e-5, 1e-8, (1e-6, 1e-3)))
-    faulty = view(bench_of("fast"), nominal().with_effect(gain))
+    stiffer = Candidate("p", parameter=NuisanceParameter("spool_area", "m^2", 1.68e-5, 1e-8, (1e-6, 1e-3)))
+    faulty = linearise_record(bench_of("fast"), nominal_variant().with_effect(gain))
     plain, scaled = (
-        own.by_answer([stiffer.add_to(own.variant, 1e-8)])["spool_position"] for own in (seen, faulty)
+        own.linear_difference([stiffer.apply_to(own.variant, 1e-8)])["spool_position"] for own in (linear, faulty)
     )  # fmt: skip
     assert scaled == pytest.approx(1.3 * plain, abs=0.02 * np.abs(plain).max())
 
 
-def test_a_fault_that_bends_readings_acts_by_its_slope_at_what_is_read(seen):
+def test_a_fault_that_bends_readings_acts_by_its_slope_at_what_is_read(linear):
     """A user's sensor v (1 + k v) shows a change of v as (1 + 2 k v) times as much, wherever it is read."""
     bent = Effect(
         name="bent_sensor", doc="", location="sensor", signature="", channel="spool_position",
         parameters=(Parameter(name="k", unit="1/m", doc="", default=0.0, bounds=(0.0, 1e5), neutral=0.0, typical=1e3),),
         reading=lambda r, p: r.values * (1.0 + p.k * r.values),
     )  # fmt: skip
-    faulty = view(bench_of("fast"), nominal().with_effect(bent(k=3e3)))
-    area = Candidate("p", parameter=BaseParameter("spool_area", "m^2", 1.68e-5, 1e-8, (1e-6, 1e-3)))
-    plain, shown = (own.by_answer([area.add_to(own.variant, 1e-9)])["spool_position"][:, 0] for own in (seen, faulty))
-    slope = 1.0 + 6e3 * seen.readings["spool_position"]
+    faulty = linearise_record(bench_of("fast"), nominal_variant().with_effect(bent(k=3e3)))
+    area = Candidate("p", parameter=NuisanceParameter("spool_area", "m^2", 1.68e-5, 1e-8, (1e-6, 1e-3)))
+    plain, shown = (
+        own.linear_difference([area.apply_to(own.variant, 1e-9)])["spool_position"][:, 0] for own in (linear, faulty)
+    )
+    slope = 1.0 + 6e3 * linear.readings["spool_position"]
     assert np.ptp(slope) > 1.0
     assert shown == pytest.approx(slope * plain, abs=0.02 * np.abs(plain).max())
 
 
-def test_the_residual_is_measured_minus_predicted(seen):
-    for channel, left in seen.residual().items():
-        assert left == pytest.approx(seen.bench.record.values[channel] - seen.readings[channel], abs=0.0)
+def test_the_residual_is_measured_minus_predicted(linear):
+    for channel, left in linear.residual().items():
+        assert left == pytest.approx(linear.predictor.record.values[channel] - linear.readings[channel], abs=0.0)
         if channel != "load_flow":  # the record has no lag, its sensor states one
-            assert rms(left) < 1e-3 * np.ptp(seen.readings[channel]), channel
-    assert rms(seen.residual()["load_flow"]) > 1e-2 * np.ptp(seen.readings["load_flow"])
+            assert rms(left) < 1e-3 * np.ptp(linear.readings[channel]), channel
+    assert rms(linear.residual()["load_flow"]) > 1e-2 * np.ptp(linear.readings["load_flow"])
 
 
 def test_effects_of_the_universe_are_catalogue_effects_with_memory():
@@ -445,20 +482,20 @@ def test_in_slow_records_no_lag_shorter_than_a_sample_is_typical():
     chirp = tuple(record for record in session.records if record.rate > 900.0)
     slow = tuple(replace(record, time=record.time * 1000.0) for record in chirp)
     fast, paced = (
-        {c.family: c for c in candidates_of(each, base_of(each))}
+        {c.label: c for c in candidates_of(each, nominal_model_of(each, options=OPTIONS))}
         for each in (replace(session, records=chirp), replace(session, records=slow))
     )
-    (family,) = [name for name in fast if name.startswith("sensor_lag@")][:1]
+    (hypothesis,) = [name for name in fast if name.startswith("sensor_lag@")][:1]
     step = 1.0 / min(record.rate for record in slow)
-    assert fast[family].typical == pytest.approx(1e-3) and paced[family].typical == pytest.approx(step)
-    assert paced[family.replace("lag", "bias")].typical == fast[family.replace("lag", "bias")].typical
+    assert fast[hypothesis].typical == pytest.approx(1e-3) and paced[hypothesis].typical == pytest.approx(step)
+    assert paced[hypothesis.replace("lag", "bias")].typical == fast[hypothesis.replace("lag", "bias")].typical
 
 
 def test_in_short_records_a_long_lag_is_looked_for_within_and_beyond_them():
     session = small_session()
     long = tuple(replace(r, time=np.linspace(0.0, 60.0, len(r.time))) for r in session.records)
     short, usual = (
-        [c.typical for c in candidates_of(each, base_of(each)) if c.family == "thermal_lag"]
+        [c.typical for c in candidates_of(each, nominal_model_of(each, options=OPTIONS)) if c.label == "thermal_lag"]
         for each in (session, replace(session, records=long))
     )
     longest = max(record.time[-1] - record.time[0] for record in session.records)
@@ -468,12 +505,12 @@ def test_in_short_records_a_long_lag_is_looked_for_within_and_beyond_them():
 def test_more_of_an_error_that_the_session_states_is_seen_beside_it():
     known = CATALOGUE["sensor_bias"].on("load_flow")(bias=1e-6)
     session = replace(small_session(), effects=(known,))
-    base = base_of(session)
-    own, (bias,) = base.at(np.zeros(len(base.parameters))), [
-        c for c in candidates_of(session, base) if c.family == "sensor_bias@load_flow"
+    nominal = nominal_model_of(session, options=OPTIONS)
+    own, (bias,) = nominal.at(np.zeros(len(nominal.parameters))), [
+        c for c in candidates_of(session, nominal) if c.label == "sensor_bias@load_flow"
     ]  # fmt: skip
-    more = bias.add_to(own, 5e-6)
-    assert bias.share(more, own)[1] == pytest.approx(5e-6 / bias.twin.deviation)
-    bench = bench_of("fast")
-    read = [bench.readings(bench.run(variant), variant)["load_flow"] for variant in (more, own)]
+    more = bias.apply_to(own, 5e-6)
+    assert bias.share(more, own)[1] == pytest.approx(5e-6 / bias.equivalent.deviation)
+    predictor = bench_of("fast")
+    read = [predictor.readings(predictor.run(variant), variant)["load_flow"] for variant in (more, own)]
     assert read[0] - read[1] == pytest.approx(5e-6)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valvesim.laws import (
+from valvesim.valve.laws import (
     MU_0,
     bridge_flux,
     contact_force,

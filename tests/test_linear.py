@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import valvesim as vs
-from valvesim import linear
 from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, Inputs
+from valvesim.characterisation import control_block, gain_schedule, reduced_order
+from valvesim.characterisation import linearisation as linear
 from valvesim.errors import InputError
-from valvesim.model import Model, VoltageDrive
-from valvesim.static import solve_rest
+from valvesim.valve.equations import Model, VoltageDrive
+from valvesim.valve.equilibrium import solve_rest
 
 VALVE = vs.reference_valve()
 ISOTHERMAL = vs.Thermal(network=None)
@@ -190,7 +191,7 @@ def test_the_voltage_drive_adds_its_current_as_a_state():
     assert gain * 600.0 == pytest.approx(complex(system()["spool_position", "current"](0.0)).real, rel=1e-9)
 
 
-@pytest.mark.parametrize("use", [linear.linearise, linear.nonlinear_system])
+@pytest.mark.parametrize("use", [linear.linearise, control_block.nonlinear_system])
 def test_an_effect_that_feels_the_rate_of_the_current_is_refused(use):
     effect = vs.effect("magnetic_hysteresis")
     active = effect(**{effect.amplitude.name: 1e-4})
@@ -278,17 +279,17 @@ def test_the_linear_response_is_that_of_a_small_sine(frequency, temperature):
 def test_bandwidth_of_known_systems():
     import control
 
-    first = linear.bandwidth(control.tf([3.0], [1.0 / 100.0, 1.0]))
+    first = reduced_order.bandwidth(control.tf([3.0], [1.0 / 100.0, 1.0]))
     assert first.gain_frequency == pytest.approx(100.0 * np.sqrt(10.0**0.3 - 1.0) / (2.0 * np.pi), rel=1e-9)
     assert np.isnan(first.phase_frequency)
-    second = linear.bandwidth(control.tf([-2.0], [1.0 / 500.0**2, 2.0 * 0.7 / 500.0, 1.0]))
+    second = reduced_order.bandwidth(control.tf([-2.0], [1.0 / 500.0**2, 2.0 * 0.7 / 500.0, 1.0]))
     assert second.phase_frequency == pytest.approx(500.0 / (2.0 * np.pi), rel=1e-9)
 
 
 def test_the_hot_valve_is_faster():
     # golden: what this model gives, not a measurement
     for temperature, gain_frequency, phase_frequency in ((20.0, 170.8, 267.7), (270.0, 215.2, 273.0)):
-        found = linear.bandwidth(system(1e-3, temperature))
+        found = reduced_order.bandwidth(system(1e-3, temperature))
         assert found.gain_frequency == pytest.approx(gain_frequency, abs=0.5)
         assert found.phase_frequency == pytest.approx(phase_frequency, abs=0.5)
 
@@ -297,13 +298,13 @@ def test_bandwidth_refuses_what_has_none():
     import control
 
     with pytest.raises(InputError, match="unknown signal 'spool_positon'; did you mean 'spool_position'"):
-        linear.bandwidth(system(), output="spool_positon")
+        reduced_order.bandwidth(system(), output="spool_positon")
     with pytest.raises(InputError, match="unknown signal 'curent'"):
-        linear.bandwidth(system(), source="curent")
+        reduced_order.bandwidth(system(), source="curent")
     with pytest.raises(InputError, match="not stable"):
-        linear.bandwidth(control.tf([1.0], [1.0, 0.0]))
+        reduced_order.bandwidth(control.tf([1.0], [1.0, 0.0]))
     with pytest.raises(InputError, match="does not follow current at rest"):
-        linear.bandwidth(control.tf([1.0, 0.0], [1.0, 1.0]))
+        reduced_order.bandwidth(control.tf([1.0, 0.0], [1.0, 1.0]))
 
 
 @pytest.mark.parametrize("order, true_pole", [(2, None), (3, 400.0)])
@@ -313,7 +314,7 @@ def test_a_reduced_form_finds_its_own_parameters(order, true_pole):
     denominator = [1.0 / 900.0**2, 2.0 * 0.45 / 900.0, 1.0]
     if true_pole is not None:
         denominator = np.polymul(denominator, [1.0 / true_pole, 1.0])
-    found = linear.reduced(control.tf([0.04], denominator), order)
+    found = reduced_order.reduced(control.tf([0.04], denominator), order)
     assert found.gain == pytest.approx(0.04, rel=1e-12)
     assert found.angular_frequency == pytest.approx(900.0, rel=1e-6)
     assert found.damping_ratio == pytest.approx(0.45, rel=1e-6)
@@ -326,9 +327,9 @@ def test_a_reduced_form_finds_its_own_parameters(order, true_pole):
 @pytest.mark.parametrize("order, decibels, degrees", [(2, 2.5, 17.0), (3, 0.1, 0.6)])
 def test_a_reduced_valve_is_within_its_stated_error(order, decibels, degrees, temperature):
     full = system(1e-3, temperature)
-    found = linear.reduced(full, order)
+    found = reduced_order.reduced(full, order)
     assert found.gain_error < decibels and found.phase_error < degrees
-    assert found.highest_frequency == pytest.approx(2.0 * linear.bandwidth(full).phase_frequency, rel=1e-9)
+    assert found.highest_frequency == pytest.approx(2.0 * reduced_order.bandwidth(full).phase_frequency, rel=1e-9)
     s = 2j * np.pi * np.geomspace(found.lowest_frequency, found.highest_frequency, 57)
     ratio = found.system(s) / full["spool_position", "current"](s)
     assert np.max(np.abs(20.0 * np.log10(np.abs(ratio)))) <= found.gain_error * 1.001
@@ -336,19 +337,19 @@ def test_a_reduced_valve_is_within_its_stated_error(order, decibels, degrees, te
 
 
 def test_a_lower_band_makes_a_better_second_order_form():
-    assert linear.reduced(system(), 2, highest_frequency=100.0).phase_error < 2.0
+    assert reduced_order.reduced(system(), 2, highest_frequency=100.0).phase_error < 2.0
     for wrong in (0.0, -1.0, np.nan):
         with pytest.raises(InputError, match="highest_frequency"):
-            linear.reduced(system(), 2, highest_frequency=wrong)
+            reduced_order.reduced(system(), 2, highest_frequency=wrong)
     with pytest.raises(InputError, match="order = 4 must be 2 or 3"):
-        linear.reduced(system(), 4)
+        reduced_order.reduced(system(), 4)
 
 
 # --- schedule --------------------------------------------------------------------------------------------------------
 
 
 def test_the_gain_schedule_is_that_of_the_static_solution():
-    rows = linear.gain_schedule(VALVE, TEMPERATURES, current=2e-3)
+    rows = gain_schedule.gain_schedule(VALVE, TEMPERATURES, current=2e-3)
     assert [row.temperature for row in rows] == list(TEMPERATURES)
     for row in rows:
         step = 1e-6
@@ -360,12 +361,12 @@ def test_the_gain_schedule_is_that_of_the_static_solution():
         assert row.flow_gain == pytest.approx(port * slope, rel=5e-3)
         assert row.pressure_gain == pytest.approx(row.flow_gain / row.flow_pressure_coefficient, rel=1e-12)
         assert row.flow_pressure_coefficient > 0.0 and row.pilot_pressure_gain > 0.0
-        assert row.gain_frequency == linear.bandwidth(system(2e-3, row.temperature)).gain_frequency
+        assert row.gain_frequency == reduced_order.bandwidth(system(2e-3, row.temperature)).gain_frequency
         assert abs(row.dominant_pole) == min(abs(mode.pole) for mode in linear.modes(point(2e-3, row.temperature)))
 
 
 def test_the_flow_gain_is_doubled_within_the_null_opening():
-    null, off = (linear.gain_schedule(VALVE, [20.0], current=i)[0].flow_gain for i in (0.0, 2e-3))
+    null, off = (gain_schedule.gain_schedule(VALVE, [20.0], current=i)[0].flow_gain for i in (0.0, 2e-3))
     assert null == pytest.approx(2.0 * off, rel=5e-3)
 
 
@@ -388,14 +389,14 @@ def test_the_nonlinear_system_steps_as_the_simulation(temperature, load_pressure
         command=vs.Step(before=1e-3, after=3e-3), load_pressure=vs.Constant(value=load_pressure), tolerance=1e-7,
     )  # fmt: skip
     before = dataclasses.replace(scenario, command=vs.Constant(value=1e-3))
-    start = linear.rest_state(before, command=1e-3, load_pressure=load_pressure)
+    start = control_block.rest_state(before, command=1e-3, load_pressure=load_pressure)
     # a run starts at the rest of its command at time zero: let it step a little later, and cut the wait off
     later = dataclasses.replace(scenario, command=vs.Step(before=1e-3, after=3e-3, time=1e-3))
     result = vs.simulate(later)
     wait = int(round(1e-3 * 20e3))
     times = result.time[wait:] - result.time[wait]
     inputs = np.vstack([np.full(times.shape, 3e-3), np.full(times.shape, load_pressure)])
-    found = respond(linear.nonlinear_system(scenario), times, inputs, start)
+    found = respond(control_block.nonlinear_system(scenario), times, inputs, start)
     for k, name in enumerate(linear.OUTPUTS):
         expected = result.values[name][wait:]
         assert np.max(np.abs(found[k] - expected)) < 1e-4 * np.ptp(expected)
@@ -411,22 +412,28 @@ def test_the_nonlinear_system_follows_the_scenarios_temperature_and_pressure():
     result = vs.simulate(scenario)
     times = np.linspace(0.0, 0.1, 11)
     inputs = np.vstack([np.full(times.shape, 2e-3), np.zeros(times.shape)])
-    found = respond(linear.nonlinear_system(scenario), times, inputs, linear.rest_state(scenario, command=2e-3))
+    found = respond(
+        control_block.nonlinear_system(scenario), times, inputs, control_block.rest_state(scenario, command=2e-3)
+    )
     for k, name in enumerate((*linear.OUTPUTS, "oil_temperature")):
         expected = result.values[name][: len(times)]
         assert np.max(np.abs(found[k] - expected)) < 1e-3 * np.ptp(expected) + 1e-9 * np.max(np.abs(expected))
-    beyond = linear.nonlinear_system(scenario).outfcn(2.0, linear.rest_state(scenario), np.zeros(2), {})
+    beyond = control_block.nonlinear_system(scenario).outfcn(2.0, control_block.rest_state(scenario), np.zeros(2), {})
     assert beyond[-1] == pytest.approx(120.0)  # held after the end
-    later = linear.rest_state(scenario, time=0.5, command=2e-3) * [ch.scale for ch in scenario.model.state_channels]
+    later = control_block.rest_state(scenario, time=0.5, command=2e-3) * [
+        ch.scale for ch in scenario.model.state_channels
+    ]
     assert later[4] == pytest.approx(result.values["spool_position"][50], rel=1e-3)
 
 
 def test_the_nonlinear_system_is_named_and_linearises_to_the_linear_one():
     scenario = vs.Scenario(thermal=ISOTHERMAL)
-    block = linear.nonlinear_system(scenario)
+    block = control_block.nonlinear_system(scenario)
     assert block.name == "valve" and block.input_labels == ["current", "load_pressure"]
     assert block.output_labels == [*linear.OUTPUTS, "oil_temperature"]
-    poles = np.sort_complex(np.asarray(block.linearize(linear.rest_state(scenario, command=1e-3), [1e-3, 0.0]).poles()))
+    poles = np.sort_complex(
+        np.asarray(block.linearize(control_block.rest_state(scenario, command=1e-3), [1e-3, 0.0]).poles())
+    )
     np.testing.assert_allclose(poles, np.sort_complex(np.asarray(system().poles())), rtol=1e-3)
 
 
@@ -435,10 +442,10 @@ def test_the_nonlinear_system_takes_a_voltage_drive_and_effects():
     acting = [e for e in vs.CATALOGUE.values() if e.balance is not None]
     active = tuple(e(**{e.amplitude.name: 0.02 * e.amplitude.bounds[1]}) for e in acting)
     scenario = vs.Scenario(thermal=ISOTHERMAL, drive=VoltageDrive(), effects=active)
-    model, block = scenario.model, linear.nonlinear_system(scenario)
+    model, block = scenario.model, control_block.nonlinear_system(scenario)
     assert block.input_labels[0] == "voltage"
     scale = np.array([channel.scale for channel in model.state_channels])
-    rest = linear.rest_state(scenario, command=1.0, load_pressure=2e6)
+    rest = control_block.rest_state(scenario, command=1.0, load_pressure=2e6)
     assert np.max(np.abs(block.updfcn(0.0, rest, np.array([1.0, 2e6]), {}))) < 1e-4  # 1/s
     x = rest * 1.01 + 0.01
     u = Inputs(1.2, 0.0, VALVE.supply_pressure, VALVE.return_pressure, 2e6)
@@ -454,7 +461,7 @@ def test_the_nonlinear_system_takes_a_voltage_drive_and_effects():
 def test_a_nonlinear_system_of_a_batch_is_refused():
     batch = dataclasses.replace(VALVE, null_gap=np.array([3e-5, 4e-5]))
     with pytest.raises(InputError, match="not a batch"):
-        linear.nonlinear_system(vs.Scenario(valve=batch, thermal=ISOTHERMAL))
+        control_block.nonlinear_system(vs.Scenario(valve=batch, thermal=ISOTHERMAL))
 
 
 def test_the_example_closes_a_loop_that_follows():
@@ -467,7 +474,7 @@ def test_the_example_closes_a_loop_that_follows():
     spec.loader.exec_module(example)
     example.WINDOW = 0.2
     controller = example.controller([20.0, 270.0], [0.045, 0.045])
-    parts = [linear.nonlinear_system(example.launch), example.actuator(), controller]
+    parts = [control_block.nonlinear_system(example.launch), example.actuator(), controller]
     loop = control.interconnect(parts, inputs=["reference"], outputs=["position", "current"], check_unused=False)
     _, reference, position, current = example.run(loop, 0.0)
     lag = 2.0 * np.pi * example.FREQUENCY * example.AMPLITUDE / example.VELOCITY_GAIN  # of a loop with an integrator

@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valvesim.catalogue import effect
 from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, STATE_CHANNELS, Inputs, Signals, State
-from valvesim.model import NOMINAL, Model, VoltageDrive, main_stage, torque_constant
-from valvesim.parameters import Coefficients, PartTemperatures, Valve, reference_valve
+from valvesim.valve.catalogue import effect
+from valvesim.valve.coefficients import Coefficients, PartTemperatures
+from valvesim.valve.equations import NOMINAL, Model, VoltageDrive, main_stage, torque_constant
+from valvesim.valve.parameters import Valve, reference_valve
 
 valve = reference_valve()
 sharp = Valve(transition_pressure=1.0)  # roots that differ from the ideal ones by 1e-11 at 0.1 MPa

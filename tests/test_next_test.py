@@ -6,15 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from valvesim import next_test
+from valvesim.diagnosis.experiment_design import _power, design
+from valvesim.diagnosis.experiments import experiment_values, library
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.errors import SolveError
-from valvesim.fluid import MIL_PRF_5606
-from valvesim.next_test import LEAST, _power, design, library
-from valvesim.parameters import Valve
-from valvesim.prediction import Variant, prepare
-from valvesim.scenario import Thermal
-from valvesim.session import Record, Sensor, Session
-from valvesim.study import BaseFit, Extra, Fit, evaluate, first_noise, prepare_study, see
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit
+from valvesim.identification.fit_jacobian import linearise_study
+from valvesim.identification.noise_estimation import initial_noise
+from valvesim.identification.nominal_fit import NominalFit
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.predictor import ModelVariant, prepare_record
+from valvesim.identification.session import Record, Sensor, Session
+from valvesim.identification.study import prepare_study
+from valvesim.simulation.scenario import Thermal
+from valvesim.valve.fluid import MIL_PRF_5606
+from valvesim.valve.parameters import Valve
 
 NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
 LABELS = ("spool_coulomb_friction", "spool_lap")
@@ -34,40 +40,42 @@ def session_of(voltage=False, oil=40.0, network=None, duration=0.1):
     sensors = {name: Sensor(name, "", noise=noise) for name, noise in NOISE.items()}
     session = Session(Path(), "made", 1, Valve(), MIL_PRF_5606, Thermal(network=network), (), (), {}, sensors,
                       (record,), ())  # fmt: skip
-    bench = prepare(session, record, ())
-    variant, rng = Variant(session.valve), np.random.default_rng(1)
-    read = bench.readings(bench.run(variant), variant)
+    predictor = prepare_record(session, record, (), options=OPTIONS)
+    variant, rng = ModelVariant(session.valve), np.random.default_rng(1)
+    read = predictor.readings(predictor.run(variant), variant)
     noisy = {name: column + rng.normal(0.0, NOISE[name], len(t)) for name, column in read.items()}
     return replace(session, records=(replace(record, values={**values, **noisy}),))
 
 
-def base_of(session):
+def nominal_model_of(session):
     study = prepare_study(session)
-    study = replace(study, noise=first_noise(study))
-    fit = evaluate(study, np.zeros(len(study.base.parameters)), ())
-    views, columns = see(study, fit.variant(study.base))
-    return BaseFit(study, fit, tuple(views), tuple(columns), study.stack(columns))
+    study = replace(study, noise=initial_noise(study))
+    fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
+    linearised, columns = linearise_study(study, fit.variant(study.nominal))
+    return NominalFit(study, fit, tuple(linearised), tuple(columns), study.stack(columns))
 
 
-def fit_of(base, name, share):
-    candidate = next(c for c in base.study.candidates if c.name == name)
+def fit_of(nominal, name, share):
+    candidate = next(c for c in nominal.study.candidates if c.name == name)
     shapes = tuple((p.name, p.default) for p in candidate.shapes())
-    return evaluate(base.study, base.fit.point, (Extra(candidate, share * candidate.typical, shapes),))
+    return evaluate_fit(
+        nominal.study, nominal.fit.point, (FittedCandidate(candidate, share * candidate.typical, shapes),)
+    )
 
 
 @pytest.fixture(scope="module")
-def base():
-    return base_of(session_of())
+def nominal():
+    return nominal_model_of(session_of())
 
 
 @pytest.fixture(scope="module")
-def fits(base):
-    return fit_of(base, LABELS[0], 0.5), fit_of(base, LABELS[1], 0.5)
+def fits(nominal):
+    return fit_of(nominal, LABELS[0], 0.5), fit_of(nominal, LABELS[1], 0.5)
 
 
 @pytest.fixture(scope="module")
-def found(base, fits):
-    return design(base, *fits, LABELS, plain_six)
+def found(nominal, fits):
+    return design(nominal, *fits, LABELS, plain_six, options=DIAGNOSIS)
 
 
 def test_two_effects_that_differ_elsewhere_are_told_apart(found):
@@ -77,8 +85,8 @@ def test_two_effects_that_differ_elsewhere_are_told_apart(found):
     assert found.description not in found.alternatives
 
 
-def test_the_inputs_are_the_whole_test_inside_the_limits(base, found):
-    inputs, valve = found.inputs, base.study.session.valve
+def test_the_inputs_are_the_whole_test_inside_the_limits(nominal, found):
+    inputs, valve = found.inputs, nominal.study.session.valve
     assert set(inputs) == {"time", "current", "oil_temperature", "supply_pressure", "load_pressure"}
     assert len({len(column) for column in inputs.values()}) == 1
     assert inputs["time"][0] == 0.0 and inputs["time"][-1] == pytest.approx(found.duration)
@@ -87,45 +95,49 @@ def test_the_inputs_are_the_whole_test_inside_the_limits(base, found):
     assert found.settings["supply_pressure"] == f"{inputs['supply_pressure'][0] / 1e5:.0f} bar"
 
 
-def test_a_hypothesis_is_not_told_from_itself(base, fits):
-    assert design(base, fits[0], fits[0], (LABELS[0],) * 2, plain_six) is None
+def test_a_hypothesis_is_not_told_from_itself(nominal, fits):
+    assert design(nominal, fits[0], fits[0], (LABELS[0],) * 2, plain_six, options=DIAGNOSIS) is None
 
 
-def test_what_a_refit_can_make_up_does_not_count(base, fits):
-    candidate = fits[0].extras[0].candidate
-    other = fit_of(base, LABELS[0], 0.5 + 1e-3)
-    plain = Fit(base.fit.point, (), base.fit.deviance, base.fit.readings, base.fit.residual, base.fit.rows)
+def test_what_a_refit_can_make_up_does_not_count(nominal, fits):
+    candidate = fits[0].fitted[0].candidate
+    other = fit_of(nominal, LABELS[0], 0.5 + 1e-3)
+    plain = Fit(
+        nominal.fit.point, (), nominal.fit.chi_square, nominal.fit.readings, nominal.fit.residual, nominal.fit.rows
+    )
     assert candidate.name == LABELS[0]
     # one effect at two amplitudes that the session cannot tell
-    assert design(base, fits[0], other, LABELS, plain_six) is None
-    assert design(base, fits[0], plain, LABELS, plain_six) is not None  # but the effect itself is told from none at all
+    assert design(nominal, fits[0], other, LABELS, plain_six, options=DIAGNOSIS) is None
+    assert (
+        design(nominal, fits[0], plain, LABELS, plain_six, options=DIAGNOSIS) is not None
+    )  # but the effect itself is told from none at all
 
 
-def test_the_more_there_is_to_explain_the_more_is_asked(base, fits, found):
+def test_the_more_there_is_to_explain_the_more_is_asked(nominal, fits, found):
     told = []
 
     def asked(more):
         told.append(more)
         return 6.0 + 0.04 * more
 
-    careful = design(base, *fits, LABELS, asked)
+    careful = design(nominal, *fits, LABELS, asked, options=DIAGNOSIS)
     assert max(told) > 0.0  # the test would show the first effect itself
     assert careful is None or careful.power < found.power or careful.duration > found.duration
-    assert design(base, *fits, LABELS, lambda more: 1e9) is None
+    assert design(nominal, *fits, LABELS, lambda more: 1e9, options=DIAGNOSIS) is None
 
 
-def test_a_test_that_cannot_be_run_is_left_out(base, fits, monkeypatch):
-    def fails(bench, variant):
+def test_a_test_that_cannot_be_run_is_left_out(nominal, fits, monkeypatch):
+    def fails(predictor, variant):
         raise SolveError("no")
 
-    monkeypatch.setattr("valvesim.prediction.Bench.run", fails)
-    assert design(base, *fits, LABELS, plain_six) is None
+    monkeypatch.setattr("valvesim.identification.predictor.RecordPredictor.run", fails)
+    assert design(nominal, *fits, LABELS, plain_six, options=DIAGNOSIS) is None
 
 
 @pytest.mark.parametrize("oil", [-20.0, 5.0, 40.0, 85.0, 120.0])
 def test_every_test_of_the_library_keeps_within_bounds(oil):
     session = session_of_records(oil)
-    for trial in library(session):
+    for trial in library(session, options=DIAGNOSIS):
         assert np.abs(trial.shape).max() <= 1.0
         assert 0.0 < trial.supply <= session.valve.supply_pressure and abs(trial.load) < trial.supply
         assert min(oil, 0.0) <= trial.oil.min() and trial.oil.max() <= max(oil, 90.0)
@@ -141,7 +153,9 @@ def session_of_records(oil, network=None):
 
 def test_the_oil_warms_up_only_where_a_network_follows_it():
     def ramps(network):
-        return [trial for trial in library(session_of_records(40.0, network)) if np.ptp(trial.oil) > 0.0]
+        return [
+            trial for trial in library(session_of_records(40.0, network), options=DIAGNOSIS) if np.ptp(trial.oil) > 0.0
+        ]
 
     assert not ramps(None) and len(ramps(Thermal().network)) == 1
 
@@ -150,7 +164,7 @@ def test_a_session_driven_by_voltage_gets_a_voltage():
     session = session_of_records(40.0)
     driven = replace(session.records[0], values={"voltage": session.records[0].values["current"]})
     session = replace(session, records=(driven,))
-    values = next_test._values(session, library(session)[0])
+    values = experiment_values(session, library(session, options=DIAGNOSIS)[0])
     assert "current" not in values
     assert np.abs(values["voltage"]).max() <= session.valve.rated_current * session.valve.coil_resistance
 
@@ -158,4 +172,4 @@ def test_a_session_driven_by_voltage_gets_a_voltage():
 def test_the_power_rises_with_the_distance():
     powers = [_power(d, 6.0) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
     assert powers == sorted(powers) and powers[0] == 0.0 and powers[2] == pytest.approx(0.5, abs=0.01)
-    assert powers[1] < LEAST and powers[-1] > 0.99
+    assert powers[1] < DIAGNOSIS.design.least_power and powers[-1] > 0.99

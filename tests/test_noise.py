@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from valvesim.noise import FEWEST_PER_LAG, MOST_LAGS, Noise, fit_noise, rounding
+from valvesim.identification.noise_model import NoiseModel, fit_autoregression, quantisation_error
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 
 AR2 = (1.2, -0.5)
 
@@ -16,7 +17,7 @@ def coloured(lags, innovation=1.0, count=20_000, seed=0):
 
 
 def found(*series, floor=0.0):
-    return fit_noise(series, verified=True, source="a test", floor=floor)
+    return fit_autoregression(series, verified=True, source="a test", floor=floor, options=OPTIONS)
 
 
 def correlations(white, most=6):
@@ -50,9 +51,9 @@ def test_white_noise_is_seldom_taken_for_coloured():
 
 
 def test_a_short_series_is_not_given_more_lags_than_it_can_tell():
-    short = coloured((0.0,) * 7 + (0.95,), count=5 * FEWEST_PER_LAG - 1, seed=2)
+    short = coloured((0.0,) * 7 + (0.95,), count=5 * OPTIONS.noise.samples_per_lag - 1, seed=2)
     assert len(found(short).lags) <= 4
-    assert len(found(coloured((0.0,) * 7 + (0.95,), count=4000, seed=2)).lags) == MOST_LAGS == 8
+    assert len(found(coloured((0.0,) * 7 + (0.95,), count=4000, seed=2)).lags) == OPTIONS.noise.most_lags == 8
     assert found(np.array([1.0, 3.0])).lags == ()
 
 
@@ -97,25 +98,25 @@ def test_the_floor_raises_the_deviation_and_keeps_the_colour():
 
 
 def test_a_series_without_any_noise_has_the_floor_alone():
-    assert found(np.full(500, 2.0), floor=1e-6) == Noise(1e-6, (), True, "a test")
+    assert found(np.full(500, 2.0), floor=1e-6) == NoiseModel(1e-6, (), True, "a test")
 
 
 # ---------------------------------------------------------------- deviation and whitening
 
 
 def test_the_stationary_deviation_is_the_closed_form():
-    assert Noise(0.3, (), True, "").deviation == 0.3
+    assert NoiseModel(0.3, (), True, "").deviation == 0.3
     for a in (0.5, -0.9, 0.99):
-        assert Noise(0.3, (a,), True, "").deviation == pytest.approx(0.3 / np.sqrt(1.0 - a * a), rel=1e-9)
+        assert NoiseModel(0.3, (a,), True, "").deviation == pytest.approx(0.3 / np.sqrt(1.0 - a * a), rel=1e-9)
     a, b = AR2
     variance = (1.0 - b) / ((1.0 + b) * ((1.0 - b) ** 2 - a * a))
-    assert Noise(2.0, AR2, True, "").deviation == pytest.approx(2.0 * np.sqrt(variance), rel=1e-9)
+    assert NoiseModel(2.0, AR2, True, "").deviation == pytest.approx(2.0 * np.sqrt(variance), rel=1e-9)
 
 
 @pytest.mark.parametrize("lags", [(), (0.9,), AR2])
 def test_whitening_leaves_white_noise_of_unit_size(lags):
     series = coloured(lags, innovation=5e-6, seed=7)
-    white = Noise(5e-6, lags, True, "").whiten(series[:, None], np.ones(len(series), dtype=bool))
+    white = NoiseModel(5e-6, lags, True, "").whiten(series[:, None], np.ones(len(series), dtype=bool))
     assert white.shape == (len(series) - len(lags), 1)
     assert np.std(white) == pytest.approx(1.0, abs=0.02)
     assert np.abs(correlations(white[:, 0])).max() < 4.0 / np.sqrt(len(white))
@@ -124,7 +125,7 @@ def test_whitening_leaves_white_noise_of_unit_size(lags):
 
 
 def test_whitening_is_the_filter_of_the_lags():
-    columns, noise = np.random.default_rng(1).normal(size=(200, 3)), Noise(0.3, AR2, True, "a test")
+    columns, noise = np.random.default_rng(1).normal(size=(200, 3)), NoiseModel(0.3, AR2, True, "a test")
     filtered = lfilter([1.0, *(-a for a in AR2)], [1.0], columns, axis=0) / 0.3
     assert noise.whiten(columns, np.ones(200, dtype=bool)) == pytest.approx(filtered[2:], abs=1e-12)
     assert np.ptp(columns) > 1.0  # they are left as they were
@@ -132,7 +133,7 @@ def test_whitening_is_the_filter_of_the_lags():
 
 def test_rows_that_touch_an_unusable_sample_are_dropped_and_no_others():
     series = np.column_stack([coloured(AR2, count=60), coloured(AR2, count=60, seed=1)])
-    noise, usable = Noise(1.0, AR2, True, ""), np.ones(60, dtype=bool)
+    noise, usable = NoiseModel(1.0, AR2, True, ""), np.ones(60, dtype=bool)
     clean = noise.whiten(series, usable)
     assert clean == pytest.approx(series[2:] - 1.2 * series[1:-1] + 0.5 * series[:-2])
     spoiled, gone = series.copy(), [20, 40, 41, 59]
@@ -143,7 +144,7 @@ def test_rows_that_touch_an_unusable_sample_are_dropped_and_no_others():
 
 
 def test_whitening_is_linear_so_that_answers_and_residual_stay_together():
-    rng, noise, usable = np.random.default_rng(0), Noise(0.1, AR2, True, ""), np.ones(200, dtype=bool)
+    rng, noise, usable = np.random.default_rng(0), NoiseModel(0.1, AR2, True, ""), np.ones(200, dtype=bool)
     r, s = rng.normal(size=(2, 200, 1))
     together = noise.whiten(r - 3.0 * s, usable)
     assert together == pytest.approx(noise.whiten(r, usable) - 3.0 * noise.whiten(s, usable))
@@ -156,20 +157,22 @@ def test_whitening_is_linear_so_that_answers_and_residual_stay_together():
 def test_rounding_of_dithered_readings_adds_a_twelfth_of_the_step_squared(share):
     step = 2e-6
     values = np.linspace(0.0, 1e-3, 50_000)
-    left = rounding(values, share * step, step, seed=4)
+    left = quantisation_error(values, share * step, step, seed=4)
     assert np.var(left) == pytest.approx((share * step) ** 2 + step**2 / 12.0, rel=0.03)
 
 
 def test_rounding_without_noise_stays_within_half_a_step_and_is_coloured_where_slow():
     step, slow = 1e-6, np.linspace(0.0, 5e-5, 20_000)
-    left = rounding(slow, 0.0, step, seed=0)
+    left = quantisation_error(slow, 0.0, step, seed=0)
     assert np.abs(left).max() <= 0.5 * step * (1.0 + 1e-9)
     assert np.var(left) == pytest.approx(step**2 / 12.0, rel=0.02)
     assert correlations(left)[0] > 0.95
-    assert np.abs(correlations(rounding(slow, step, step, seed=0))).max() < 0.05
+    assert np.abs(correlations(quantisation_error(slow, step, step, seed=0))).max() < 0.05
 
 
 def test_rounding_is_the_same_for_a_seed():
     values = np.linspace(0.0, 1.0, 100)
-    assert np.array_equal(rounding(values, 0.1, 0.1, seed=1), rounding(values, 0.1, 0.1, seed=1))
-    assert not np.array_equal(rounding(values, 0.1, 0.1, seed=1), rounding(values, 0.1, 0.1, seed=2))
+    assert np.array_equal(quantisation_error(values, 0.1, 0.1, seed=1), quantisation_error(values, 0.1, 0.1, seed=1))
+    assert not np.array_equal(
+        quantisation_error(values, 0.1, 0.1, seed=1), quantisation_error(values, 0.1, 0.1, seed=2)
+    )

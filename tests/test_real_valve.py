@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import valvesim as vs
-from valvesim.bench import blocked_load_pressure
 from valvesim.channels import Inputs, State
-from valvesim.model import Model, main_stage
-from valvesim.parameters import PartTemperatures
-from valvesim.session import load_session
+from valvesim.characterisation.acceptance.pressure_gain import blocked_load_pressure
+from valvesim.identification.session_toml import load_session
+from valvesim.valve.effect import Reading
+from valvesim.valve.equations import Model, main_stage
+from valvesim.valve.parameters import PartTemperatures
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data" / "servovalve-5329"
@@ -30,7 +31,7 @@ def example():
 
 @pytest.fixture(scope="module")
 def own():
-    from valvesim.user_effects import load_effects
+    from valvesim.valve.effect_files import load_effects
 
     return {effect.name: effect for effect in load_effects(ROOT / "examples" / "blocked_ports.py")}
 
@@ -57,11 +58,11 @@ def test_blocked_ports_leak_as_at_the_load_pressure_that_settles(own):
     valve = vs.reference_valve()
     c = valve.at(PartTemperatures.uniform(20.0))
     x = np.linspace(-5e-5, 5e-5, 21)
-    settled = main_stage(x, valve.supply_pressure, blocked_load_pressure(x, valve.supply_pressure, c), c)[1]
+    distinct = main_stage(x, valve.supply_pressure, blocked_load_pressure(x, valve.supply_pressure, c), c)[1]
     joined = main_stage(x, valve.supply_pressure, 0.0, c)[1]
     added = leakage((own["blocked_ports"](share=1.0),), x) - leakage((), x)
-    assert added == pytest.approx(settled - joined, abs=0.02 * np.max(settled))  # the clearances are left out
-    assert np.max(settled - joined) > 0.05 * np.max(settled)
+    assert added == pytest.approx(distinct - joined, abs=0.02 * np.max(distinct))  # the clearances are left out
+    assert np.max(distinct - joined) > 0.05 * np.max(distinct)
 
 
 @pytest.mark.parametrize("name", ["blocked_ports", "blocked_port_oil"])
@@ -82,7 +83,7 @@ def test_port_oil_takes_from_the_meter_while_the_load_pressure_rises(own):
 def test_a_slow_meter_trails_a_ramp_by_its_time_constant(own):
     active = own["slow_meter"].on("internal_leakage")(time_constant=2.0)
     time = np.linspace(0.0, 40.0, 401)
-    read = active.effect.reading(vs.effects.Reading(time, 3.0 * time, None), active.values)
+    read = active.effect.reading(Reading(time, 3.0 * time, None), active.values)
     assert read[-1] == pytest.approx(3.0 * (time[-1] - 2.0), rel=1e-6)
 
 

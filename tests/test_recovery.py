@@ -6,17 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from valvesim.diagnosis.missing_term import recover_term
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.score_test import score_test
+from valvesim.diagnosis.symbolic_form import _fitted_formulas, _formula_words
+from valvesim.diagnosis.term_estimation import TermProblem
 from valvesim.errors import InputError
-from valvesim.fluid import MIL_PRF_5606
-from valvesim.model import Model
-from valvesim.parameters import Valve
-from valvesim.prediction import Variant, prepare
-from valvesim.recovery import FEW_KNOTS, _formulas, _Problem, _sentence, recover
-from valvesim.scenario import Thermal
-from valvesim.scene import look
-from valvesim.session import Record, Sensor, Session
-from valvesim.study import fit_base, prepare_study, residual_of
-from valvesim.terms import LAG, NONE, PATH, PORTS, VARIABLES, Family, families, term_effect
+from valvesim.identification.nominal_fit import fit_nominal
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.predictor import ModelVariant, prepare_record
+from valvesim.identification.session import Record, Sensor, Session
+from valvesim.identification.study import prepare_study, residual_of
+from valvesim.simulation.scenario import Thermal
+from valvesim.valve.additive_term import LAG, NONE, PATH, PORTS, VARIABLES, TermHypothesis, term_effect, term_hypotheses
+from valvesim.valve.equations import Model
+from valvesim.valve.fluid import MIL_PRF_5606
+from valvesim.valve.parameters import Valve
 
 CHANNELS = {"spool_position": 2e-6, "armature_angle": 8e-6, "load_flow": 2e-6}  # with their noise
 KNOTS = np.linspace(-3e-4, 3e-4, 11)
@@ -41,13 +46,13 @@ def session_of(*actives, duration=0.5, seed=1):
     sensors = {name: Sensor(name, "", noise=noise) for name, noise in CHANNELS.items()}
     session = Session(Path(), "made", 1, Valve(), MIL_PRF_5606, Thermal(network=None), (), (), {}, sensors,
                       tuple(records), ())  # fmt: skip
-    variant, measured = Variant(session.valve, actives), []
+    variant, measured_channels = ModelVariant(session.valve, actives), []
     for one in records:
-        bench = prepare(session, one, ())
-        read = bench.readings(bench.run(variant), variant)
+        predictor = prepare_record(session, one, (), options=OPTIONS)
+        read = predictor.readings(predictor.run(variant), variant)
         noisy = {name: read[name] + rng.normal(0.0, CHANNELS[name], len(t)) for name in CHANNELS}
-        measured.append(replace(one, values={**one.values, **noisy}))
-    return replace(session, records=tuple(measured))
+        measured_channels.append(replace(one, values={**one.values, **noisy}))
+    return replace(session, records=tuple(measured_channels))
 
 
 def cubic(size=1.0):
@@ -57,13 +62,13 @@ def cubic(size=1.0):
 
 
 @pytest.fixture(scope="module")
-def base():
-    return fit_base(prepare_study(session_of(cubic())))
+def nominal():
+    return fit_nominal(prepare_study(session_of(cubic())))
 
 
 @pytest.fixture(scope="module")
-def found(base):
-    return recover(base, look(base, base.fit))
+def found(nominal):
+    return recover_term(nominal, score_test(nominal, nominal.fit, options=DIAGNOSIS))
 
 
 # ---------------------------------------------------------------- the whole
@@ -84,25 +89,25 @@ def test_its_formula_is_offered_with_its_units_and_error(found):
     assert 1 <= found.freedom <= 3  # a coefficient, and what stands beside it
 
 
-def test_the_fit_explains_the_records_and_is_what_its_variant_reads(base, found):
-    rows = len(base.fit.residual)
-    assert found.deviance < base.fit.deviance - 100.0 and found.deviance < 1.3 * rows
-    assert found.variant.effects[-1] == found.active and found.point.shape == base.fit.point.shape
-    for bench, read in zip(base.study.benches, found.readings, strict=True):
-        again = bench.readings(bench.run(found.variant), found.variant)
+def test_the_fit_explains_the_records_and_is_what_its_variant_reads(nominal, found):
+    rows = len(nominal.fit.residual)
+    assert found.chi_square < nominal.fit.chi_square - 100.0 and found.chi_square < 1.3 * rows
+    assert found.variant.effects[-1] == found.active and found.point.shape == nominal.fit.point.shape
+    for predictor, read in zip(nominal.study.predictors, found.readings, strict=True):
+        again = predictor.readings(predictor.run(found.variant), found.variant)
         assert all(np.array_equal(again[name], read[name]) for name in read)
-    residual = base.study.stack(
-        [residual_of(b.record, r) for b, r in zip(base.study.benches, found.readings, strict=True)]
+    residual = nominal.study.stack(
+        [residual_of(b.record, r) for b, r in zip(nominal.study.predictors, found.readings, strict=True)]
     )
-    assert found.deviance >= float(residual[:, 0] @ residual[:, 0]) + float(found.point @ found.point)
+    assert found.chi_square >= float(residual[:, 0] @ residual[:, 0]) + float(found.point @ found.point)
 
 
 def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
     u = np.linspace(-3e-4, 3e-4, 121)
     pull = -2.0 * np.sin(2 * np.pi * u / 75e-6)  # N
     detent = term_effect("spool_force", "spool_position", u, pull, name="hidden")(share=1.0)
-    with_detent = fit_base(prepare_study(session_of(detent)))
-    term = recover(with_detent, look(with_detent, with_detent.fit)).term
+    with_detent = fit_nominal(prepare_study(session_of(detent)))
+    term = recover_term(with_detent, score_test(with_detent, with_detent.fit, options=DIAGNOSIS)).term
     assert (term.port, term.variable, term.memory) == ("spool_force", "spool_position", NONE)
     period = float(term.formula.partition("sin(2 pi x/")[2].split(" ")[0])
     assert period == pytest.approx(75e-6, rel=0.02)
@@ -111,34 +116,36 @@ def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
 
 
 def test_a_slight_term_gets_few_knots():
-    base = fit_base(prepare_study(session_of(cubic(0.2))))
-    found = recover(base, look(base, base.fit))
+    nominal = fit_nominal(prepare_study(session_of(cubic(0.2))))
+    found = recover_term(nominal, score_test(nominal, nominal.fit, options=DIAGNOSIS))
     assert (found.term.port, found.term.variable) == ("spool_force", "spool_position")
-    assert len(found.term.at) == FEW_KNOTS
-    assert base.fit.deviance - found.deviance < 11.0 * np.log(found.deviance)  # no more than eleven would have cost
+    assert len(found.term.at) == DIAGNOSIS.missing_term.few_knots
+    assert nominal.fit.chi_square - found.chi_square < 11.0 * np.log(
+        found.chi_square
+    )  # no more than eleven would have cost
 
 
 def test_where_else_a_term_would_do_is_said_in_words(found):
     assert not any(label.startswith("spool force as a function of spool position") for label in found.term.alike)
-    assert set(found.term.alike) <= {family.label for family in families()}
+    assert set(found.term.alike) <= {hypothesis.label for hypothesis in term_hypotheses()}
     assert len(set(found.term.alike)) == len(found.term.alike)
 
 
 def test_nothing_is_recovered_where_nothing_is_hidden():
-    plain = fit_base(prepare_study(session_of()))
-    assert recover(plain, look(plain, plain.fit)) is None
+    plain = fit_nominal(prepare_study(session_of()))
+    assert recover_term(plain, score_test(plain, plain.fit, options=DIAGNOSIS)) is None
 
 
-def test_nothing_is_recovered_from_a_scene_without_families(base):
-    assert recover(base, look(base, base.fit, searched=())) is None
+def test_nothing_is_recovered_from_a_scene_without_families(nominal):
+    assert recover_term(nominal, score_test(nominal, nominal.fit, isolation=(), options=DIAGNOSIS)) is None
 
 
 # ---------------------------------------------------------------- formulas
 
 
 def problem(memory=NONE, **figures):
-    family = Family(PORTS["spool_force"], VARIABLES["spool_position"], memory, **figures)
-    return _Problem(None, family, KNOTS, np.ones(len(KNOTS)), 1.0)
+    hypothesis = TermHypothesis(PORTS["spool_force"], VARIABLES["spool_position"], memory, **figures)
+    return TermProblem(None, hypothesis, KNOTS, np.ones(len(KNOTS)), 1.0, options=DIAGNOSIS)
 
 
 @pytest.mark.parametrize(
@@ -156,7 +163,7 @@ def problem(memory=NONE, **figures):
 def test_a_formula_is_found_by_its_shape(true, text):
     values = true(KNOTS)
     C = (0.01 * np.abs(values).max()) ** 2 * np.eye(len(KNOTS))
-    best = _formulas(problem(), values, np.linalg.inv(C), 12.0)[0]
+    best = _fitted_formulas(problem(), values, np.linalg.inv(C), 12.0)[0]
     assert text in best.write(best.coefficients)
     assert best.F @ best.coefficients == pytest.approx(values, abs=0.05 * np.abs(values).max())
 
@@ -165,13 +172,13 @@ def test_what_the_base_could_make_up_is_not_held_against_a_formula():
     u = KNOTS / KNOTS[-1]
     values = 2.0 * u**2 + 0.5 * u  # the slope is uncertain by far more than itself
     C = 1e-4 * np.eye(len(u)) + np.outer(u, u)
-    best = _formulas(problem(), values, np.linalg.inv(C), 12.0)[0]
+    best = _fitted_formulas(problem(), values, np.linalg.inv(C), 12.0)[0]
     assert best.write(best.coefficients).endswith("x^2")
 
 
 def test_a_formula_is_told_with_its_memory():
-    assert "lagged by 10 ms" in _sentence(problem(LAG, time_constant=5e-3), "2 x", np.log(2.0))
-    assert "turns over 2e-05 m" in _sentence(problem(PATH, width=1e-5), "2", np.log(2.0))
+    assert "lagged by 10 ms" in _formula_words(problem(LAG, time_constant=5e-3), "2 x", np.log(2.0))
+    assert "turns over 2e-05 m" in _formula_words(problem(PATH, width=1e-5), "2", np.log(2.0))
 
 
 # ---------------------------------------------------------------- the effect behind a term
@@ -179,7 +186,7 @@ def test_a_formula_is_told_with_its_memory():
 
 def evaluated(effect, position, memory=()):
     from valvesim.channels import State
-    from valvesim.effects import Situation
+    from valvesim.valve.effect import Situation
 
     state = State(0.0, 0.0, 1e6, 1e6, position, 0.1)
     active = effect(share=1.0)
@@ -212,13 +219,13 @@ def test_terms_that_differ_in_figures_alone_are_one_function():
     assert one.balance is not term_effect("spool_force", "current", (0.0, 1.0), (0.0, 2.0)).balance
 
 
-@pytest.mark.parametrize("family", families(), ids=lambda f: f.label)
-def test_every_family_can_be_an_effect_of_the_model(family):
+@pytest.mark.parametrize("hypothesis", term_hypotheses(), ids=lambda f: f.label)
+def test_every_family_can_be_an_effect_of_the_model(hypothesis):
     effect = term_effect(
-        family.port.name, family.variable.name, (0.0, 1.0), (0.0, 1.0), memory=family.memory,
-        time_constant=family.time_constant, width=family.width,
+        hypothesis.port.name, hypothesis.variable.name, (0.0, 1.0), (0.0, 1.0), memory=hypothesis.memory,
+        time_constant=hypothesis.time_constant, width=hypothesis.width,
     )  # fmt: skip
-    assert len(Model(effects=(effect,)).state_channels) == len(Model().state_channels) + (family.memory != NONE)
+    assert len(Model(effects=(effect,)).state_channels) == len(Model().state_channels) + (hypothesis.memory != NONE)
 
 
 @pytest.mark.parametrize(

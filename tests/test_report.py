@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import valvesim as vs
-from valvesim import report
-from valvesim.drift import nominal, observed_drift, static_drift
+from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift
 from valvesim.errors import InputError
+from valvesim.reports import run as report
 
 ISOTHERMAL = vs.Thermal(network=None)
 

@@ -8,8 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from valvesim import report_diagnosis
-from valvesim.answer import (
+from valvesim.diagnosis.result import (
     NO_TEST,
     NOTHING_NEXT,
     CandidateAnswer,
@@ -25,8 +24,9 @@ from valvesim.answer import (
     Trace,
 )
 from valvesim.errors import InputError
-from valvesim.report import MOST_POINTS
-from valvesim.report_diagnosis import draw, estimate_words, gain_words, spoken, worst_traces, write_report
+from valvesim.reports import diagnosis as report_diagnosis
+from valvesim.reports.diagnosis import draw, estimate_words, gain_words, spoken, worst_traces, write_report
+from valvesim.reports.run import MOST_POINTS
 
 FRICTION = Estimate(
     name="friction_force", cause="spool_coulomb_friction", value=2.013, low=1.87, high=2.16, unit="N",

@@ -8,28 +8,18 @@ from scipy import signal
 
 import valvesim as vs
 from valvesim.channels import Inputs
+from valvesim.characterisation.class_figures import beside_class, class_figures, lumped_figures
+from valvesim.characterisation.figure_of_merit import Absent
+from valvesim.characterisation.frequency_response import FrequencyResponse, frequency_response, join_points
+from valvesim.characterisation.held_scenario import held, rated_command
+from valvesim.characterisation.response_set import ResponseSet, measure_responses
+from valvesim.characterisation.sine_point import SinePoint, sine_point
+from valvesim.characterisation.spectral_response import chirp_response, spectral_response
+from valvesim.characterisation.step_response import step_figures, step_response
 from valvesim.errors import InputError, ValidityWarning
-from valvesim.model import NOMINAL
-from valvesim.report_response import response_report
-from valvesim.response import (
-    Absent,
-    FrequencyResponse,
-    ResponseSet,
-    SinePoint,
-    beside_class,
-    chirp_response,
-    class_figures,
-    frequency_response,
-    held,
-    join_points,
-    lumped_figures,
-    measure_responses,
-    rated_command,
-    sine_point,
-    spectral_response,
-    step_figures,
-    step_response,
-)
+from valvesim.reports.response import response_report
+from valvesim.valve.equations import NOMINAL
+from valvesim.valve.thermal_network import NODES
 
 valve = vs.reference_valve()
 TAU = 2e-3  # s, of the first-order system
@@ -613,3 +603,18 @@ def test_a_folder_that_cannot_be_made_is_refused_first(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot be written"):
         response_report(valve, tmp_path / "file")
+
+
+def test_a_response_is_that_of_parts_at_their_own_temperatures():
+    """At a launch the oil is hot while the body is not: the scenario's state at time zero is tested."""
+
+    def stiffness(**thermal):
+        scenario = vs.Scenario(oil_temperature=vs.Constant(value=120.0), thermal=vs.Thermal(**thermal))
+        figures = {figure.name: figure.value for figure in lumped_figures(scenario)}
+        return figures["armature_frequency"], figures["loop_gain"]
+
+    cold = stiffness(initial_temperature=20.0)
+    assert stiffness(initial_temperature=dict.fromkeys(NODES, 20.0)) == cold
+    hot_tube = stiffness(initial_temperature=dict.fromkeys(NODES, 20.0) | {"spring_tube": 120.0})
+    assert hot_tube[0] != pytest.approx(cold[0], rel=1e-4)
+    assert stiffness(initial_temperature={"pilot_metal": 120.0}) == stiffness()  # left out: with the oil

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from valvesim import rosenbrock
-from valvesim.commands import Constant, Pulse, Ramp, Sine, Step, Sum, Table, merge
-from valvesim.rosenbrock import DONE, STEP_TOO_SMALL, TOO_MANY_STEPS, back_substitute, factor
+from valvesim.inputs import Constant, Pulse, Ramp, Sine, Step, Sum, Table, merge
+from valvesim.solver import rodas5p as rosenbrock
+from valvesim.solver.rodas5p import DONE, STEP_TOO_SMALL, TOO_MANY_STEPS, back_substitute, factor
 
 NO_KNOTS = (np.array([0.0]), np.zeros((1, 1)))
 STILL = (Constant(),)

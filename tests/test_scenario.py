@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import valvesim as vs
-from valvesim.commands import evaluate, largest
 from valvesim.errors import InputError
-from valvesim.scenario import read_tables
-from valvesim.simulate import simulate
-from valvesim.thermal import ThermalNetwork
+from valvesim.inputs import evaluate, largest
+from valvesim.simulation.run import simulate
+from valvesim.simulation.scenario import read_tables
 from valvesim.units import quantities
+from valvesim.valve.thermal_network import ThermalNetwork
 
 SHIPPED = Path(__file__).parent.parent / "scenarios"
 BASE = 'duration = "20 ms"\n[command.current]\nconstant = "1 mA"\n'  # 3 lines; what a test adds starts in line 4
@@ -114,7 +114,7 @@ OTHER_UNITS = {
     "A/Wb": ("mA/Wb", 1e3), "A/K": ("mA/K", 1e3), "N*m/rad": ("N*mm/rad", 1e3), "kg*m^2": ("g*mm^2", 1e9),
     "N*m*s/rad": ("N*mm*s/rad", 1e3), "N*s/m": ("N*s/mm", 1e-3), "s/m": ("ms/m", 1e3), "1": ("%", 100.0),
     "degC": ("K", 1.0), "kg/m^3": ("g/cm^3", 1e-3), "J/(kg*K)": ("J/(g*K)", 1e-3), "J/(kg*K^2)": ("J/(g*K^2)", 1e-3),
-    "K": ("kK", 1e-3), "J/K": ("kJ/K", 1e-3), "W/K": ("mW/K", 1e3),
+    "K": ("kK", 1e-3), "1/Pa": ("1/MPa", 1e6), "J/K": ("kJ/K", 1e-3), "W/K": ("mW/K", 1e3),
 }  # fmt: skip
 DECLARED = [
     (section, name, field)
@@ -403,7 +403,7 @@ WRONG = {
     ),
     "negative supply": (
         '[pressures]\nsupply = { step = { before = "21 MPa", after = "-1 bar", time = "5.123 ms" } }\n',
-        "line 5: pressures.supply: -100000 Pa is negative; it is absolute",
+        "line 5: pressures.supply: -1 bar at t = 0.005123 s is negative; it is absolute",
     ),
     "load above supply": (
         '[pressures]\nload = "30 MPa"\n',
@@ -554,6 +554,101 @@ def test_no_text_breaks_the_reader(tmp_path_factory, value, key):
             vs.load_scenario(path)
 
 
+# --- at every instant -------------------------------------------------------------------------------------------------
+
+AT_ANY_TIME = {
+    "a supply that swings below zero between any samples": (
+        'supply = { sine = { amplitude = "300 bar", offset = "210 bar", frequency = "100 Hz" } }',
+        "line 5: pressures.supply: -90 bar at t = 0.0075 s is negative; it is absolute",
+    ),
+    "a return that rises above the supply": (
+        'return = { step = { after = "230 bar", before = "5 bar", time = "12 ms" } }',
+        "line 5: pressures.return: 20 bar above the supply pressure at t = 0.012 s",
+    ),
+    "a return that meets the supply": (
+        'return = { ramp = { start_value = "5 bar", end_value = "210 bar", rate = "20000 bar/s" } }',
+        "line 5: pressures.return: at the supply pressure at t = 0.01025 s",
+    ),
+    "a supply that falls below the load": (
+        'supply = { step = { before = "210 bar", after = "40 bar", time = "7 ms" } }\nload = "-50 bar"',
+        "line 6: pressures.load: 10 bar beyond the supply pressure at t = 0.007 s",
+    ),
+    "a load that is beyond the supply for 10 us": (
+        'load = { pulse = { height = "215 bar", width = "10 us", time = "8.123 ms" } }',
+        "line 5: pressures.load: 5 bar beyond the supply pressure at t = 0.008123 s",
+    ),
+}
+
+
+@pytest.mark.parametrize("text, message", AT_ANY_TIME.values(), ids=AT_ANY_TIME.keys())
+def test_pressures_are_judged_at_every_instant(refused, text, message):
+    assert message in refused(BASE + f"[pressures]\n{text}\n")
+
+
+def test_pressures_that_swing_together_are_judged_at_the_same_instant(load):
+    # the load reaches 220 bar, more than the least of the supply, but never at one time with it
+    swing = '{ sine = { amplitude = "%s bar", offset = "%s bar", frequency = "100 Hz" } }'
+    scenario = load(BASE + f"[pressures]\nsupply = {swing % (100, 210)}\nload = {swing % (100, 120)}\n")
+    assert largest(scenario.load_pressure, 0.02) == pytest.approx(220e5)
+
+
+def test_oil_is_refused_for_the_instant_at_which_it_leaves_the_laws(refused):
+    oil = 'pulse = { base = "20 degC", height = "400 K", width = "10 us", time = "12.34 ms" }\n'
+    message = "line 4: thermal.oil_temperature: oil mil_prf_5606: 420 °C at t = 0.01234 s is outside -100 to 400 °C"
+    assert message in refused(BASE + "[thermal.oil_temperature]\n" + oil)
+
+
+# --- differences of temperature ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("height", ["80 K", "80 degC", "80 °C", "144 degF", "80 delta_degC"])
+def test_a_height_is_a_difference_from_the_base(load, height):
+    oil = f'pulse = {{ base = "20 degC", height = "{height}", width = "10 ms", time = "5 ms" }}\n'
+    scenario = load(BASE + "[thermal.oil_temperature]\n" + oil)
+    assert evaluate(scenario.oil_temperature, [0.0, 0.01, 0.02]) == pytest.approx([20.0, 100.0, 20.0], abs=1e-9)
+
+
+def test_a_level_in_a_sum_of_temperatures_is_given_in_celsius(load, refused):
+    section = '[thermal.oil_temperature]\nconstant = "20 degC"\nstep = { after = "%s", time = "5 ms" }\n'
+    assert evaluate(load(BASE + section % "80 degC").oil_temperature, [0.0, 0.01]) == pytest.approx([20.0, 100.0])
+    message = "line 6: thermal.oil_temperature.step.after: '80 K' in a sum of commands may be a temperature or a diff"
+    assert message in refused(BASE + section % "80 K")
+
+
+# --- parts at their own temperatures ----------------------------------------------------------------------------------
+
+
+def test_parts_start_at_their_own_temperatures_and_the_others_with_the_oil(load):
+    parts = 'initial_temperature = { body = "60 degC", spool = "293.15 K" }\noil_temperature = "40 degC"\n'
+    scenario = load(BASE + "[thermal]\n" + parts)
+    assert scenario.thermal.initial_temperature == pytest.approx({"body": 60.0, "spool": 20.0})
+    section = load(BASE + '[thermal.initial_temperature]\nbody = "60 degC"\n')
+    assert section.thermal.initial_temperature == {"body": 60.0}
+    values = simulate(scenario).values
+    start = {name: values[f"{name}_temperature"][0] for name in ("oil", "body", "spool", "sleeve", "torque_motor")}
+    expected = {"oil": 40.0, "body": 60.0, "spool": 20.0, "sleeve": 40.0, "torque_motor": 40.0}
+    assert start == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ('{ bdy = "60 degC" }', "line 5: thermal.initial_temperature: unknown key 'bdy'; did you mean 'body'?"),
+        ('{ oil = "60 degC" }', "line 5: thermal.initial_temperature: unknown key 'oil'"),
+        ('{ body = "60 bar" }', "line 5: thermal.initial_temperature.body: 'bar' has the wrong dimension"),
+        ('{ body = "500 degC" }', "line 5: thermal.initial_temperature.body = 500 °C is outside [-100, 400] °C"),
+        ('"500 degC"', "line 5: thermal.initial_temperature = 500 °C is outside [-100, 400] °C (every part"),
+    ],
+)
+def test_a_wrong_start_of_a_part_is_refused(refused, text, message):
+    assert message in refused(BASE + f"[thermal]\ninitial_temperature = {text}\n")
+
+
+def test_a_part_of_a_thermal_made_in_python_is_held_to_its_names():
+    with pytest.raises(InputError, match="thermal.initial_temperature: unknown part 'oil'"):
+        vs.Thermal(initial_temperature={"oil": 20.0})
+
+
 # --- what only the temperatures of the run tell ----------------------------------------------------------------------
 
 
@@ -577,7 +672,8 @@ def test_a_spool_that_is_pinched_in_its_sleeve_is_told(load):
 
 
 def test_oil_beyond_every_law_is_refused(load):
-    with pytest.raises(InputError, match="oil mil_prf_5606: -300 °C is outside -100 to 400 °C"):
+    message = "line 5: thermal.oil_temperature: oil mil_prf_5606: -300 °C at t = 0 s is outside"
+    with pytest.raises(InputError, match=message):
         simulate(load(BASE + '[thermal]\noil_temperature = "-300 degC"\n'))
 
 
@@ -746,13 +842,13 @@ def test_a_scenario_made_in_python_is_held_to_the_same_bounds(field, value):
     "command, drive, told",
     [
         (vs.Constant(value=10e-3), vs.CurrentDrive(), None),
-        (vs.Constant(value=-10.1e-3), vs.CurrentDrive(), "up to 10.1 mA is beyond the rated current of 10 mA"),
+        (vs.Constant(value=-10.1e-3), vs.CurrentDrive(), "up to 10.1 mA (t = 0 s) is beyond the rated current of 10"),
         (vs.Constant(value=6.0), vs.VoltageDrive(), None),  # over 600 ohm
-        (vs.Constant(value=-9.0), vs.VoltageDrive(), "up to 15 mA is beyond the rated current of 10 mA"),
+        (vs.Constant(value=-9.0), vs.VoltageDrive(), "up to 15 mA (t = 0 s) is beyond the rated current of 10"),
     ],
 )
 def test_a_command_beyond_the_rated_current_is_told(command, drive, told, recwarn):
     vs.Scenario(command=command, drive=drive).warn_of_large_command()
     assert [str(warning.message) for warning in recwarn] == (
-        [f"command: {told}; spool and flapper may reach their stops"] if told else []
+        [f"command: {told} mA; spool and flapper may reach their stops"] if told else []
     )

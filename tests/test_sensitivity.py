@@ -5,12 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from test_prediction import FRICTION, HYSTERESIS, bench_of, course_of, nominal
+from test_prediction import FRICTION, HYSTERESIS, bench_of, course_of, nominal_variant
 
-from valvesim.catalogue import CATALOGUE
-from valvesim.hypotheses import view
-from valvesim.prediction import Variant
-from valvesim.sensitivity import Linearised, follow, linearise, march, propagators, relax
+from valvesim.identification.linearised_record import linearise_record
+from valvesim.identification.predictor import ModelVariant
+from valvesim.identification.tangent_linear import (
+    TangentLinear,
+    first_order_response,
+    linearise_along,
+    propagate_steps,
+    propagators,
+    relaxation_recursion,
+)
+from valvesim.valve.catalogue import CATALOGUE
 
 STEP = 1e-3
 SYSTEMS = {
@@ -27,7 +34,7 @@ def system(A, count=80):
     E, early, late = (np.empty((count - 1, n, n)) for _ in range(3))
     propagators(matrices, STEP, E, early, late)
     slopes = {"first": np.tile([2.0, 0.0, 0.0], (count, 1)), "sum": np.ones((count, n))}
-    return Linearised(np.arange(n), np.ones(n), matrices, E, early, late, slopes)
+    return TangentLinear(np.arange(n), np.ones(n), matrices, E, early, late, slopes)
 
 
 def exact(A, g):
@@ -46,7 +53,7 @@ def exact(A, g):
 @pytest.mark.parametrize("A", SYSTEMS.values(), ids=SYSTEMS)
 def test_a_linear_system_is_solved_exactly_however_stiff(A):
     g = np.cumsum(np.random.default_rng(0).normal(size=(80, 3, 2)), axis=0)
-    answers = system(A).respond(g)
+    answers = system(A).response(g)
     assert answers.shape == g.shape
     for k in range(2):
         expected = exact(A, g[:, :, k])
@@ -57,7 +64,7 @@ def test_a_linear_system_is_solved_exactly_however_stiff(A):
 def test_an_answer_starts_at_rest_and_stays_there_while_nothing_changes(A):
     g = np.tile(np.array([1.0, -2.0, 3.0])[:, None], (80, 1, 1))
     rest = -np.linalg.solve(A, g[0])
-    answers = system(A).respond(g)
+    answers = system(A).response(g)
     assert answers == pytest.approx(np.broadcast_to(rest, answers.shape), rel=1e-6, abs=1e-9 * np.abs(rest).max())
 
 
@@ -66,7 +73,7 @@ def test_a_memory_that_rests_does_no_harm():
     A = np.array([[-50.0, 3.0, 7.0], [0.0, -2e5, 1.0], [0.0, 0.0, 0.0]])
     g = np.cumsum(np.random.default_rng(5).normal(size=(80, 3, 1)), axis=0)
     g[0] = 0.0
-    answers, expected = system(A).respond(g)[:, :, 0], exact(A, g[:, :, 0])
+    answers, expected = system(A).response(g)[:, :, 0], exact(A, g[:, :, 0])
     held = np.concatenate([[0.0], np.cumsum((g[1:, 2, 0] + g[:-1, 2, 0]) / 2.0 * STEP)])
     assert answers[:, 2] == pytest.approx(held, abs=1e-12)
     assert np.abs(answers - expected).max(axis=0) == pytest.approx(0.0, abs=1e-7 * np.abs(expected).max())
@@ -76,32 +83,32 @@ def test_an_answer_that_grows_without_end_is_none_and_the_others_stay():
     A = np.diag([800.0 / (79 * STEP), -50.0, -5.0])  # to e^800: beyond all numbers
     g = np.zeros((80, 3, 3))
     g[1:, 0, 0] = g[1:, 1, 1] = g[1:, 2, 2] = 1.0
-    answers = system(A).respond(g)
+    answers = system(A).response(g)
     assert np.isfinite(answers).all() and not answers[:, :, 0].any()
     tame = np.diag([-1.0, -50.0, -5.0])
     assert answers[:, :, 1:] == pytest.approx(np.stack([exact(tame, g[:, :, k]) for k in (1, 2)], axis=2))
 
 
 def test_answers_add_up():
-    linear, rng = system(SYSTEMS["soft"]), np.random.default_rng(1)
+    tangent, rng = system(SYSTEMS["soft"]), np.random.default_rng(1)
     f, g = rng.normal(size=(2, 80, 3, 1))
-    assert linear.respond(f - 3.0 * g) == pytest.approx(linear.respond(f) - 3.0 * linear.respond(g), abs=1e-12)
+    assert tangent.response(f - 3.0 * g) == pytest.approx(tangent.response(f) - 3.0 * tangent.response(g), abs=1e-12)
 
 
 def test_a_channel_is_its_slopes_and_what_reads_on_it_directly():
-    linear = system(SYSTEMS["soft"])
+    tangent = system(SYSTEMS["soft"])
     answers = np.random.default_rng(2).normal(size=(80, 3, 4))
-    assert linear.channel("first", answers) == pytest.approx(2.0 * answers[:, 0])
+    assert tangent.channel("first", answers) == pytest.approx(2.0 * answers[:, 0])
     direct = np.arange(80.0 * 4).reshape(80, 4)
-    assert linear.channel("sum", answers, direct) == pytest.approx(answers.sum(axis=1) + direct)
+    assert tangent.channel("sum", answers, direct) == pytest.approx(answers.sum(axis=1) + direct)
 
 
 def test_compiled_and_plain_march_are_the_same():
-    linear, g = system(SYSTEMS["springy"]), np.random.default_rng(3).normal(size=(80, 3, 2))
+    tangent, g = system(SYSTEMS["springy"]), np.random.default_rng(3).normal(size=(80, 3, 2))
     plain = np.zeros_like(g)
-    plain[0] = -np.linalg.solve(linear.A[0], g[0])
-    march(linear.E, linear.early, linear.late, g, plain)
-    assert linear.respond(g) == pytest.approx(plain, rel=1e-9, abs=1e-12)
+    plain[0] = -np.linalg.solve(tangent.A[0], g[0])
+    propagate_steps(tangent.E, tangent.early, tangent.late, g, plain)
+    assert tangent.response(g) == pytest.approx(plain, rel=1e-9, abs=1e-12)
 
 
 # ---------------------------------------------------------------- memories
@@ -109,9 +116,9 @@ def test_compiled_and_plain_march_are_the_same():
 
 def test_a_memory_of_constant_figures_relaxes_as_the_exponential():
     a, b = np.full(50, 6.0), np.full(50, 2.0)
-    assert relax(a, b, 0.1) == pytest.approx(3.0)  # at rest it stays
+    assert first_order_response(a, b, 0.1) == pytest.approx(3.0)  # at rest it stays
     a[1:] = 10.0
-    assert relax(a, b, 0.1) == pytest.approx(5.0 - 2.0 * np.exp(-0.2 * np.arange(50)))
+    assert first_order_response(a, b, 0.1) == pytest.approx(5.0 - 2.0 * np.exp(-0.2 * np.arange(50)))
 
 
 def test_a_memory_is_exact_for_figures_that_change_from_step_to_step():
@@ -121,40 +128,44 @@ def test_a_memory_is_exact_for_figures_that_change_from_step_to_step():
     for rate, decay in zip(a[1:], b[1:], strict=True):
         goal = rate / decay
         expected.append(goal + (expected[-1] - goal) * np.exp(-decay * STEP))
-    assert relax(a, b, STEP) == pytest.approx(np.array(expected), rel=1e-9)
+    assert first_order_response(a, b, STEP) == pytest.approx(np.array(expected), rel=1e-9)
 
 
 def test_a_memory_that_does_not_decay_adds_up():
     summed = [0.0, 0.5, -0.5, 1.0]
-    assert relax(np.array([5.0, 1.0, -2.0, 3.0]), np.zeros(4), 0.5) == pytest.approx(summed)
-    assert relax(np.array([0.0, 1.0, -2.0, 3.0]), np.full(4, 1e-10), 0.5) == pytest.approx(summed, rel=1e-6)
+    assert first_order_response(np.array([5.0, 1.0, -2.0, 3.0]), np.zeros(4), 0.5) == pytest.approx(summed)
+    assert first_order_response(np.array([0.0, 1.0, -2.0, 3.0]), np.full(4, 1e-10), 0.5) == pytest.approx(
+        summed, rel=1e-6
+    )
 
 
 def test_relaxing_leaves_its_arguments_alone():
     a, b = np.arange(5.0), np.ones(5)
-    relax(a, b, 0.1)
+    first_order_response(a, b, 0.1)
     assert np.array_equal(a, np.arange(5.0)) and np.array_equal(b, np.ones(5))
     z = np.array([1.0, 0.0, 0.0])
-    follow(np.array([2.0, 4.0]), np.array([0.5, 0.25]), np.array([1.0, 0.5]), z)
+    relaxation_recursion(np.array([2.0, 4.0]), np.array([0.5, 0.25]), np.array([1.0, 0.5]), z)
     assert z == pytest.approx([1.0, 2.5, 2.625])
 
 
 # ---------------------------------------------------------------- along a valve's course
 
 
-def seen(name="fast"):
-    return view(bench_of(name), nominal())
+def linear(name="fast"):
+    return linearise_record(bench_of(name), nominal_variant())
 
 
 def moved_valve(**shares):
-    valve = nominal().valve
-    return Variant(replace(valve, **{name: getattr(valve, name) * (1.0 + share) for name, share in shares.items()}))
+    valve = nominal_variant().valve
+    return ModelVariant(
+        replace(valve, **{name: getattr(valve, name) * (1.0 + share) for name, share in shares.items()})
+    )
 
 
 def central(name, high, low):
     """Half the difference of two true runs, by channel."""
-    bench = bench_of(name)
-    up, down = (bench.readings(bench.run(variant), variant) for variant in (high, low))
+    predictor = bench_of(name)
+    up, down = (predictor.readings(predictor.run(variant), variant) for variant in (high, low))
     return {channel: (up[channel] - down[channel]) / 2.0 for channel in up}
 
 
@@ -166,7 +177,7 @@ def rms(values):
 def test_answers_to_parameters_are_the_central_differences_of_true_runs(name):
     parameters = ("feedback_rod_stiffness", "null_gap", "polarization_mmf", "spool_area", "port_width", "null_opening")
     share = 2e-3
-    answers = seen(name).by_answer([moved_valve(**{p: share}) for p in parameters])
+    answers = linear(name).linear_difference([moved_valve(**{p: share}) for p in parameters])
     for k, p in enumerate(parameters):
         truth = central(name, moved_valve(**{p: share}), moved_valve(**{p: -share}))
         sizes = {channel: rms(values) / np.ptp(seen_readings(name)[channel]) for channel, values in truth.items()}
@@ -177,43 +188,43 @@ def test_answers_to_parameters_are_the_central_differences_of_true_runs(name):
 
 
 def seen_readings(name):
-    return bench_of(name).readings(course_of(name, nominal()), nominal())
+    return bench_of(name).readings(course_of(name, nominal_variant()), nominal_variant())
 
 
 def test_answers_to_an_effect_on_coefficients_are_the_differences_of_true_runs():
     sides = [CATALOGUE["null_gap_asymmetry"](difference=d) for d in (2e-8, -2e-8)]
-    truth = central("fast", *(nominal().with_effect(side) for side in sides))
-    answer = seen().by_answer([nominal().with_effect(sides[0])])
+    truth = central("fast", *(nominal_variant().with_effect(side) for side in sides))
+    answer = linear().linear_difference([nominal_variant().with_effect(sides[0])])
     for channel in ("spool_position", "armature_angle", "nozzle_pressure_1", "load_flow"):
         assert rms(answer[channel][:, 0] - truth[channel]) < 0.03 * rms(truth[channel]), channel
 
 
 def test_answers_are_proportional_to_a_small_change():
-    answers = seen().by_answer([moved_valve(spool_area=1e-4), moved_valve(spool_area=2e-4)])
+    answers = linear().linear_difference([moved_valve(spool_area=1e-4), moved_valve(spool_area=2e-4)])
     for channel, columns in answers.items():
         assert columns[:, 1] == pytest.approx(2.0 * columns[:, 0], abs=2e-3 * np.abs(columns).max()), channel
 
 
 def test_no_change_has_no_answer():
-    for channel, columns in seen().by_answer([nominal()]).items():
+    for channel, columns in linear().linear_difference([nominal_variant()]).items():
         assert not columns.any(), channel
 
 
 def test_the_equations_hold_the_states_of_the_variant_alone():
-    bench, plain = bench_of("fast"), seen().linear
-    assert plain.active.tolist() == [0, 1, 2, 3, 4, 5] and plain.A.shape == (len(bench.times), 6, 6)
-    variant = nominal().with_effect(FRICTION)
-    course = course_of("fast", variant)
-    model, own = bench.reduced(course.model, variant)
-    linear = linearise(bench, course, own, model, bench.coefficients_along(variant, model))
-    assert linear.active.tolist() == [0, 1, 2, 3, 4, 5, 6] and linear.E.shape == (len(bench.times) - 1, 7, 7)
+    predictor, plain = bench_of("fast"), linear().tangent
+    assert plain.active.tolist() == [0, 1, 2, 3, 4, 5] and plain.A.shape == (len(predictor.times), 6, 6)
+    variant = nominal_variant().with_effect(FRICTION)
+    trajectory = course_of("fast", variant)
+    model, own = predictor.reduced(trajectory.model, variant)
+    tangent = linearise_along(predictor, trajectory, own, model, predictor.coefficients_along(variant, model))
+    assert tangent.active.tolist() == [0, 1, 2, 3, 4, 5, 6] and tangent.E.shape == (len(predictor.times) - 1, 7, 7)
 
 
 def test_slopes_of_states_are_exact_and_those_of_signals_differences():
-    linear = seen().linear
-    spool = linear.slopes["spool_position"]
-    assert np.array_equal(spool, np.tile(linear.scale * (np.arange(6) == 4), (len(spool), 1)))
-    flow = linear.slopes["load_flow"]
+    tangent = linear().tangent
+    spool = tangent.slopes["spool_position"]
+    assert np.array_equal(spool, np.tile(tangent.scale * (np.arange(6) == 4), (len(spool), 1)))
+    flow = tangent.slopes["load_flow"]
     assert (flow[:, 4] > 0.0).all()  # the spool opens supply to port A
     assert np.abs(flow[:, [0, 1, 2, 3, 5]]).max() < 1e-3 * np.abs(flow[:, 4]).max()
 
@@ -221,11 +232,11 @@ def test_slopes_of_states_are_exact_and_those_of_signals_differences():
 @pytest.mark.parametrize("active", [FRICTION, HYSTERESIS], ids=["friction", "hysteresis"])
 def test_a_valve_with_memory_is_linear_about_its_course_too(active):
     """The record begins with a hold, where a memory of a path rests."""
-    variant = nominal().with_effect(active)
-    own = view(bench_of("fast"), variant)
+    variant = nominal_variant().with_effect(active)
+    own = linearise_record(bench_of("fast"), variant)
     share = 2e-3
     sides = [replace(moved_valve(feedback_rod_stiffness=by), effects=variant.effects) for by in (share, -share)]
-    truth, answer = central("fast", *sides), own.by_answer(sides[:1])
+    truth, answer = central("fast", *sides), own.linear_difference(sides[:1])
     for channel in ("spool_position", "load_flow"):
         assert np.isfinite(answer[channel]).all()
         assert rms(answer[channel][:, 0] - truth[channel]) < 0.05 * rms(truth[channel]), channel

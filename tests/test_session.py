@@ -6,13 +6,15 @@ import re
 import numpy as np
 import pytest
 
-from valvesim.catalogue import CATALOGUE
-from valvesim.commands import Constant, Table, evaluate
 from valvesim.errors import InputError
-from valvesim.model import CurrentDrive, VoltageDrive
-from valvesim.scenario import Thermal
-from valvesim.session import INPUTS, OUTPUTS, Record, Sensor, load_session, record_scenario
-from valvesim.simulate import simulate
+from valvesim.identification.record_scenario import record_scenario
+from valvesim.identification.session import INPUTS, OUTPUTS, Record, Sensor
+from valvesim.identification.session_toml import load_session
+from valvesim.inputs import Constant, Table, evaluate
+from valvesim.simulation.run import simulate
+from valvesim.simulation.scenario import Thermal
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.equations import CurrentDrive, VoltageDrive
 
 TIME = np.arange(200) / 1e3
 WAVE = np.sin(2 * np.pi * 10.0 * TIME)
@@ -32,9 +34,9 @@ own = vs.Effect(
 def columns(seed=0, **changed):
     """Columns of a good record: 10 Hz at 5 mA with a noisy spool; `current__mA=` and the like are for the tests."""
     noise = np.random.default_rng(seed).normal(size=TIME.size)
-    base = {"time [s]": TIME, CURRENT: 5.0 * WAVE, "oil_temperature [degC]": 30.0 + 0.0 * TIME,
+    nominal = {"time [s]": TIME, CURRENT: 5.0 * WAVE, "oil_temperature [degC]": 30.0 + 0.0 * TIME,
             SPOOL: 0.2 * WAVE + 1e-3 * noise}  # fmt: skip
-    return base | changed
+    return nominal | changed
 
 
 def text(table):

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import valvesim as vs
-from valvesim.compiled import trace
 from valvesim.errors import InputError, SolveError, ValidityWarning
-from valvesim.fluid import MIL_PRF_5606
-from valvesim.model import main_stage
-from valvesim.parameters import PART_NAMES, PartTemperatures
+from valvesim.solver.codegen import trace
+from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
+from valvesim.valve.equations import main_stage
+from valvesim.valve.fluid import MIL_PRF_5606
 
-MODULE = import_module("valvesim.simulate")  # the package's name for it is the function
+MODULE = import_module("valvesim.simulation.run")  # the package's name for it is the function
 ISOTHERMAL = vs.Thermal(network=None)
 VALVE = vs.reference_valve()
 NAMES = [channel.name for channel in vs.Model().state_channels]
@@ -627,7 +627,7 @@ def test_a_batch_that_fails_names_the_member(monkeypatch):
 
 
 def test_beyond_the_rated_current_a_run_warns_and_the_spool_meets_its_stop():
-    with pytest.warns(ValidityWarning, match="up to 12 mA is beyond the rated current of 10 mA"):
+    with pytest.warns(ValidityWarning, match=r"up to 12 mA \(t = 0.001 s\) is beyond the rated current of 10 mA"):
         result = run(vs.Step(after=12e-3, time=1e-3), 0.3)
     assert VALVE.spool_stroke < result.values["spool_position"][-1] < 1.01 * VALVE.spool_stroke
 

@@ -7,13 +7,24 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from valvesim.channels import Inputs, State
-from valvesim.compiled import source
-from valvesim.effects import Effect, Ports, Situation
 from valvesim.errors import InputError
-from valvesim.laws import dahl_rate
-from valvesim.model import AT_20, Model
-from valvesim.parameters import Valve
-from valvesim.terms import LAG, LAG_TIMES, NONE, PATH, PORTS, VARIABLES, Family, families, hats, term_effect
+from valvesim.solver.codegen import source
+from valvesim.valve.additive_term import (
+    LAG,
+    LAG_TIMES,
+    NONE,
+    PATH,
+    PORTS,
+    VARIABLES,
+    TermHypothesis,
+    linear_b_splines,
+    term_effect,
+    term_hypotheses,
+)
+from valvesim.valve.effect import Effect, Ports, Situation
+from valvesim.valve.equations import AT_20, Model
+from valvesim.valve.laws import dahl_rate
+from valvesim.valve.parameters import Valve
 
 KNOTS = (-2.0, -0.5, 1.0, 3.0)
 VALUES = (4.0, -1.0, 2.0, 0.5)
@@ -52,11 +63,11 @@ def where_it_is(variable, u):
 
 def test_hats_add_up_to_one_and_draw_straight_lines():
     u = np.linspace(-4.0, 5.0, 301)
-    basis = hats(u, np.array(KNOTS))
+    basis = linear_b_splines(u, np.array(KNOTS))
     assert basis.shape == (301, 4)
     assert basis.sum(axis=1) == pytest.approx(1.0)
     assert basis @ VALUES == pytest.approx(np.interp(u, KNOTS, VALUES))
-    assert hats(np.array(KNOTS), np.array(KNOTS)) == pytest.approx(np.eye(4))
+    assert linear_b_splines(np.array(KNOTS), np.array(KNOTS)) == pytest.approx(np.eye(4))
 
 
 # ---------------------------------------------------------------- what a term adds
@@ -76,7 +87,7 @@ def test_a_term_agrees_with_its_hats():
     knots = np.array(scaled("spool_position"))
     u = np.linspace(1.5 * knots[0], 1.5 * knots[-1], 50)
     ports, _ = added(term_effect("spool_force", "spool_position", knots, VALUES), situation(spool_position=u))
-    assert ports.spool_force == pytest.approx(hats(u, knots) @ VALUES)
+    assert ports.spool_force == pytest.approx(linear_b_splines(u, knots) @ VALUES)
 
 
 @pytest.mark.parametrize("port", PORTS)
@@ -188,7 +199,7 @@ def test_terms_that_differ_in_figures_alone_are_one_compiled_model(memory):
 
 
 def test_every_port_is_tried_with_every_variable():
-    found = families()
+    found = term_hypotheses()
     plain = [(f.port.name, f.variable.name) for f in found if f.memory == NONE]
     assert sorted(plain) == sorted((port, variable) for port in PORTS for variable in VARIABLES)
     assert {f.time_constant for f in found if f.memory == LAG} == set(LAG_TIMES)
@@ -197,18 +208,18 @@ def test_every_port_is_tried_with_every_variable():
 
 
 def test_labels_tell_families_apart_in_words():
-    found = families()
-    labels = [family.label for family in found]
+    found = term_hypotheses()
+    labels = [hypothesis.label for hypothesis in found]
     assert len(set(labels)) == len(labels) == len(set(found))
-    lagged = Family(PORTS["spool_force"], VARIABLES["current"], LAG, time_constant=3e-3)
+    lagged = TermHypothesis(PORTS["spool_force"], VARIABLES["current"], LAG, time_constant=3e-3)
     assert lagged.label == "spool force as a function of current lagged by 3 ms"
-    turned = Family(PORTS["armature_torque"], VARIABLES["armature_angle"], PATH, width=1e-5)
+    turned = TermHypothesis(PORTS["armature_torque"], VARIABLES["armature_angle"], PATH, width=1e-5)
     assert turned.label == "armature torque as a function of direction of armature angle"
 
 
 def test_a_function_of_a_ports_own_variable_is_no_oddity_and_memory_is_one_more():
     force = PORTS["spool_force"]
-    assert Family(force, VARIABLES["spool_velocity"]).oddities == 0  # a damper
-    assert Family(force, VARIABLES["current"]).oddities == 1
-    assert Family(force, VARIABLES["current"], LAG, LAG_TIMES[0]).oddities == 2
+    assert TermHypothesis(force, VARIABLES["spool_velocity"]).complexity == 0  # a damper
+    assert TermHypothesis(force, VARIABLES["current"]).complexity == 1
+    assert TermHypothesis(force, VARIABLES["current"], LAG, LAG_TIMES[0]).complexity == 2
     assert all(set(port.own) <= set(VARIABLES) and port.own for port in PORTS.values())

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from valvesim.commands import Constant, Pulse, Ramp, Sine, Step, Table
 from valvesim.errors import InputError
-from valvesim.fluid import MIL_PRF_5606
-from valvesim.parameters import PART_NAMES
-from valvesim.thermal import NODES, ThermalNetwork, temperature_path, throttling_rise
+from valvesim.inputs import Constant, Pulse, Ramp, Sine, Step, Table
 from valvesim.units import quantities
+from valvesim.valve.coefficients import PART_NAMES
+from valvesim.valve.fluid import MIL_PRF_5606
+from valvesim.valve.thermal_network import NODES, ThermalNetwork, temperature_path, throttling_rise
 
 NETWORK = ThermalNetwork()
 SEALED = ThermalNetwork(torque_motor_to_ambient=0.0, body_to_ambient=0.0)  # nothing lost to the air
@@ -135,7 +135,7 @@ def test_heat_between_two_parts_is_lost_by_the_one_and_gained_by_the_other():
 
 OILS = {
     "ramp that ends": Ramp(start_value=20.0, end_value=80.0, rate=20.0, time=1.0),
-    "pulse": Pulse(base=20.0, height=200.0, width=0.05, time=1.013),
+    "pulse": Pulse(base=20.0, height=180.0, width=0.05, time=1.013),
     "table": Table(times=(0.0, 0.31, 2.77, 6.0), values=(20.0, 90.0, -10.0, 40.0)),
 }
 
@@ -272,7 +272,25 @@ def test_every_network_figure_is_an_estimate_with_half_its_size_as_tolerance():
 @given(st.lists(st.floats(0.5, 1.5), min_size=len(quantities(NETWORK)), max_size=len(quantities(NETWORK))))
 def test_within_the_tolerances_no_part_ever_leaves_the_range_of_oil_and_air(factors):
     figures = {name: getattr(NETWORK, name) * f for name, f in zip(quantities(NETWORK), factors, strict=True)}
-    oil = Pulse(base=20.0, height=200.0, width=5.0, time=1.0)
+    oil = Pulse(base=20.0, height=180.0, width=5.0, time=1.0)
     path = temperature_path(oil, 20.0, network=ThermalNetwork(**figures), ambient=-30.0, initial=50.0, spacing=1.0)
     assert np.min(values(path)) >= -30.0 and np.max(values(path)) <= 200.0
     assert np.min(np.ptp(values(path), axis=0)) > 0.1
+
+
+def test_parts_with_starts_of_their_own_follow_the_network():
+    start = {"body": 60.0, "spool": -20.0, "torque_motor": 5.0}
+    path = temperature_path(LAUNCH, 30.0, network=NETWORK, initial=start, ambient=10.0)
+    M, N = NETWORK.matrices()
+    first = [start.get(name, 20.0) for name in NODES]  # those left out start with the oil
+    run = solve_ivp(
+        lambda t, T: M @ T + N @ [20.0 + 3.0 * t, 10.0], (0.0, 30.0), first, method="LSODA", rtol=1e-11, atol=1e-11
+    )
+    assert values(path)[0].tolist() == first
+    assert values(path)[-1] == pytest.approx(run.y[:, -1], abs=1e-7)
+
+
+def test_one_start_for_all_is_that_of_each_part():
+    one = temperature_path(LAUNCH, 5.0, network=NETWORK, initial=-40.0)
+    each = temperature_path(LAUNCH, 5.0, network=NETWORK, initial=dict.fromkeys(NODES, -40.0))
+    assert (values(one) == values(each)).all()

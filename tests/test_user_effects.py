@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 import valvesim as vs
-from valvesim.user_effects import load_effects, load_effects_files
+from valvesim.valve.effect_files import load_effects, load_effects_files
 
 EFFECT = """
 import valvesim as vs

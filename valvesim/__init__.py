@@ -9,18 +9,20 @@ result["spool_position"]                                                     # o
 vs.diagnose("my_session").summary                                            # what measured records show of its errors
 """
 
-from .catalogue import CATALOGUE, effect
-from .commands import Chirp, Constant, Pulse, Ramp, Sine, Staircase, Step, Sum, Table
-from .compiled import compile_model, derivatives
-from .effects import ActiveEffect, Effect, Parameter, Ports
-from .errors import InputError, SolveError, ValidityWarning, ValvesimError
-from .fluid import MIL_PRF_5606, OILS, YH12_PAPER, Oil
-from .model import CurrentDrive, Model, VoltageDrive
-from .parameters import ROUTES, Coefficients, PartTemperatures, Valve, reference_valve
-from .scenario import Scenario, Thermal, load_scenario
-from .simulate import Result, simulate, simulate_batch
-from .static import StaticSolution, static_solution, tad_polynomial
-from .thermal import ThermalNetwork, temperature_path
+from valvesim.errors import InputError, SolveError, ValidityWarning, ValvesimError
+from valvesim.inputs import Chirp, Constant, Pulse, Ramp, Sine, Staircase, Step, Sum, Table
+from valvesim.simulation.run import Result, simulate, simulate_batch
+from valvesim.simulation.scenario import Scenario, Thermal, load_scenario
+from valvesim.solver.codegen import compile_model, derivatives
+from valvesim.valve.catalogue import CATALOGUE, effect
+from valvesim.valve.coefficients import ROUTES, Coefficients, PartTemperatures
+from valvesim.valve.effect import ActiveEffect, Effect, Parameter, Ports
+from valvesim.valve.equations import CurrentDrive, Model, VoltageDrive
+from valvesim.valve.equilibrium import StaticSolution, static_solution, tad_polynomial
+from valvesim.valve.fluid import MIL_PRF_5606, YH12_PAPER, Oil
+from valvesim.valve.oils import OILS
+from valvesim.valve.parameters import Valve, reference_valve
+from valvesim.valve.thermal_network import ThermalNetwork, temperature_path
 
 _DIAGNOSIS = ("Diagnosis", "diagnose", "load_session")
 
@@ -29,9 +31,10 @@ def __getattr__(name: str):
     """What a diagnosis needs is loaded when it is asked for: a simulation starts without it."""
     if name not in _DIAGNOSIS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from . import answer, diagnosis, session
+    from valvesim.diagnosis import diagnose, result
+    from valvesim.identification import session_toml
 
-    return getattr({"Diagnosis": answer, "diagnose": diagnosis, "load_session": session}[name], name)
+    return getattr({"Diagnosis": result, "diagnose": diagnose, "load_session": session_toml}[name], name)
 
 
 __all__ = [

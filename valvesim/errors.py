@@ -6,9 +6,21 @@ import difflib
 import warnings
 from collections.abc import Iterable
 
+LONGEST_MESSAGE = 1000  # characters
+
 
 class ValvesimError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base of every error that this package raises on purpose. Its text is one line that is safe on a terminal."""
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
+
+
+def one_line(text: str) -> str:
+    """A text from outside on one line: control characters written as escapes, the middle of a long one left out."""
+    if len(text) > LONGEST_MESSAGE:
+        text = f"{text[: LONGEST_MESSAGE // 2]} ... {text[-LONGEST_MESSAGE // 2 :]}"
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class InputError(ValvesimError, ValueError):

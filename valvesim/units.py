@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, unknown_name
+from valvesim.errors import InputError, unknown_name
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_QUANTITY = re.compile(rf"\s*({_NUMBER}|[-+]?(?:nan|inf))\s*(.*?)\s*")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)")
 # What a unit may look like. Nothing else reaches pint, which would work out a text such as 9**9**9 for days.
 _UNIT = re.compile(
     r"(?:[A-Za-z_°Δ\u00b5\u03bcΩ%‰\s/·.()]|\*(?!\*)|(?<=[A-Za-z])\d(?!\d)|(?<![\w.])1(?![\w.])"
@@ -47,6 +46,29 @@ def _unit(text: str) -> Any:
     return _registry().parse_units(text)
 
 
+_MEANT = {
+    "C": "degC", "c": "degC", "F": "degF", "mpa": "MPa", "Mpa": "MPa", "kpa": "kPa", "Kpa": "kPa", "KPa": "kPa",
+    "pa": "Pa", "Bar": "bar", "BAR": "bar", "PSI": "psi", "Psi": "psi", "ma": "mA", "MA": "mA", "hz": "Hz",
+    "HZ": "Hz", "khz": "kHz", "lpm": "L/min", "LPM": "L/min", "l/m": "L/min", "cst": "cSt", "S": "s", "sec.": "s",
+    "Sec": "s", "v": "V", "Ohm": "ohm", "MM": "mm", "Mm": "mm", "mn": "mN", "nm": "N*m", "n": "N",
+}  # fmt: skip
+_ABSOLUTE = {"psia": "psi", "bara": "bar", "bar(a)": "bar", "bar_a": "bar"}
+_GAUGE = {"psig": "psi", "barg": "bar", "bar(g)": "bar", "bar_g": "bar", "kPag": "kPa", "kPa(g)": "kPa"}
+_ATMOSPHERE = {"psi": "14.696 psi", "bar": "1.01325 bar", "kPa": "101.325 kPa"}
+
+
+def _advice(unit: str, to: str) -> str:
+    """What was probably meant by a unit that does not convert; empty where nothing comes to mind."""
+    if unit in _GAUGE:
+        absolute = _GAUGE[unit]
+        return f"; {unit!r} is above the air's pressure, but pressures are absolute: add {_ATMOSPHERE[absolute]}"
+    meant = _ABSOLUTE.get(unit) or _MEANT.get(unit)
+    if meant is None or _UNIT.fullmatch(meant) is None:
+        return ""
+    wanted = _registry().get_dimensionality(_unit(to))
+    return f"; did you mean {meant!r}?" if _registry().get_dimensionality(_unit(meant)) == wanted else ""
+
+
 def convert(value: Any, unit: str, to: str, where: str = "") -> Any:
     """Convert numbers from one unit to another ("bar" to "Pa").
 
@@ -60,13 +82,15 @@ def convert(value: Any, unit: str, to: str, where: str = "") -> Any:
             raise ValueError(unit)
         source = _unit(unit)
     except Exception as error:  # pint raises errors of many kinds on nonsense
-        raise InputError(f"{prefix}unknown unit {unit!r}; expected one that converts to {to!r}") from error
+        told = f"{prefix}unknown unit {_shown(unit)}; expected one that converts to {to!r}{_advice(unit, to)}"
+        raise InputError(told) from error
     try:
         with np.errstate(all="ignore"):
             converted = _registry().Quantity(value, source).to(_unit(to)).magnitude
     except (pint.errors.PintError, AssertionError, ArithmeticError) as error:
         raise InputError(
-            f"{prefix}{unit!r} has the wrong dimension; expected a unit that converts to {to!r}"
+            f"{prefix}{_shown(unit)} has the wrong dimension; expected a unit that converts to {to!r}"
+            f"{_advice(unit, to)}"
         ) from error
     lost = np.isfinite(value) & ~np.isfinite(converted)
     if lost.any():
@@ -81,28 +105,68 @@ def parse(text: Any, unit: str, where: str = "") -> float:
     """
     prefix, example = f"{where}: " if where else "", "0.5" if unit == "1" else f"1 {unit}"
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-        raise InputError(f"{prefix}expected a quantity such as '{example}', got {text!r}")
-    match = _QUANTITY.fullmatch(str(text))
-    if match is None:
-        raise InputError(f"{prefix}cannot read {text!r} as a number with a unit, such as '{example}'")
-    number, source = float(match[1]), match[2]
+        raise InputError(f"{prefix}expected a quantity such as '{example}', got {_shown(text)}")
+    if isinstance(text, int) and abs(text) >= 2**63:
+        raise InputError(f"{prefix}a whole number of {text.bit_length()} bits is not a finite number")
+    split = _split(str(text))
+    if split is None:
+        raise InputError(f"{prefix}cannot read {_shown(text)} as a number with a unit, such as '{example}'")
+    number, source = float(split[0]), split[1]
     if not np.isfinite(number):
-        raise InputError(f"{prefix}{text!r} is not a finite number")
+        raise InputError(f"{prefix}{_shown(text)} is not a finite number")
     if not source:
         if unit != "1":
-            raise InputError(f"{prefix}{text!r} has no unit; write it as text, such as '{text} {unit}'")
+            raise InputError(f"{prefix}{_shown(text)} has no unit; write it as text, such as '{text} {unit}'")
         return number
-    if unit == "delta_degC" and source in ("degC", "°C"):
-        source = unit  # a difference of temperatures: everybody writes 5 °C for 5 K
-    return float(convert(number, source, unit, where))
+    if re.match(r",\d", source):
+        raise InputError(f"{prefix}{_shown(text)} has a decimal comma; write a point, such as '{example}'")
+    return float(convert(number, _difference(source) if unit.startswith("delta_") else source, unit, where))
+
+
+def _split(text: str) -> tuple[str, str] | None:
+    """(number, unit) of a text, or None where it does not begin with a number; in time proportional to its length."""
+    text = text.strip()
+    match = _NUMBER.match(text)
+    if match is None or "\n" in text:
+        return None
+    return match[0], text[match.end() :].strip()
+
+
+def _shown(value: Any) -> str:
+    """A value as it was given, for a message; the middle of a long one is left out."""
+    text = repr(value)
+    return text if len(text) <= 120 else f"{text[:60]} ... {text[-30:]}"
+
+
+_DIFFERENCES = {
+    "degC": "delta_degC", "°C": "delta_degC", "celsius": "delta_degC", "degF": "delta_degF", "°F": "delta_degF",
+}  # fmt: skip
+
+
+def _difference(source: str) -> str:
+    """The unit of a difference of temperatures, alone or per something: everybody writes 5 °C for 5 K."""
+    first, slash, rest = source.partition("/")
+    return _DIFFERENCES.get(first.strip(), first) + slash + rest
 
 
 def parse_list(text: str, unit: str, where: str = "") -> np.ndarray:
     """Read `"20, 100, 270 degC"` (or one unit each, `"1 mA, 0.002 A"`) as an array in `unit`."""
     words = [word.strip() for word in str(text).split(",")]
-    last = _QUANTITY.fullmatch(words[-1])
-    shared = last[2] if last else ""
-    return np.array([parse(f"{w} {shared}".strip() if re.fullmatch(_NUMBER, w) else w, unit, where) for w in words])
+    last = _split(words[-1])
+    shared = last[1] if last else ""
+    if shared and all(_is_number(word) for word in words[:-1]) and len(words) > 1:  # the usual list, in one go
+        numbers = np.array([float(word) for word in words[:-1]])
+        if np.isfinite(numbers).all():
+            parse(f"1 {shared}", unit, where)  # for the messages of a wrong unit
+            source = _difference(shared) if unit.startswith("delta_") else shared
+            converted = np.asarray(convert(numbers, source, unit, where), dtype=float)
+            return np.append(converted, parse(words[-1], unit, where))
+    return np.array([parse(f"{w} {shared}".strip() if _is_number(w) else w, unit, where) for w in words])
+
+
+def _is_number(word: str) -> bool:
+    match = _NUMBER.fullmatch(word)
+    return match is not None and word[-1] not in "nf"  # nan, inf
 
 
 def quantity(

@@ -1,0 +1,112 @@
+"""All static acceptance tests on the model, and the same reduction of a measured record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from valvesim.characterisation.acceptance.cycle import cycle
+from valvesim.characterisation.acceptance.flow import flow_figures
+from valvesim.characterisation.acceptance.flow_load import flow_load_figures, flow_load_record
+from valvesim.characterisation.acceptance.leakage import leakage_figures
+from valvesim.characterisation.acceptance.null_shift import null_shift_figures
+from valvesim.characterisation.acceptance.pressure_gain import blocked_cycle, pressure_gain_figures
+from valvesim.characterisation.acceptance.record import AcceptanceRecord, part_of, record_of
+from valvesim.characterisation.acceptance.rig import Rig
+from valvesim.characterisation.acceptance.threshold import threshold_figure
+from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit
+from valvesim.errors import unknown_name
+from valvesim.valve.effect import ActiveEffect
+from valvesim.valve.fluid import MIL_PRF_5606, Oil
+from valvesim.valve.parameters import Valve
+
+TESTS = ("flow", "pressure-gain", "leakage", "flow-load")
+
+
+def record_figures(
+    record: AcceptanceRecord, test: str, *, resolution: float | None = None, lag: float | None = None,
+    dead_zone: float | None = None, rated_current: float | None = None,
+) -> FiguresOfMerit:  # fmt: skip
+    """The figures of a measured record by test: "flow", "pressure-gain", "leakage" or "flow-load".
+
+    `resolution` of the output, `lag` (s) and `dead_zone` (m^3/s) of the meter are as stated; what is not is estimated
+    from the record or said to be missing. `rated_current` (A) is the record's amplitude by default.
+    Raises InputError for an unknown test, missing columns, no complete cycle, too few points, or a clipped current.
+    """
+    if test == "flow":
+        c = cycle(record, "load_flow", resolution=resolution)
+        return (
+            *flow_figures(c, rated_current=rated_current, lag=lag, dead_zone=dead_zone),
+            Absent("threshold", "needs a stop and a reversal of the current, which this record does not hold"),
+        )
+    if test == "pressure-gain":
+        c = cycle(record, "load_pressure", resolution=resolution)
+        return pressure_gain_figures(c, rated_current=rated_current, lag=lag)
+    if test == "leakage":
+        return leakage_figures(cycle(record, "internal_leakage", resolution=resolution), lag=lag)
+    if test == "flow-load":
+        return flow_load_figures(record, resolution=resolution)
+    raise unknown_name("test", test, TESTS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AcceptanceTests:
+    """A simulated bench: `figures` named `test.figure`, and the records they come from.
+
+    `flow` (no load) and `blocked` hold one full cycle each, `flow_load` one record per held current with `current`,
+    load_pressure, load_flow and pressure_drop.
+    """
+
+    valve: Valve
+    oil_temperature: float
+    figures: FiguresOfMerit
+    flow: AcceptanceRecord
+    blocked: AcceptanceRecord
+    flow_load: tuple[AcceptanceRecord, ...]
+
+
+def acceptance_tests(
+    valve: Valve,
+    *,
+    oil_temperature: float = 20.0,
+    oil: Oil = MIL_PRF_5606,
+    effects: Sequence[ActiveEffect] = (),
+    period: float = 1e4,
+    points: int = 8000,
+    progress: Callable[[float], None] | None = None,
+) -> AcceptanceTests:
+    """Run every static test on the model, all parts at `oil_temperature` (°C), and reduce it as a measured one.
+
+    The current runs a triangle of `period` s over +-i_R, `points` samples each; the valve trails it by about 1/800 s.
+    Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told the share that is done.
+    Raises as `simulate` does, and SolveError where the blocked ports find no load pressure.
+    """
+    rig = Rig(
+        valve=valve, oil=oil, oil_temperature=oil_temperature, effects=tuple(effects), period=period, points=points
+    )
+    rated = float(valve.rated_current)
+    tell = progress if progress is not None else lambda share: None
+    flow = record_of("flow", rig.full_cycle(), "load_flow")
+    figures = _named("flow", flow_figures(cycle(flow, "load_flow"), rated_current=rated, lag=0.0, dead_zone=0.0))
+    figures += _named("flow", (threshold_figure(rig),))
+    tell(0.3)
+    blocked = blocked_cycle(rig)
+    c = cycle(blocked, "load_pressure")
+    figures += _named("pressure-gain", pressure_gain_figures(c, rated_current=rated, lag=0.0))
+    figures += _named("leakage", leakage_figures(cycle(blocked, "internal_leakage"), lag=0.0))
+    tell(0.6)
+    shares = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0)
+    flow_load = tuple(flow_load_record(rig, share * rated) for share in shares)
+    for record, name in ((flow_load[-1], "positive"), (flow_load[0], "negative")):
+        own = flow_load_figures(part_of(record, record.values["pressure_drop"] <= valve.supply_pressure))
+        figures += _named("flow-load", tuple(replace(f, name=f"{f.name}_{name}") for f in own))
+    tell(0.8)
+    figures += _named("null-shift", null_shift_figures(rig))
+    tell(1.0)
+    return AcceptanceTests(
+        valve=valve, oil_temperature=oil_temperature, figures=figures, flow=flow, blocked=blocked, flow_load=flow_load
+    )
+
+
+def _named(test: str, figures: FiguresOfMerit) -> FiguresOfMerit:
+    return tuple(replace(f, name=f"{test}.{f.name}") for f in figures)

@@ -1,0 +1,63 @@
+"""A figure of merit, or why there is none; and how people read either."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.units import DISPLAY, symbol
+
+
+@dataclass(frozen=True)
+class FigureOfMerit:
+    """A figure of merit in SI: `doc` is its definition in short, `uncertainty` one standard deviation where known.
+
+    Unit "1" is a share, shown in %; "-" is a plain number.
+    """
+
+    name: str
+    value: float
+    unit: str
+    doc: str
+    uncertainty: float | None = None
+
+
+@dataclass(frozen=True)
+class Absent:
+    """A figure that a record does not give, and why."""
+
+    name: str
+    reason: str
+
+
+FiguresOfMerit = tuple[FigureOfMerit | Absent, ...]
+
+_SHOWN = {
+    **DISPLAY, "1": ("%", 100.0), "m^3/s/A": ("L/min/mA", 60.0), "Pa/A": ("bar/mA", 1e-8), "A/s": ("mA/s", 1e3),
+    "s": ("ms", 1e3), "m/s": ("m/s", 1.0),
+}  # fmt: skip
+
+
+def shown(figure: FigureOfMerit) -> tuple[str, str, str]:
+    """(value, uncertainty, unit) as text in the units that people read."""
+    unit, factor = _SHOWN.get(figure.unit, (figure.unit, 1.0))
+    if figure.name.endswith("lag") and figure.unit == "s":
+        unit, factor = "s", 1.0  # a meter's lag is seconds, not milliseconds
+    value, error = figure.value * factor, (figure.uncertainty or 0.0) * factor
+    places = int(np.clip(1 - np.floor(np.log10(error)), 0, 6)) if error > 0.0 else None
+    text = f"{value:.5g}" if places is None else f"{value:.{places}f}"
+    return text, "" if figure.uncertainty is None else f"{error:.2g}", "" if unit == "-" else symbol(unit)
+
+
+def table(figures: Sequence[FigureOfMerit | Absent]) -> list[tuple[str, str, str, str, str]]:
+    """Rows (name, value, uncertainty, unit, meaning) as text; an absent figure says why."""
+    rows = []
+    for figure in figures:
+        name = figure.name.replace("_", " ")
+        if isinstance(figure, Absent):
+            rows.append((name, "absent", "", "", figure.reason))
+        else:
+            rows.append((name, *shown(figure), figure.doc))
+    return rows

@@ -1,0 +1,74 @@
+"""Every response of a valve: steps, stepped sines and chirps at any oil temperatures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.characterisation.frequency_response import FREQUENCIES, FrequencyResponse, frequency_response
+from valvesim.characterisation.held_scenario import Source, held, held_oil_temperature, rated_command
+from valvesim.characterisation.spectral_response import chirp_response
+from valvesim.characterisation.step_response import StepResponse, step_response
+
+STEPS, SWEEPS = (0.05, 0.25, 1.0), (0.25, 0.4, 1.0)  # shares of the rated current
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResponseSet:
+    """Every response of a valve at one oil temperature: one of each kind for every amplitude."""
+
+    oil_temperature: float
+    steps: tuple[StepResponse, ...]
+    sweeps: tuple[FrequencyResponse, ...]
+    chirps: tuple[FrequencyResponse, ...]
+
+
+def measure_responses(
+    source: Source, *, oil_temperatures: Sequence[float] | None = None, part_temperature: float | None = None,
+    steps: Sequence[float] = STEPS, sweeps: Sequence[float] = SWEEPS, frequencies: Sequence[float] = FREQUENCIES,
+    chirp: bool = True, output: str = "spool_position", workers: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[ResponseSet, ...]:  # fmt: skip
+    """Steps, stepped sines and chirps at every oil temperature (°C; by default the source's own at its start).
+
+    `steps` and `sweeps` are shares of the rated command. Raises as `step_response` and `frequency_response` do.
+    """
+    first = held(source, part_temperature=part_temperature)
+    rated = rated_command(first)
+    temperatures = [held_oil_temperature(first)] if oil_temperatures is None else [float(t) for t in oil_temperatures]
+    kinds = 2 if chirp else 1
+    total, done = max(len(temperatures) * len(sweeps) * kinds, 1), 0
+
+    def tell(part: float) -> None:
+        if progress is not None:
+            progress(min((done + part) / total, 1.0))
+
+    sets = []
+    for temperature in temperatures:
+        base = held(source, oil_temperature=temperature, part_temperature=part_temperature)
+        stepped = tuple(step_response(base, amplitude=share * rated, output=output) for share in steps)
+        swept, chirped = [], []
+        for share in sweeps:
+            swept.append(
+                frequency_response(
+                    base,
+                    amplitude=share * rated,
+                    frequencies=frequencies,
+                    output=output,
+                    workers=workers,
+                    progress=tell,
+                )  # fmt: skip
+            )
+            done += 1
+            if chirp:
+                band = {"low": float(np.min(frequencies)), "high": float(np.max(frequencies))}
+                chirped.append(
+                    chirp_response(
+                        base, amplitude=share * rated, low=band["low"], high=band["high"], output=output, progress=tell
+                    )
+                )
+                done += 1
+        sets.append(ResponseSet(oil_temperature=temperature, steps=stepped, sweeps=tuple(swept), chirps=tuple(chirped)))
+    return tuple(sets)

@@ -1,0 +1,1 @@
+"""What the simulation gets wrong in measured records, and why."""

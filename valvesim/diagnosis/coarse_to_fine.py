@@ -1,0 +1,86 @@
+"""Long sessions: their records' beginnings are searched first, and the whole session for what these have shown.
+
+A look at ten minutes of records takes some twenty times as long as one at their first seconds. What does not explain
+these does not explain the whole either, so that few hypotheses are left to be fitted to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from valvesim.diagnosis.isolation import Isolation, isolate
+from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.fit import Fit
+from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near
+from valvesim.identification.session import Record
+from valvesim.identification.study import Study, restricted_study
+
+
+def fit_coarse_to_fine(
+    study: Study, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> tuple[NominalFit, Sequence[Fit]]:
+    """The nominal fit of a session, and of a long one the hypotheses (fitted to beginnings) that are to be fitted to
+    it.
+
+    Without hypotheses the whole session is to be searched for them. `progress(stage, share)` is called with what is
+    being done. Raises SolveError where the valve cannot be run.
+    """
+    stage = "fitting the nominal model"
+    progress(stage, 0.0)
+    if study.is_long:
+        with suppress(SolveError, InputError):  # a record's beginning need not hold what makes it a record
+            isolation = _isolate_in_segments(
+                study, lambda what, share: progress(f"{what}, in the first seconds", 0.5 * share), options=options
+            )
+            progress(stage, 0.5)
+            nominal = fit_nominal_near(
+                study, isolation.nominal.fit.point, full_weight=not isolation.nominal.study.weights
+            )
+            known = isolation.answer_set or isolation.found[: options.coarse_to_fine.taken_along]
+            return nominal, [one.fit for one in known if one.fit.fitted]
+    return fit_nominal(study, lambda share: progress(stage, share)), ()
+
+
+def _isolate_in_segments(
+    study: Study, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> Isolation:
+    short = restricted_study(
+        study,
+        leading_segments(
+            [predictor.record for predictor in study.predictors], len(set(study.representatives)), options=options
+        ),
+    )
+    progress("fitting the nominal model", 0.0)
+    nominal = fit_nominal(short, lambda share: progress("fitting the nominal model", 0.3 * share))
+    return isolate(nominal, lambda stage, share: progress(stage, 0.3 + 0.7 * share), options=options)
+
+
+def leading_segments(records: Sequence[Record], tests: int, *, options: DiagnosisOptions) -> list[Record]:
+    """The records' first seconds, from just before their inputs move; repeats, of so many tests, keep in step."""
+    most, starts = max(options.coarse_to_fine.samples // tests, options.coarse_to_fine.least_samples), dict[str, int]()
+    for record in records:
+        starts[record.test] = min(_start(record, options=options), starts.get(record.test, len(record.time)))
+    return [_part(record, slice(starts[record.test], starts[record.test] + most)) for record in records]
+
+
+def _start(record: Record, *, options: DiagnosisOptions) -> int:
+    """The sample from which a record says something."""
+    moved = np.zeros(len(record.time), dtype=bool)
+    for name in record.inputs:
+        values = record.values[name]
+        moved |= np.abs(values - values[0]) > options.coarse_to_fine.motion * np.ptp(values)
+    return max(int(np.argmax(moved)) - int(np.ceil(options.coarse_to_fine.lead * record.rate)), 0)
+
+
+def _part(record: Record, kept: slice) -> Record:
+    return replace(
+        record,
+        time=record.time[kept] - record.time[kept.start],
+        values={name: values[kept] for name, values in record.values.items()},
+        usable={name: usable[kept] for name, usable in record.usable.items()},
+    )

@@ -1,0 +1,63 @@
+"""Detection: whether a fit leaves more than noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.refits import largest_shift
+from valvesim.diagnosis.score_test import ScoreTest
+from valvesim.identification.fit import Fit
+from valvesim.identification.nominal_fit import NominalFit
+from valvesim.identification.study import Study
+
+
+def detect(scores: ScoreTest) -> tuple[bool, float]:
+    """Whether anything shows, and the level that the candidates' z had to pass."""
+    level = scores.level(scores.options.detection.false_alarm)
+    shows = scores.z().max(initial=0.0) > level or _term_p_value(scores) < scores.options.detection.term_false_alarm
+    stretched = largest_shift(scores.fit) > level  # such as a clock that is early, which has no name
+    return bool(shows or stretched or exceeds_noise(scores.fit, scores.study, options=scores.options)), level
+
+
+def exceeds_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> bool:
+    """Whether a fit leaves more than the noise, beyond what the noise's own estimate may be off."""
+    if not all(noise.verified for noise in study.noise.values()):
+        return False  # there the noise is what a fit leaves
+    rows = fit.rows
+    return bool(fit.chi_square - rows > options.detection.noise_error * rows + 5.0 * np.sqrt(2.0 * rows))
+
+
+def _term_p_value(scores: ScoreTest) -> float:
+    """The probability that the most telling free term is chance, for as many as were tried."""
+    from scipy.stats import chi2
+
+    tests = [(value, freedom) for value, freedom in scores.term_tests() if freedom]
+    if not tests:
+        return 1.0
+    least = min(float(chi2.sf(value, freedom)) for value, freedom in tests)
+    return float(-np.expm1(len(tests) * np.log1p(-min(least, 1.0 - 1e-12))))
+
+
+def unexplained_share(nominal: NominalFit, final: ScoreTest) -> float:
+    """The share of what the best explains that it leaves, beyond chance, for others to explain: a free term, an
+    amplitude that wanders or, beside two causes, a third one. Infinite where more than the noise is left.
+    """  # fmt: skip
+    from scipy.stats import chi2
+
+    if exceeds_noise(final.fit, nominal.study, options=final.options):
+        return float("inf")
+    tests = [(value, freedom) for value, freedom in final.term_tests() if freedom]
+    over = [
+        value - float(chi2.isf(final.options.detection.term_significance / len(tests), freedom))
+        for value, freedom in tests
+    ]
+    wander, freedom = final.constancy()
+    if freedom:
+        over.append(wander - float(chi2.isf(1e-3, freedom)))
+    if len(final.fit.fitted) == final.options.isolation.most_causes and (
+        third := final.z().max(initial=0.0)
+    ) > final.level(final.options.detection.false_alarm):
+        over.append(third**2)
+    gained = max(nominal.fit.chi_square - final.fit.chi_square, 1.0)
+    return max([0.0, *over]) / gained

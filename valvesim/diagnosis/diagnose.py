@@ -1,0 +1,196 @@
+"""Given measured data: what the simulation gets wrong, its cause, the extended model and the gain on hold-out
+records.
+
+The order of work: fit the nominal model with its parameters inside their tolerances; test every candidate and every
+free term against what is left; refit the few that could explain it, alone and in pairs; look again at what those
+leave. A cause is named only where nothing else explains the data nearly as well and nothing is left over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from valvesim.diagnosis.answer_tables import (
+    UNITS,
+    candidate_answers,
+    detection_limits,
+    error_table,
+    parameter_shifts,
+    score_table,
+)
+from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
+from valvesim.diagnosis.experiment_design import design
+from valvesim.diagnosis.extended_model import effect_files, scenario_text
+from valvesim.diagnosis.holdout_gain import holdout_gain
+from valvesim.diagnosis.intervals import confidence_intervals
+from valvesim.diagnosis.isolation import Isolation, isolate
+from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
+from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, null_hypothesis_beside
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
+from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN, Diagnosis, NextTest, NoiseFound, Term
+from valvesim.diagnosis.wording import location_text, summary_text
+from valvesim.identification.fit import Fit
+from valvesim.identification.nominal_fit import NominalFit, within_tolerance
+from valvesim.identification.session import Session
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_study
+
+
+def diagnose(
+    session: Session | str | Path,
+    *,
+    progress: Callable[[str, float], None] | None = None,
+    options: DiagnosisOptions = DEFAULT_DIAGNOSIS,
+) -> Diagnosis:
+    """Diagnose a session, or the folder of one. `progress(stage, share)` is called with what is being done.
+
+    The same session and seed give the same answer. Raises InputError for a session that cannot be used and SolveError
+    where the nominal valve cannot be simulated under the session's inputs.
+    """
+    progress = progress or (lambda stage, share: None)
+    progress("reading", 0.0)
+    session = session if isinstance(session, Session) else load_session(session, options=options.identification)
+    study = prepare_study(session, options=options.identification)
+    nominal, known = fit_coarse_to_fine(
+        study, lambda stage, share: progress(stage, 0.05 + 0.25 * share), options=options
+    )
+    isolation = isolate(nominal, lambda stage, share: progress(stage, 0.3 + 0.6 * share), known, options=options)
+    progress("measuring the gain", 0.9)
+    return _answer(isolation)
+
+
+def _answer(isolation: Isolation) -> Diagnosis:
+    nominal, scores, level = isolation.nominal, isolation.scores, isolation.level
+    found, answer_set = isolation.found, isolation.answer_set
+    study, session = nominal.study, nominal.study.session
+    best = found[0] if found else None
+    chosen = best.fit if best is not None else nominal.fit
+    in_set, unknown_reason = (
+        [*answer_set, *null_hypothesis_beside(nominal, answer_set, level, options=isolation.scores.options)],
+        isolation.unknown_reason,
+    )
+    inadequate = is_inadequate(nominal, chosen, options=isolation.scores.options)
+    recovered: RecoveredTerm | None = None
+    if isolation.alarm and not inadequate and (unknown_reason or not in_set):
+        recovered = recover_term(nominal, scores)
+        if recovered is not None and in_set and _term_explains_more(recovered, found, options=isolation.scores.options):
+            in_set, unknown_reason = [], ""
+    answers = candidate_answers(nominal, found, in_set, level, unknown_reason, options=isolation.scores.options)
+    verdict = verdict_of(isolation.alarm, in_set, unknown_reason)
+    term: Term | None = None
+    notes = list(session.notes)
+    if any(not noise.verified for noise in study.noise.values()):
+        notes.append(
+            "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
+        )
+    if inadequate:
+        verdict, in_set = UNKNOWN, []
+        notes.insert(
+            0, "the base model cannot come near these records: are they of this valve, with these units and signs?"
+        )
+    named = best if verdict in (CAUSE, AMBIGUOUS) else None
+    unextended = nominal.fit.variant(study.nominal)
+    variant, readings, point = unextended, nominal.fit.readings, nominal.fit.point
+    if named is not None:
+        variant, readings, point = chosen.variant(study.nominal), chosen.readings, chosen.point
+    elif verdict == UNKNOWN and recovered is not None:
+        term, variant, readings, point = recovered.term, recovered.variant, recovered.readings, recovered.point
+    causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
+    estimates = confidence_intervals(nominal, isolation.final) if named is not None else ()
+    before = nominal.fit if variant is unextended else within_tolerance(nominal)
+    gain, claimed, offered, traces, failed = holdout_gain(
+        nominal, before, variant, readings, options=isolation.scores.options
+    )
+    notes += failed
+    if not offered and variant is not unextended:
+        variant = before.variant(study.nominal)
+        notes.append(
+            "the locked records do not show that the extension helps: the scenario is that of the refitted base model"
+        )
+    next_test = None
+    if verdict == AMBIGUOUS:
+        next_test = _propose_experiment(nominal, in_set, options=isolation.scores.options)
+    return Diagnosis(
+        title=session.title,
+        verdict=verdict,
+        causes=causes,
+        summary=summary_text(verdict, in_set, term, notes, unknown_reason),
+        location=location_text(verdict, in_set),
+        candidates=tuple(answers),
+        parameters=estimates,
+        gain=gain,
+        gain_claimed=claimed,
+        extension_offered=offered and variant is not unextended,
+        detection_limits=detection_limits(scores, level),
+        next_test=next_test,
+        term=term,
+        shifts=parameter_shifts(study, point),
+        noise=tuple(
+            NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=UNITS[channel], order=len(n.lags),
+                       verified=n.verified, source=n.source)
+            for (channel, rate), n in study.noise.items()
+        ),
+        scores=score_table(scores),
+        alarm_level=level,
+        errors=error_table(study, before),
+        notes=tuple(notes),
+        traces=traces,
+        extended_scenario=scenario_text(session, variant, options=isolation.scores.options),
+        extended_effects=effect_files(session, variant),
+        extended_variant=variant,
+    )  # fmt: skip
+
+
+def verdict_of(alarm: bool, in_set: Sequence[FittedHypothesis], unknown_reason: str = "") -> str:
+    if not alarm:
+        return NO_DISCREPANCY
+    if not in_set:
+        return UNKNOWN
+    return CAUSE if len(in_set) == 1 and not unknown_reason else AMBIGUOUS
+
+
+def is_inadequate(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -> bool:
+    """True where most of the signal stays unexplained in most channels: these records are not of this valve."""
+    shares = []
+    for predictor, read in zip(nominal.study.predictors, fit.readings, strict=True):
+        for name, column in read.items():
+            usable = predictor.record.usable[name]
+            measured_channels, column = predictor.record.values[name][usable], column[usable]
+            noise = nominal.study.noise[name, predictor.record.pace].deviation
+            signal = float(np.std(measured_channels))
+            if signal > 5.0 * noise:
+                shares.append(float(np.sqrt(np.mean((measured_channels - column) ** 2))) / signal)
+    return bool(shares) and float(np.median(shares)) > options.selection.inadequate_share
+
+
+def _term_explains_more(
+    recovered: RecoveredTerm, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> bool:
+    """Whether a term that nobody has listed explains more than any cause that is, for the penalty of its figures."""
+    least_chi_square = min(one.least_chi_square + one.fit.occam_factor for one in found)
+    return (
+        recovered.chi_square + recovered.freedom * np.log(found[0].fit.rows)
+        < least_chi_square - options.selection.answer_ratio
+    )
+
+
+def _propose_experiment(
+    nominal: NominalFit, in_set: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> NextTest | None:
+    """The test that tells the likeliest from the next, or where none does, from the one after it."""
+    first, *others = in_set
+    tests = (
+        design(
+            nominal,
+            first.fit,
+            other.fit,
+            (first.label, other.label),
+            lambda more: answer_set_width(nominal, first, more),
+            options=options,
+        )
+        for other in others[: options.design.alternatives]
+    )
+    return next((test for test in tests if test is not None), None)

@@ -1,0 +1,189 @@
+"""What could explain the data: the alarm, the hypotheses that are fitted, and those of them that stay.
+
+Every candidate and every free term is tested against what the nominal fit leaves; the few that could explain it are
+refitted, alone and in pairs, and fits that may have stopped short taken up again; what the best leaves is looked at
+once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from valvesim.diagnosis.detection import detect, unexplained_share
+from valvesim.diagnosis.model_selection import (
+    FittedHypothesis,
+    answer_set_of,
+    answer_set_width,
+    did_run,
+    distinct,
+    ranked,
+    with_minimum_gain,
+)
+from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.refits import fit_starts, largest_shift, reduced_hypotheses, restarted
+from valvesim.diagnosis.score_test import ScoreTest, score_test
+from valvesim.diagnosis.second_cause import (
+    at_full_weight,
+    effects_for_parameters,
+    with_other_pairs,
+    with_second_cause,
+    with_singles_from_prior,
+)
+from valvesim.diagnosis.starts import start_points
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.fit import Fit, evaluate_fit
+from valvesim.identification.hypothesis_fit import continue_from
+from valvesim.identification.nominal_fit import NominalFit, refit_nominal, unweighted
+
+
+@dataclass(frozen=True, eq=False)
+class Isolation:
+    """Where an isolation ended: `nominal` the nominal fit in the end, `scores` what it leaves, `final` what the best
+    of the hypotheses `found` (best first) leaves; `answer_set` among them, and why an unknown cause is in it too,
+    if it is; whether there is an alarm, and the `level` that the candidates' z had to pass.
+    """
+
+    nominal: NominalFit
+    scores: ScoreTest
+    final: ScoreTest
+    found: Sequence[FittedHypothesis]
+    answer_set: Sequence[FittedHypothesis]
+    unknown_reason: str
+    alarm: bool
+    level: float
+
+
+def isolate(
+    nominal: NominalFit, progress: Callable[[str, float], None], known: Sequence[Fit] = (), *, options: DiagnosisOptions
+) -> Isolation:
+    """The hypotheses of one and of two causes that explain what a nominal fit leaves, if that is an alarm.
+
+    The nominal fit is made anew where they show that it had stopped short. Hypotheses `known` from elsewhere are the
+    only ones to begin with. `progress(stage, share)` is called with what is being done.
+    """
+    progress("looking for causes", 0.0)
+    scores = score_test(nominal, nominal.fit, options=options)
+    for again in reversed(range(options.isolation.restarts + 1)):
+        alarm, level = detect(scores)
+        if not alarm:
+            return Isolation(nominal, scores, scores, [], [], "", alarm, level)
+        found, likeliest = _first_hypotheses(
+            nominal, scores, known, lambda share: progress("refitting", 0.15 + 0.6 * share)
+        )
+        better = _better_nominal(nominal, found) if again else None
+        if better is None:
+            break
+        nominal, scores = better, score_test(better, better.fit, options=options)
+    found += restarted(nominal, found, likeliest, options=options)
+    found = with_minimum_gain(
+        nominal, reduced_hypotheses(nominal, distinct(found, options=options), options=options), level, options=options
+    )
+    progress("checking", 0.75)
+    nominal, found, final = _verified(nominal, scores, level, found)
+    if not found:
+        return Isolation(nominal, scores, final, [], [], "", alarm, level)
+    left, bearable = unexplained_share(nominal, final), max(options.detection.doubtful_share, found[0].law_error)
+    found, plainest = ranked(nominal, found), left
+    if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
+        final = score_test(nominal, found[0].fit, options=options)
+        plainest = unexplained_share(nominal, final)
+    if left > bearable:  # where even the best leaves so much, none of them is the answer
+        return Isolation(nominal, scores, final, found, [], "", alarm, level)
+    answer_set = answer_set_of(nominal, found, whole=plainest <= options.isolation.unexplained_share, options=options)
+    return Isolation(
+        nominal, scores, final, found, answer_set, unknown_reason_of(answer_set[0], min(left, plainest)), alarm, level
+    )
+
+
+def _verified(
+    nominal: NominalFit, scores: ScoreTest, level: float, found: list[FittedHypothesis]
+) -> tuple[NominalFit, list[FittedHypothesis], ScoreTest]:
+    """The nominal fit in the end, hypotheses best first, and the score test of the best."""
+    final = scores
+    if found:
+        found, final = with_second_cause(nominal, score_test(nominal, found[0].fit, options=scores.options), found)
+        found, final = effects_for_parameters(nominal, scores, found, final)
+        found, final = with_other_pairs(nominal, found, final)
+        if (
+            nominal.study.weights
+            and nominal.fit.chi_square > scores.options.identification.fit.inadequate_ratio * nominal.fit.rows
+        ):
+            nominal, found, final = at_full_weight(nominal, found, final)
+    if largest_shift(nominal.fit) > scores.options.isolation.shifted and (
+        not found or unexplained_share(nominal, final) > scores.options.detection.doubtful_share
+    ):
+        found, final = with_singles_from_prior(nominal, scores, level, found, final)
+    return nominal, found, final
+
+
+def unknown_reason_of(best: FittedHypothesis, left: float) -> str:
+    """Why what is in no catalogue may be the cause as well as the best, which leaves a share; "" where it may not."""
+    if left > best.options.isolation.unexplained_share:
+        return "what the likeliest leaves over, none of them explains"
+    faults = [c.effect.name for c in best.candidates if c.effect is not None and c.effect.reading is not None]
+    if len(set(faults)) < len(faults):
+        return "sensors that err alike may show one thing that reaches them all"
+    if any(
+        member.candidate.is_ordinary(member.above_neutral, best.options.identification.prior.ordinary_lag)
+        for member in best.fit.fitted
+    ):
+        return "a sensor may be so late without a fault"
+    return ""
+
+
+def _first_hypotheses(
+    nominal: NominalFit, scores: ScoreTest, known: Sequence[Fit], progress: Callable[[float], None]
+) -> tuple[list[FittedHypothesis], str]:
+    """Hypotheses of one and of two candidates, refitted, and the likeliest of them before."""
+    found, likeliest, failed = _known_hypotheses(nominal, known, progress, options=scores.options), "", set[str]()
+    if found:
+        return found, likeliest
+    while starts := start_points(scores, failed):
+        found, likeliest = (
+            fit_starts(nominal, starts, progress=progress, options=scores.options),
+            starts[0][0].candidate.label,
+        )
+        if any(likeliest == candidate.label for one in found for candidate in one.candidates):
+            break
+        failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
+    return found, likeliest
+
+
+def _known_hypotheses(
+    nominal: NominalFit, known: Sequence[Fit], progress: Callable[[float], None], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """Hypotheses that were fitted elsewhere, refitted where they do not yet explain nearly as much as the likeliest."""
+    begun = list[Fit]()
+    for one in known:
+        try:
+            begun.append(replace(evaluate_fit(nominal.study, one.point, one.fitted), occam_factor=one.occam_factor))
+        except (SolveError, InputError):
+            continue
+    found = list[FittedHypothesis]()
+    for k, fit in enumerate(sorted(begun, key=lambda fit: fit.chi_square)):
+        progress(k / len(begun))
+        near = found and fit.chi_square < found[0].fit.chi_square + options.isolation.as_good * answer_set_width(
+            nominal, found[0]
+        )
+        refitted = fit if near else continue_from(nominal, fit)
+        found += [FittedHypothesis(refitted, options=options)] if did_run(refitted) else []
+    return found
+
+
+def _better_nominal(nominal: NominalFit, found: Sequence[FittedHypothesis]) -> NominalFit | None:
+    """The nominal model fitted from where a hypothesis has gone, if that is better without its causes too.
+
+    Then most of what this explains is that the nominal fit had stopped short.
+    """
+    for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
+        try:
+            fit = evaluate_fit(nominal.study, one.point, ())
+            if fit.chi_square > 0.5 * (nominal.fit.chi_square + one.chi_square):
+                continue
+            better = refit_nominal(nominal, fit)
+        except (SolveError, InputError):
+            continue
+        if unweighted(better).fit.chi_square < unweighted(nominal).fit.chi_square:
+            return better
+    return None

@@ -1,0 +1,156 @@
+"""What no known cause explains, recovered as a function: where it acts, of what, with memory or without.
+
+The term hypotheses are ranked by what they would explain of the nominal fit's residual, each drawn by straight
+lines; the best are then estimated inside the simulation, together with the nuisance parameters, and the one whose
+chi-square is lowest for its freedom stays. Last, a formula is tried on what was found.
+
+Symbols
+    t nuisance parameters in prior deviations, v values of the term at its knots, s logarithms of its memory's figure
+    D = r'r + t't + |B v|^2 + (s - s_0)^2: penalised chi-square; B second differences, offset and slope over their
+    priors' widths
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.result import Term
+from valvesim.diagnosis.score_test import ScoreTest, score_test
+from valvesim.diagnosis.symbolic_form import relative_difference, with_formula
+from valvesim.diagnosis.term_estimation import TermEstimate, TermProblem, estimate_term
+from valvesim.identification.nominal_fit import NominalFit
+from valvesim.identification.predictor import ModelVariant
+from valvesim.valve.additive_term import NONE, TermHypothesis
+from valvesim.valve.effect import ActiveEffect
+
+
+@dataclass(frozen=True, eq=False)
+class RecoveredTerm:
+    """A term found: `term` for the answer, `active` the effect that has it, and the fit: point (p,) of the nominal
+    model parameters, chi-square, how many figures of the term are free, readings of each training record, the
+    variant that ran.
+    """  # fmt: skip
+
+    term: Term
+    active: ActiveEffect
+    point: np.ndarray
+    chi_square: float
+    freedom: int
+    readings: tuple[dict[str, np.ndarray], ...]
+    variant: ModelVariant
+
+
+def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None:
+    """The term that explains most, for its freedom, of what the nominal fit leaves; None where none explains anything.
+
+    `scores` is the nominal fit looked at with its term hypotheses (`score_test`).
+    """
+    if not scores.hypotheses:
+        return None
+    price = float(np.log(len(nominal.fit.residual)))
+    least, best = nominal.fit.chi_square - scores.options.missing_term.minimum_gain, None
+    for_terms = replace(
+        nominal, study=replace(nominal.study, candidates=())
+    )  # `scores` has tested the candidates already
+    fine = score_test(
+        for_terms,
+        nominal.fit,
+        terms=[f for f in scores.hypotheses if f.memory == NONE],
+        knots=scores.options.missing_term.fine_test_knots,
+        options=scores.options,
+    )
+    score_tests = {scores.options.missing_term.knots: scores, scores.options.missing_term.fine_knots: fine}
+    ranked, margin = _ranked(score_tests, options=scores.options)
+    for hypothesis, count in ranked[: scores.options.missing_term.estimated]:
+        cost = price * (count + (hypothesis.memory != NONE)) + hypothesis.complexity * margin
+        found = estimate_term(nominal, hypothesis, count, least - cost, options=scores.options)
+        if found is not None and found[1].state.chi_square + cost < least:
+            least, best = found[1].state.chi_square + cost, found
+    if best is None:
+        return None
+    problem, solution = best
+    formula, error, remembers = "", float("nan"), problem.hypothesis.memory != NONE
+    freedom = len(problem.knots) + remembers
+    held = with_formula(problem, solution, nominal.fit.chi_square - solution.state.chi_square)
+    if held is not None:
+        (new, formula, free_parameters), old = held, solution.state.values
+        freedom = free_parameters + remembers
+        error = relative_difference(problem, new.state.values, old)
+        solution = new
+    state = solution.state
+    term = _term_answer(
+        problem,
+        solution,
+        formula,
+        error,
+        _alike(score_tests.get(len(problem.knots), scores), problem.hypothesis, margin),
+    )
+    return RecoveredTerm(
+        term, problem.active(state.values, state.memory_log), state.point, state.chi_square, freedom,
+        state.readings, problem.variant(state.point, state.values, state.memory_log),
+    )  # fmt: skip
+
+
+def _ranked(
+    score_tests: dict[int, ScoreTest], *, options: DiagnosisOptions
+) -> tuple[list[tuple[TermHypothesis, int]], float]:
+    """Families worth estimating, best first, each with its knots; and the penalty of an oddity.
+
+    `score_tests` are by the knots that a term gets which shows there; what counts is what a term hypothesis explains
+    less what its freedom costs.
+    """
+    gains, found = [], []
+    for count, scores in score_tests.items():
+        price = np.log(max(sum(scores.gram.rows), 2))
+        for hypothesis, (value, freedom) in zip(scores.hypotheses, scores.term_tests(), strict=True):
+            gains.append(value - price * freedom)
+            slight = (
+                count == options.missing_term.knots
+                and value < options.missing_term.little * price * options.missing_term.knots
+            )
+            found.append((hypothesis, options.missing_term.few_knots if slight else count))
+    margin = max(
+        options.missing_term.complexity_penalty, options.missing_term.complexity_share * max(gains, default=0.0)
+    )
+    score = np.array(gains) - margin * np.array([hypothesis.complexity for hypothesis, _ in found])
+    order = [int(k) for k in np.argsort(-score, kind="stable") if score[k] > 0.0]
+    ranked: list[tuple[TermHypothesis, int]] = []
+    for k in order:
+        if score[k] < options.missing_term.score_share * score[order[0]]:
+            break
+        hypothesis, count = found[k]
+        if all((_place(f), f.memory) != (_place(hypothesis), hypothesis.memory) for f, _ in ranked):
+            ranked.append((hypothesis, count))
+    return ranked, margin
+
+
+def _alike(scores: ScoreTest, hypothesis: TermHypothesis, margin: float) -> tuple[str, ...]:
+    """Labels of the other term hypotheses that explain nearly as much, best first: of each port and variable the
+    best.
+    """
+    gains = [value for value, _ in scores.term_tests()]
+    least = max(g for g, f in zip(gains, scores.hypotheses, strict=True) if _place(f) == _place(hypothesis)) - margin
+    near = [scores.hypotheses[k] for k in np.argsort(gains, kind="stable")[::-1] if gains[k] > least]
+    places = dict.fromkeys(map(_place, near))
+    return tuple(next(f.label for f in near if _place(f) == place) for place in places if place != _place(hypothesis))
+
+
+def _place(hypothesis: TermHypothesis) -> tuple[str, str]:
+    return hypothesis.port.name, hypothesis.variable.name
+
+
+def _term_answer(
+    problem: TermProblem, solution: TermEstimate, formula: str, error: float, alike: tuple[str, ...]
+) -> Term:
+    p, k = len(solution.state.point), len(problem.knots)
+    variance = np.diag(solution.covariance)[p : p + k]
+    hypothesis = problem.hypothesis
+    return Term(
+        port=hypothesis.port.name, port_unit=hypothesis.port.unit, variable=hypothesis.variable.name,
+        variable_unit=hypothesis.variable.unit, memory=hypothesis.memory, at=tuple(map(float, problem.knots)),
+        value=tuple(map(float, solution.state.values)), deviation=tuple(map(float, np.sqrt(np.maximum(variance, 0.0)))),
+        formula=formula, formula_error=error, alike=alike,
+    )  # fmt: skip

@@ -1,0 +1,177 @@
+"""Hypotheses that were fitted, weighed against each other: what explains the data, and what does so nearly as well.
+
+Differences of chi-square count less than they would if the model were the plant, and what is rare or has more freedom
+costs more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.nominal_fit import NominalFit
+
+
+@dataclass(frozen=True, eq=False)
+class FittedHypothesis:
+    """A hypothesis fitted."""
+
+    fit: Fit
+    options: DiagnosisOptions
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        return tuple(member.candidate for member in self.fit.fitted)
+
+    @property
+    def least_chi_square(self) -> float:
+        """The chi-square less what the fit still predicts to gain."""
+        return self.fit.chi_square - min(self.fit.predicted_reduction, self.options.identification.fit.unconverged)
+
+    @property
+    def prior_penalty(self) -> float:
+        """Twice the log prior odds against these candidates."""
+        return sum(
+            2.0 * np.log(10.0) + _rarity_penalty(candidate, options=self.options) for candidate in self.candidates
+        )
+
+    @property
+    def evidence(self) -> float:
+        """Minus twice the log evidence, up to a constant (Laplace's approximation; MacKay 1992)."""
+        strength = sum((e.above_neutral / (5.0 * e.candidate.typical)) ** 2 for e in self.fit.fitted)
+        return float(self.least_chi_square + self.fit.occam_factor + self.prior_penalty + strength)
+
+    def tempered(self, temperature: float) -> float:
+        """The same tempered: differences of chi-square over a temperature, prior odds not, see `temperature_of`."""
+        return self.evidence + (temperature - 1.0) * self.prior_penalty
+
+    @property
+    def law_error(self) -> float:
+        """The share of what it explains by which another law of the same effect may do better."""
+        return max((c.effect.law_error for c in self.candidates if c.effect is not None), default=0.0)
+
+    @property
+    def label(self) -> str:
+        """The candidates' labels."""
+        return " + ".join(c.label for c in self.candidates) or "nothing but noise"
+
+    def is_within(self, other: FittedHypothesis) -> bool:
+        """Whether another hypothesis has all these candidates, by whatever name."""
+        return all(
+            any(mine.label == c.label or mine.is_equivalent_to(c) for c in other.candidates) for mine in self.candidates
+        )
+
+    def has_same_causes(self, other: FittedHypothesis) -> bool:
+        """Whether another hypothesis has just these candidates."""
+        return len(self.candidates) == len(other.candidates) and self.is_within(other)
+
+
+def _rarity_penalty(candidate: Candidate, *, options: DiagnosisOptions) -> float:
+    """Twice the log prior odds against what is rarer than an effect of the catalogue."""
+    if candidate.effect is None:
+        return (
+            options.selection.material_penalty if candidate.unit.endswith("/K") else options.selection.parameter_penalty
+        )
+    return options.selection.refined_penalty if candidate.effect.plainer else 0.0
+
+
+def distinct(found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> list[FittedHypothesis]:
+    """Best evidence first: one of each meaning, without pairs that hold an effect which has come to nothing."""
+    kept: list[FittedHypothesis] = []
+    for one in sorted(found, key=lambda one: one.evidence):
+        nothing = len(one.fit.fitted) > 1 and any(
+            is_negligible(member, options.selection.negligible_amplitude) for member in one.fit.fitted
+        )
+        if not nothing and not any(map(one.has_same_causes, kept)):
+            kept.append(one)
+    return kept
+
+
+def did_run(fit: Fit) -> bool:
+    return bool(np.isfinite(fit.chi_square))
+
+
+def is_negligible(member: FittedCandidate, share: float) -> bool:
+    """Whether an amplitude has come to less than a share of what is typical."""
+    return abs(member.above_neutral) < share * member.candidate.typical
+
+
+def with_minimum_gain(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], level: float, *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """Those that explain enough to be hypotheses at all."""
+    return [
+        one for one in found if nominal.fit.chi_square - one.fit.chi_square > options.selection.minimum_gain * level**2
+    ]
+
+
+def answer_set_width(nominal: NominalFit, best: FittedHypothesis, more: float = 0.0) -> float:
+    """The difference of evidence up to which another hypothesis explains the data nearly as well as the best does.
+
+    A fall beyond the noise itself tells how inadequate the nominal fit was, not how much the best explains. `more`
+    is what it would explain besides in further records.
+    """
+    fall = min(nominal.fit.chi_square - best.fit.chi_square, best.fit.rows) + more
+    return max(best.options.selection.answer_ratio, max(best.options.selection.answer_share, best.law_error) * fall)
+
+
+def temperature_of(nominal: NominalFit, best: FittedHypothesis) -> float:
+    """The temperature of a tempered posterior: the model is not the plant, so that differences count less."""
+    return answer_set_width(nominal, best) / best.options.selection.answer_ratio
+
+
+def ranked(nominal: NominalFit, found: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
+    """The found with those that explain the data nearly as well as the best in the order of their probabilities.
+
+    Of two that fit alike for a model that is not the plant, the plainer goes first.
+    """
+    best = found[0]
+    temperature, width = temperature_of(nominal, best), answer_set_width(nominal, best)
+    near = sorted(
+        (one for one in found if one.evidence - best.evidence < width), key=lambda one: one.tempered(temperature)
+    )
+    return [*near, *(one for one in found if one not in near)]
+
+
+def answer_set_of(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], whole: bool = True, *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The best, and those that explain the data nearly as well; `whole` tells that the best leaves nothing over."""
+    if not found:
+        return []
+    best, width, temperature = found[0], answer_set_width(nominal, found[0]), temperature_of(nominal, found[0])
+    most = len(best.candidates)  # how wide a prior is does not tell two apart that fit alike
+    near = [
+        one
+        for one in found
+        if one.tempered(temperature) - best.tempered(temperature) < width
+        or (len(one.candidates) <= most and one.least_chi_square - best.least_chi_square < width)
+        or (
+            len(one.candidates) < most
+            and one.is_within(best)
+            and one.least_chi_square - best.least_chi_square < options.selection.second_gain
+        )
+    ]
+    # what a better one says already, and something more besides, is no rival of it, unless there must be something more
+    return [one for k, one in enumerate(near) if not whole or not any(better.is_within(one) for better in near[:k])]
+
+
+def odds_against_noise(nominal: NominalFit, best: FittedHypothesis, level: float) -> float:
+    """Twice the log odds of the best against noise alone: at the alarm level the two are as likely."""
+    return nominal.fit.chi_square - best.fit.chi_square - level**2
+
+
+def null_hypothesis_beside(
+    nominal: NominalFit, answer_set: Sequence[FittedHypothesis], level: float, *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The null hypothesis, where what the best explains is so little that it may be noise."""
+    return (
+        [FittedHypothesis(nominal.fit, options=options)]
+        if answer_set and odds_against_noise(nominal, answer_set[0], level) < options.selection.answer_ratio
+        else []
+    )

@@ -1,0 +1,241 @@
+"""The options of a diagnosis: every threshold with its unit, meaning and where its value comes from.
+
+`diagnose(session, options=DiagnosisOptions(...))` passes them on. See `valvesim.identification.options`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from valvesim.identification.options import JUDGEMENT, IdentificationOptions, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectionOptions:
+    """Detection: score tests and the alarm."""
+
+    knots: int = option(6, "1", "knots of each free term while it is looked for", JUDGEMENT)
+    reach: float = option(
+        10.0,
+        "1",
+        "multiple of its typical amplitude at which a candidate must show, or the session is blind to it",
+        JUDGEMENT,
+    )
+    equivalent_share: float = option(
+        0.9, "1", "share of a parameter's z that an equivalent effect must have to be counted in its place", JUDGEMENT
+    )
+    noise_error: float = option(0.06, "1", "relative error of a noise's variance", "a pair of short replicates")
+    false_alarm: float = option(
+        0.005,
+        "1",
+        "probability of an alarm of the candidates where nothing is hidden",
+        "with `term_false_alarm` below 0.01",
+    )
+    term_false_alarm: float = option(
+        0.002, "1", "probability of an alarm of the free terms where nothing is hidden", JUDGEMENT
+    )
+    term_significance: float = option(
+        0.01, "1", "p-value of a free term in what the best hypothesis leaves", "naming asks for more than an alarm"
+    )
+    doubtful_share: float = option(
+        0.02,
+        "1",
+        "share of the explained chi-square left over, up to which the best is still possible, as is an unknown cause",
+        JUDGEMENT,
+    )
+    draws: int = option(20_000, "1", "draws by which the alarm level is found", "a quantile of 0.005 to 10 %")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsolationOptions:
+    """Isolation: which hypotheses are fitted."""
+
+    most_causes: int = option(2, "1", "causes at once", "what two leave over tells that one of them is wrong")
+    singles: int = option(5, "1", "single candidates that are fitted", JUDGEMENT)
+    pairs: int = option(3, "1", "pairs of candidates that are fitted", JUDGEMENT)
+    single_share: float = option(
+        0.5,
+        "1",
+        "share of the best one's reduction from which a single candidate is fitted",
+        "far off, linear answers err by so much",
+    )
+    pair_reduction: float = option(
+        20.0, "1", "reduction of the chi-square that a second candidate must promise", JUDGEMENT
+    )
+    slight_share: float = option(
+        0.002,
+        "1",
+        "share of the typical amplitude below which one of a pair is left out",
+        "where leakage peaks are measured a thousandth may show",
+    )
+    shifted: float = option(
+        3.0,
+        "1",
+        "prior deviations from which a nuisance parameter may stand in a cause's way",
+        "beyond the tolerance, at 2",
+    )
+    restarts: int = option(3, "1", "times that what may be best, or the nominal model, is fitted again", JUDGEMENT)
+    seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)
+    second_share: float = option(0.8, "1", "share of the largest z from which they are", JUDGEMENT)
+    unexplained_share: float = option(
+        0.005, "1", "share of the explained chi-square that may stay behind for free terms", "no model is the plant"
+    )
+    as_good: float = option(
+        0.1, "1", "share of the answer set's width within which a hypothesis need not be fitted further", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionOptions:
+    """Model selection: evidence, answer set and verdict."""
+
+    answer_ratio: float = option(
+        6.0,
+        "1",
+        "difference of twice the log evidence up to which hypotheses stay in the answer set",
+        "odds of 20 to 1",
+    )
+    answer_share: float = option(
+        0.04, "1", "share of the explained chi-square that the answer set is wide", "no model is the plant"
+    )
+    minimum_gain: float = option(0.8, "1", "share of the squared alarm level that a hypothesis must explain", JUDGEMENT)
+    second_gain: float = option(
+        30.0, "1", "chi-square that a second cause must explain", "what a plant does otherwise than any model"
+    )
+    negligible_amplitude: float = option(
+        2e-4, "1", "share of the typical amplitude below which there is none", "twice `least_amplitude` of the fit"
+    )
+    parameter_penalty: float = option(
+        3.0, "1", "twice the log prior odds against a parameter beyond its tolerance", JUDGEMENT
+    )
+    material_penalty: float = option(
+        12.0, "1", "the same for one that the material has, and not how the part was made", JUDGEMENT
+    )
+    refined_penalty: float = option(
+        1.0, "1", "the same for an effect that is another, plainer one where its own feature does not show", JUDGEMENT
+    )
+    unknown_penalty: float = option(
+        6.4,
+        "1",
+        "twice the log prior odds against a cause that nobody has listed",
+        "of a hundred names given alone four stand for one",
+    )
+    inadequate_share: float = option(
+        0.35, "1", "share of the signal left unexplained where the records are not of this valve", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoarseToFineOptions:
+    """Long sessions: leading segments first."""
+
+    samples: int = option(20_000, "1", "samples of the leading segments of all different tests together", JUDGEMENT)
+    least_samples: int = option(500, "1", "samples of one leading segment", JUDGEMENT)
+    motion: float = option(
+        2e-3, "1", "share of its span by which an input must have changed to have begun to move", JUDGEMENT
+    )
+    lead: float = option(0.05, "s", "kept before the first input moves", JUDGEMENT)
+    taken_along: int = option(
+        2, "1", "hypotheses that are taken along where none explains the leading segments", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MissingTermOptions:
+    """A term that no catalogue has."""
+
+    knots: int = option(11, "1", "knots of a term", JUDGEMENT)
+    fine_knots: int = option(47, "1", "knots of a term whose shape asks for more", JUDGEMENT)
+    few_knots: int = option(6, "1", "knots of a term that explains little", JUDGEMENT)
+    little: float = option(3.0, "1", "times the cost of its knots: a term that explains less gets few", JUDGEMENT)
+    fine_test_knots: int = option(24, "1", "knots of the score test that finds which terms ask for more", JUDGEMENT)
+    minimum_gain: float = option(
+        15.0, "1", "chi-square, beyond the cost of its freedom, that a term must explain", JUDGEMENT
+    )
+    complexity_penalty: float = option(
+        10.0, "1", "chi-square that memory or another variable than the port's own must explain", JUDGEMENT
+    )
+    complexity_share: float = option(0.02, "1", "the same as a share of what the best term explains", JUDGEMENT)
+    estimated: int = option(2, "1", "term hypotheses estimated inside the simulation", JUDGEMENT)
+    score_share: float = option(0.75, "1", "share of the best score from which they are", JUDGEMENT)
+    steps: int = option(5, "1", "Gauss-Newton steps", JUDGEMENT)
+    ftol: float = option(1.0, "1", "predicted reduction that ends the estimation", JUDGEMENT)
+    relative_ftol: float = option(3e-3, "1", "the same as a share of what is explained", JUDGEMENT)
+    last_share: float = option(
+        0.05, "1", "reduction, as a share of what is explained, after which no linearisation is made", JUDGEMENT
+    )
+    longest_step: float = option(3.0, "1", "step of a nuisance parameter, in prior deviations", JUDGEMENT)
+    tail: float = option(0.002, "1", "share of the samples beyond the outermost knots, at either end", JUDGEMENT)
+    line_deviation: float = option(
+        0.25, "1", "prior deviation of offset and of slope over half the range, in units of the term's size", JUDGEMENT
+    )
+    bend_deviation: float = option(
+        1.0, "1", "prior deviation of a second difference, in units of the term's size", JUDGEMENT
+    )
+    memory_deviation: float = option(
+        1.0, "1", "prior deviation of the logarithm of a time constant or width", JUDGEMENT
+    )
+    memory_step: float = option(0.1, "1", "step of such a logarithm in differences", JUDGEMENT)
+    formula_error: float = option(0.1, "1", "relative error up to which a formula is offered", JUDGEMENT)
+    formulas: int = option(2, "1", "formulas that are fitted", JUDGEMENT)
+    pure_share: float = option(
+        0.04, "1", "share of what the term explains that a formula of one shape may leave", "no model is the plant"
+    )
+    mixed_share: float = option(
+        0.02, "1", "the same of a formula with offset or slope", "offsets and slopes are what tolerances are for"
+    )
+    formula_steps: int = option(3, "1", "steps of the fit of a formula", JUDGEMENT)
+    formula_ftol: float = option(
+        0.1, "1", "reduction, as a share of the loss against the spline, that ends it", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignOptions:
+    """Experiment design."""
+
+    power: float = option(0.95, "1", "power that an experiment should have", JUDGEMENT)
+    least_power: float = option(0.8, "1", "power below which it is not worth a day on the rig", JUDGEMENT)
+    replicates: tuple[int, ...] = option((1, 2, 4, 8, 16), "1", "numbers of replicates that are thought of", JUDGEMENT)
+    examined: int = option(
+        3, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
+    )
+    alternatives: int = option(
+        2, "1", "members of the answer set from which an experiment is sought that tells the likeliest", JUDGEMENT
+    )
+    rate: float = option(1000.0, "Hz", "sampling rate", JUDGEMENT)
+    full: float = option(0.9, "1", "share of the rated command of a full triangle", JUDGEMENT)
+    chirp: float = option(0.45, "1", "share of the rated command of a chirp", JUDGEMENT)
+    small: float = option(0.06, "1", "share of the rated command of a small triangle about null", JUDGEMENT)
+    low_supply: float = option(0.4, "1", "share of the nominal supply pressure", JUDGEMENT)
+    load: float = option(0.35, "1", "share of the nominal supply pressure that is load", JUDGEMENT)
+    oil_margin: float = option(10.0, "delta_degC", "by which the oil may leave the range of the session", JUDGEMENT)
+    coldest_oil: float = option(0.0, "degC", "but no colder", JUDGEMENT)
+    hottest_oil: float = option(90.0, "degC", "and no hotter", JUDGEMENT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldOutOptions:
+    """The gain on hold-out records."""
+
+    likely: float = option(
+        0.9, "1", "chance that the hold-out records get better, below which no extended model is offered", JUDGEMENT
+    )
+    interval: tuple[float, float] = option((0.025, 0.975), "1", "quantiles of the bootstrap interval", "95 %")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisOptions:
+    """All options of a diagnosis, a stage each."""
+
+    identification: IdentificationOptions = IdentificationOptions()
+    detection: DetectionOptions = DetectionOptions()
+    isolation: IsolationOptions = IsolationOptions()
+    selection: SelectionOptions = SelectionOptions()
+    coarse_to_fine: CoarseToFineOptions = CoarseToFineOptions()
+    missing_term: MissingTermOptions = MissingTermOptions()
+    design: DesignOptions = DesignOptions()
+    hold_out: HoldOutOptions = HoldOutOptions()
+
+
+DEFAULT_DIAGNOSIS = DiagnosisOptions()

@@ -1,0 +1,126 @@
+"""Refits of hypotheses from their starts, and again from elsewhere where they may have stopped short."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from valvesim.diagnosis.model_selection import FittedHypothesis, did_run, distinct, is_negligible
+from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis
+from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
+
+
+def restarted(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], likeliest: str, *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """Fits that may have stopped short, taken up again from elsewhere."""
+    if not found:
+        return []
+    more = _pairs_from_members(nominal, found, options=options)
+    least = min((one.fit for one in (*found, *more)), key=lambda fit: fit.chi_square)
+    more += _from_best_point(nominal, [*found, *more], least, options=options)
+    renewed = (
+        options.isolation.restarts if least.chi_square < options.identification.fit.inadequate_ratio * least.rows else 0
+    )  # times that a promise may be; far off none holds
+    for one in [*found, *more]:
+        if (
+            one.label == likeliest
+            or one.fit.chi_square - renewed * one.fit.predicted_reduction
+            < least.chi_square + options.selection.answer_ratio
+        ):
+            more += _restarted_within_tolerance(nominal, one.fit, options=options)
+    return more
+
+
+def _pairs_from_members(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """Pairs that have ended above one of their own two fitted again from it: two can explain no less than one."""
+    alone = {one.label: one.fit for one in found if len(one.candidates) == 1}
+    again = []
+    for pair in (one.fit for one in found if len(one.candidates) == 2):
+        first, second = pair.fitted
+        for member, other in ((first, second), (second, first)):
+            fit = alone.get(member.candidate.label)
+            if fit is not None and fit.chi_square < pair.chi_square:
+                again.append(continue_fit(nominal, fit.with_fitted((*fit.fitted, replace(other, above_neutral=0.0)))))
+    return [FittedHypothesis(fit, options=options) for fit in again if did_run(fit)]
+
+
+def _from_best_point(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], least: Fit, *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """Those that keep a nuisance parameter far from nominal where the one that explains most does not, fitted from
+    its figures.
+    """
+    if not largest_shift(least) < options.isolation.shifted < largest_shift(nominal.fit):
+        return []
+    return fit_starts(
+        nominal,
+        [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted],
+        least.point,
+        options=options,
+    )
+
+
+def largest_shift(fit: Fit) -> float:
+    """How far out the furthest nuisance parameter is, in prior deviations."""
+    return float(np.abs(fit.point).max(initial=0.0))
+
+
+def _restarted_within_tolerance(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -> list[FittedHypothesis]:
+    """A fit that has not settled, fitted again from where no nuisance parameter is far from nominal: its valley may
+    be bent.
+    """
+    tried, reached = [fit], np.inf
+    for _ in range(options.isolation.restarts):
+        best = min(tried, key=lambda one: one.chi_square)
+        if (
+            best.predicted_reduction < options.identification.fit.unconverged
+            or best.chi_square > reached - options.identification.fit.unconverged
+        ):
+            break
+        reached = best.chi_square
+        tried += [
+            fit_hypothesis(nominal, best.fitted, clipped_to_tolerance(nominal)),
+            fit_from_prior(nominal, best.fitted),
+        ]
+    return [FittedHypothesis(one, options=options) for one in tried[1:] if did_run(one)]
+
+
+def fit_starts(
+    nominal: NominalFit,
+    starts: Sequence[tuple[FittedCandidate, ...]],
+    point: np.ndarray | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+    *,
+    options: DiagnosisOptions,
+) -> list[FittedHypothesis]:
+    """The hypotheses of starts that can be run, each refitted from a point of the nuisance parameters."""
+    found = []
+    for k, start in enumerate(starts):
+        progress(k / len(starts))
+        fits = [fit_hypothesis(nominal, start, point)]
+        more = tuple(member for member in fits[0].fitted if not is_negligible(member, options.isolation.slight_share))
+        if 0 < len(more) < len(start):  # from there, one alone may get where it could not before
+            fits.append(fit_hypothesis(nominal, more, fits[0].point))
+        found += [FittedHypothesis(fit, options=options) for fit in fits if did_run(fit)]
+    return found
+
+
+def reduced_hypotheses(
+    nominal: NominalFit, found: list[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The found with the best's candidates one fewer each time that this is better still."""
+    while found and len(found[0].candidates) > 1:
+        best = found[0].fit
+        starts = [tuple(member for member in best.fitted if member is not left_out) for left_out in best.fitted]
+        merged = distinct([*found, *fit_starts(nominal, starts, best.point, options=options)], options=options)
+        if merged[0] is found[0]:
+            return merged
+        found = merged
+    return found

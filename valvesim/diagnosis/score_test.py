@@ -1,0 +1,159 @@
+"""What a fit leaves, from all sides at once: candidates, free terms at every port, each part of each record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.term_sensitivities import argument, term_sensitivities
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.fit import Fit
+from valvesim.identification.fit_jacobian import (
+    all_candidate_sensitivities,
+    fitted_sensitivities,
+    gram_matrix,
+    linearise_fit,
+)
+from valvesim.identification.linearised_record import LinearisedRecord
+from valvesim.identification.nominal_fit import NominalFit
+from valvesim.identification.projection import GramMatrix, ProjectedScores, alarm_level, block_statistic, project
+from valvesim.identification.study import Study
+from valvesim.valve.additive_term import TermHypothesis, term_hypotheses
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreTest:
+    """The score tests of everything that a fit may lack (Rao 1948; Lagrange multiplier tests).
+
+    `projected` are the candidates, then the basis functions of the term hypotheses, orthogonal to the nuisance
+    parameters and to the fitted candidates. `sizes` (q,) are the amplitudes at which the candidates' columns stand;
+    `blocks` the columns of each term hypothesis; `own` those of the fitted candidates.
+    """
+
+    study: Study
+    fit: Fit
+    linearised: tuple[LinearisedRecord, ...]
+    gram: GramMatrix
+    candidates: tuple[Candidate, ...]
+    sizes: np.ndarray
+    hypotheses: tuple[TermHypothesis, ...]
+    blocks: tuple[tuple[int, ...], ...]
+    own: tuple[int, ...]
+    projected: ProjectedScores
+    options: DiagnosisOptions
+
+    @property
+    def dispersion(self) -> float:
+        """By how much the noise may be larger than its repeats have said: what the fit leaves, within reason."""
+        return float(np.clip(self.fit.chi_square / self.fit.rows, 1.0, 1.0 + self.options.detection.noise_error))
+
+    def visible(self) -> np.ndarray:
+        """(q,) True for candidates that the session would show if they were there."""
+        reach = np.array(
+            [min(self.options.detection.reach * c.typical, max(map(abs, c.limits))) for c in self.candidates]
+        )
+        return self.projected.distance[: len(self.candidates)] * reach / self.sizes > 4.0
+
+    def z(self) -> np.ndarray:
+        """(q,) of the candidates: one-sided where physics fixes the sign; zero where the session is blind.
+
+        An effect and the parameter that it changes are equivalent: the effect counts, where it explains as much.
+        """
+        q = len(self.candidates)
+        z = self.projected.z[:q] / np.sqrt(self.dispersion)
+        one_sided = np.array([c.one_sided for c in self.candidates])
+        z = np.where(self.visible(), np.where(one_sided, np.maximum(z, 0.0), np.abs(z)), 0.0)
+        effects = [(c, size) for c, size in zip(self.candidates, z, strict=True) if c.effect is not None]
+        twice = [
+            c.parameter is not None
+            and any(c.is_equivalent_to(e) and z_e > self.options.detection.equivalent_share * own for e, z_e in effects)
+            for c, own in zip(self.candidates, z, strict=True)
+        ]
+        return np.where(twice, 0.0, z)
+
+    def level(self, probability: float) -> float:
+        """The z that none of the candidates passes but with that probability, where nothing is hidden."""
+        q = np.flatnonzero(self.visible())
+        some = ProjectedScores(self.projected.score[q], self.projected.overlap[np.ix_(q, q)], 0.0)
+        one_sided = np.array([self.candidates[k].one_sided for k in q], dtype=bool)
+        return alarm_level(some, one_sided, probability, self.study.session.seed, self.options.detection.draws)
+
+    def term_tests(self) -> list[tuple[float, int]]:
+        """(chi-square, degrees of freedom) of each term hypothesis."""
+        projected = self.projected
+        tests = [block_statistic(projected, block) for block in self.blocks]
+        return [(value / self.dispersion, freedom) for value, freedom in tests]
+
+    def constancy(self) -> tuple[float, int]:
+        """(chi-square, degrees of freedom) of the first candidate's amplitude being the same in every segment."""
+        if not self.own:
+            return 0.0, 0
+        G, k = self.gram, 1 + self.gram.parameters + self.own[0]
+        at = [0, *range(1, 1 + G.parameters), *(1 + G.parameters + j for j in self.own)]
+        m, total = len(G.products), G.total
+        size = len(at)
+        big = np.zeros((size + m, size + m))
+        big[:size, :size] = total[np.ix_(at, at)]
+        for j in range(m):
+            big[:size, size + j] = big[size + j, :size] = G.products[j][at, k]
+            big[size + j, size + j] = G.products[j][k, k]
+        parts = GramMatrix(big[None], G.prior_now, ())
+        own = len(self.own)
+        split = project(parts, 0, own + m).without(range(own))
+        return block_statistic(split, range(own, own + m))
+
+
+def score_test(
+    nominal: NominalFit,
+    fit: Fit,
+    *,
+    terms: Sequence[TermHypothesis] = term_hypotheses(),
+    knots: int | None = None,
+    options: DiagnosisOptions,
+) -> ScoreTest:
+    """Test what a fit leaves for every candidate and every term hypothesis, each term on so many knots."""
+    study, knots = nominal.study, options.detection.knots if knots is None else knots
+    variant = fit.variant(study.nominal)
+    linearised, J = (nominal.linearised, nominal.columns) if fit is nominal.fit else linearise_fit(study, fit)
+    taken = [member.candidate for member in fit.fitted]
+    labels_taken = {candidate.label for candidate in taken}
+    candidates = tuple(c for c in study.candidates if c.label not in labels_taken and not any(map(c.excludes, taken)))
+    sizes = np.array([_search_size(c) for c in candidates])
+    changed = [c.apply_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
+    S = all_candidate_sensitivities(study, linearised, J, candidates, changed)
+    spans = _spans(linearised, terms)
+    T = study.each(lambda linear: term_sensitivities(linear, terms, spans, knots), linearised)
+    own = fitted_sensitivities(study, fit, linearised, J)
+    gram = gram_matrix(study, linearised, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point)
+    q, f = len(candidates), len(terms) * knots
+    count = len(fit.layout)
+    blocks = tuple(tuple(range(q + k * knots, q + (k + 1) * knots)) for k in range(len(terms)))
+    freed = tuple(range(q + f, q + f + count))
+    projected = project(gram, 0, q + f + count).without(freed)
+    return ScoreTest(
+        study, fit, tuple(linearised), gram, candidates, sizes, tuple(terms), blocks, freed, projected, options=options
+    )
+
+
+def _search_size(candidate: Candidate) -> float:
+    """The amplitude at which a candidate is tested: small, so that the response is linear, and inside its limits."""
+    low, high = candidate.limits
+    size = 0.2 * candidate.typical
+    return size if size <= high else max(0.5 * low, -size)
+
+
+def _spans(linearised: Sequence[LinearisedRecord], terms: Sequence[TermHypothesis]) -> list[tuple[float, float]]:
+    """The range of each hypothesis's variable that the records visit, but for its extreme hundredths."""
+    found: dict[str, tuple[float, float]] = {}
+    for hypothesis in terms:
+        name = hypothesis.variable.name
+        if name not in found:
+            values = np.concatenate(
+                [argument(linear, TermHypothesis(hypothesis.port, hypothesis.variable)) for linear in linearised]
+            )
+            low, high = (float(v) for v in np.quantile(values, [0.005, 0.995]))
+            found[name] = (low, high) if high > low else (low - 1e-9, low + 1e-9)
+    return [found[hypothesis.variable.name] for hypothesis in terms]

@@ -1,0 +1,161 @@
+"""Causes beside the best and in its place: a second one, other pairs, effects in place of parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from valvesim.diagnosis.detection import exceeds_noise
+from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, did_run, distinct, with_minimum_gain
+from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses
+from valvesim.diagnosis.score_test import ScoreTest, score_test
+from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts
+from valvesim.identification.fit import FittedCandidate
+from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis, reductions_from_prior
+from valvesim.identification.nominal_fit import NominalFit, unweighted
+
+
+def with_second_cause(
+    nominal: NominalFit, final: ScoreTest, found: list[FittedHypothesis]
+) -> tuple[list[FittedHypothesis], ScoreTest]:
+    """The found with a second effect where one shows in what the best leaves.
+
+    A third is not looked for: what two leave over tells that one of them is not it, rather than of three at once.
+    """
+    while len(final.fit.fitted) < final.options.isolation.most_causes:
+        z, level = final.z(), final.level(final.options.detection.false_alarm)
+        best = found[0]
+        share = (
+            0.0
+            if exceeds_noise(final.fit, nominal.study, options=final.options)
+            else final.options.detection.doubtful_share
+        )
+        if z.max(initial=0.0) ** 2 < max(level**2, share * (nominal.fit.chi_square - best.fit.chi_square)):
+            break
+        near = best_of_labels(final, z, final.options.isolation.second_share * z.max())[
+            : final.options.isolation.seconds
+        ]
+        starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in near]
+        more = distinct(fit_starts(nominal, starts, best.fit.point, options=final.options), options=final.options)
+        merged = distinct([*found, *more], options=final.options)
+        if not more or merged[0] is best or merged[0].evidence > best.evidence - 6.0:
+            break
+        found = reduced_hypotheses(nominal, merged, options=final.options)
+        final = score_test(nominal, found[0].fit, options=final.options)
+    return found, final
+
+
+def with_other_pairs(
+    nominal: NominalFit, found: list[FittedHypothesis], final: ScoreTest
+) -> tuple[list[FittedHypothesis], ScoreTest]:
+    """The found where the best has two causes, with what else would go well beside each of these."""
+    best, more = found[0].fit, list[FittedHypothesis]()
+    if len(best.fitted) < 2:
+        return found, final
+    for member in best.fitted:
+        alone = fit_hypothesis(nominal, (member,), best.point)
+        if not did_run(alone):
+            continue
+        scores = score_test(nominal, alone, options=final.options)
+        z = scores.z()
+        pairs = [
+            (member, linear_amplitude(scores, k))
+            for k in best_of_labels(scores, z, final.options.isolation.second_share * z.max())
+        ]
+        tried = {frozenset(c.label for c in one.candidates) for one in found}
+        new = [pair for pair in pairs if frozenset(e.candidate.label for e in pair) not in tried]
+        more += fit_starts(nominal, new[: final.options.isolation.seconds], best.point, options=final.options)
+    merged = distinct([*found, *more], options=final.options)
+    return merged, final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=final.options)
+
+
+def with_singles_from_prior(
+    nominal: NominalFit, scores: ScoreTest, level: float, found: list[FittedHypothesis], final: ScoreTest
+) -> tuple[list[FittedHypothesis], ScoreTest]:
+    """The found with single candidates fitted from where no nuisance parameter is far from nominal, if one of these
+    is better.
+    """
+    starts: dict[str, tuple[FittedCandidate, ...]] = {}
+    for start in [
+        *_typical_starts(nominal, scores),
+        *single_starts(scores, scores.z() ** 2, 0.5 * scores.options.isolation.single_share),
+    ]:
+        starts.setdefault(start[0].candidate.label, start)
+    fits = [
+        fit
+        for start in list(starts.values())[: scores.options.isolation.singles]
+        if did_run(fit := fit_from_prior(nominal, start))
+    ]
+    merged = distinct(
+        [
+            *found,
+            *with_minimum_gain(
+                nominal, [FittedHypothesis(fit, options=scores.options) for fit in fits], level, options=scores.options
+            ),
+        ],
+        options=scores.options,
+    )
+    if merged[:1] == found[:1]:
+        return found, final
+    return with_second_cause(nominal, score_test(nominal, merged[0].fit, options=scores.options), merged)
+
+
+def _typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
+    """The best few effects at their typical amplitudes: where a nominal fit is far from nominal, linearised
+    predictions may miss them all.
+    """
+    starts = [
+        (at_typical(scores, k, sign),)
+        for k, candidate in enumerate(scores.candidates)
+        if candidate.effect is not None
+        for sign in ((1.0,) if candidate.one_sided else (1.0, -1.0))
+    ]
+    falls = reductions_from_prior(nominal, starts)
+    return [starts[k] for k in np.argsort(-falls, kind="stable")[: scores.options.isolation.seconds] if falls[k] > 0.0]
+
+
+def effects_for_parameters(
+    nominal: NominalFit, scores: ScoreTest, found: list[FittedHypothesis], final: ScoreTest
+) -> tuple[list[FittedHypothesis], ScoreTest]:
+    """The found where the best has a figure beyond its tolerance, with effects in the place of that.
+
+    They are those of one sign whose linearised predictions have the other one: what such an effect shows at its typical
+    amplitude may be something else, and a figure that many others follow may have taken its place.
+    """
+    best = found[0].fit
+    rest = tuple(member for member in best.fitted if member.candidate.effect is not None)
+    if len(rest) == len(best.fitted):
+        return found, final
+    z = scores.z()
+    beside = [
+        k
+        for k, c in enumerate(scores.candidates)
+        if c.effect is not None and c.effect.reading is None and c.one_sided and z[k] == 0.0
+        and not any(c.excludes(member.candidate) for member in rest)
+    ]  # fmt: skip
+    starts = [(*rest, at_typical(scores, k)) for k in beside]
+    likeliest = np.argsort(-reductions_from_prior(nominal, starts), kind="stable")[: scores.options.isolation.seconds]
+    fits = [fit for k in likeliest if did_run(fit := fit_from_prior(nominal, starts[k]))]
+    merged = distinct(
+        [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits]], options=scores.options
+    )
+    return merged, final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=scores.options)
+
+
+def at_full_weight(
+    nominal: NominalFit, found: list[FittedHypothesis], final: ScoreTest
+) -> tuple[NominalFit, list[FittedHypothesis], ScoreTest]:
+    """The answer set refitted with all samples at full weight, where its best can follow the peaks that a nominal
+    fit far off cannot.
+
+    What tells a second cause from none may be in them.
+    """
+    full, near = unweighted(nominal), answer_set_of(nominal, found, options=final.options)
+    again = distinct(
+        [each for one in near for each in fit_starts(full, [one.fit.fitted], one.fit.point, options=final.options)],
+        options=final.options,
+    )
+    if not again or again[0].fit.chi_square > final.options.identification.fit.inadequate_ratio * again[0].fit.rows:
+        return nominal, found, final
+    found = reduced_hypotheses(full, again, options=final.options)
+    found, final = with_second_cause(full, score_test(full, found[0].fit, options=final.options), found)
+    return full, found, final

@@ -1,0 +1,104 @@
+"""Where refits start: the likeliest candidates alone and in pairs, by the score test."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+
+import numpy as np
+
+from valvesim.diagnosis.score_test import ScoreTest
+from valvesim.identification.fit import FittedCandidate
+from valvesim.identification.projection import ProjectedScores
+
+
+def start_points(scores: ScoreTest, failed: Set[str]) -> list[tuple[FittedCandidate, ...]]:
+    """Where to start refits: the best single candidates, and the best pairs where two explain much more than one.
+
+    Families that have `failed` are left out.
+    """
+    fall = np.where([c.label in failed for c in scores.candidates], 0.0, scores.z() ** 2)
+    singles = single_starts(scores, fall, scores.options.isolation.single_share)
+    return [*singles, *_pair_starts(scores, fall, failed)] if singles else []
+
+
+def single_starts(scores: ScoreTest, fall: np.ndarray, share: float) -> list[tuple[FittedCandidate, ...]]:
+    """The best single candidates by the fall (q,) of the chi-square, those near that share of the largest."""
+    likeliest = best_of_labels(scores, fall, share * fall.max(initial=0.0) - 10.0)[: scores.options.isolation.singles]
+    return [(linear_amplitude(scores, k),) for k in likeliest]
+
+
+def best_of_labels(scores: ScoreTest, value: np.ndarray, least: float) -> list[int]:
+    """The candidates, one of each label, whose value (q,) is positive and no lower than `least_chi_square`; largest
+    first.
+    """
+    best: dict[str, int] = {}
+    for k in map(int, np.argsort(-value, kind="stable")):
+        if value[k] > 0.0 and value[k] >= least:
+            best.setdefault(scores.candidates[k].label, k)
+    return list(best.values())
+
+
+def _pair_starts(scores: ScoreTest, fall: np.ndarray, failed: Set[str]) -> list[tuple[FittedCandidate, ...]]:
+    """The best pairs whose reduction of the chi-square is much larger than that of the best alone (q,)."""
+    z, projected, best = scores.z(), scores.projected, fall.max()
+    enough = best + max(scores.options.isolation.pair_reduction, 0.1 * best)
+    barred = [
+        c.label in failed or (not z[k] and any(map(c.is_equivalent_to, scores.candidates)))
+        for k, c in enumerate(scores.candidates)
+    ]
+    pairs = []
+    of = np.flatnonzero(scores.visible() & ~np.array(barred))
+    for i, j in _joint_reductions(projected, of, 0.999 * enough):  # but for rounding, which the solution below decides
+        first, second = scores.candidates[i], scores.candidates[j]
+        if first.excludes(second) or first.is_equivalent_to(second):
+            continue
+        a = np.linalg.solve(projected.overlap[np.ix_([i, j], [i, j])], projected.score[[i, j]])
+        if any(scores.candidates[k].one_sided and v < 0.0 for k, v in zip((i, j), a, strict=True)):
+            continue
+        pairs.append((float(a @ projected.score[[i, j]]), i, j, a))
+    pairs.sort(key=lambda pair: (-pair[0], pair[1], pair[2]))
+    used: dict[str, tuple[FittedCandidate, ...]] = {}
+    for value, i, j, a in pairs:
+        if value < enough or len(used) >= scores.options.isolation.pairs:
+            break
+        label = " + ".join(sorted((scores.candidates[i].label, scores.candidates[j].label)))
+        used.setdefault(label, tuple(at_amplitude(scores, k, v) for k, v in zip((i, j), a, strict=True)))
+    return list(used.values())
+
+
+def _joint_reductions(projected: ProjectedScores, of: np.ndarray, least: float) -> list[tuple[int, int]]:
+    """The pairs of some candidates that are not all but one, and whose joint reduction of the chi-square is no less."""
+    H, s = projected.overlap[np.ix_(of, of)], projected.score[of]
+    size, square = np.outer(np.diag(H), np.diag(H)), np.outer(np.diag(H), s**2)
+    apart = np.triu(np.abs(H) <= 0.97 * np.sqrt(size), 1)
+    fall = (square + square.T - 2.0 * np.outer(s, s) * H) / np.where(apart, size - H**2, 1.0)
+    return [(int(of[i]), int(of[j])) for i, j in np.argwhere(apart & (fall >= least))]
+
+
+def linear_amplitude(scores: ScoreTest, k: int) -> FittedCandidate:
+    """A candidate in the amount by which the linearised equations explain most with it alone."""
+    return at_amplitude(scores, k, scores.projected.score[k] / scores.projected.overlap[k, k])
+
+
+def at_amplitude(scores: ScoreTest, k: int, amount: float) -> FittedCandidate:
+    """A candidate at an amount of its column, inside its limits, with its shapes where they were looked for."""
+    candidate = scores.candidates[k]
+    low, high = candidate.limits
+    fixed = dict(candidate.fixed)
+    shapes = tuple((p.name, fixed.get(p.name, p.default)) for p in candidate.shapes())
+    return FittedCandidate(
+        candidate,
+        float(
+            np.clip(
+                amount * scores.sizes[k],
+                scores.options.identification.fit.interior * low,
+                scores.options.identification.fit.interior * high,
+            )
+        ),
+        shapes,
+    )
+
+
+def at_typical(scores: ScoreTest, k: int, sign: float = 1.0) -> FittedCandidate:
+    """A candidate at its typical amplitude."""
+    return at_amplitude(scores, k, sign * scores.candidates[k].typical / scores.sizes[k])

@@ -1,0 +1,52 @@
+"""The answer of a diagnosis in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from valvesim.diagnosis.model_selection import FittedHypothesis
+from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term
+
+
+def summary_text(
+    verdict: str, in_set: Sequence[FittedHypothesis], term: Term | None, notes: Sequence[str], unknown_reason: str = ""
+) -> str:
+    if verdict == NO_DISCREPANCY:
+        return "No discrepancy: the model explains the records within their noise and its own tolerances."
+    if verdict == CAUSE:
+        return f"The cause is {cause_words(in_set[0])}."
+    if verdict == AMBIGUOUS:
+        causes = [*(cause_words(one) for one in in_set if one.candidates)]
+        if unknown_reason:
+            return f"Something is wrong, perhaps {' or '.join(causes)}, or none of the known causes: {unknown_reason}."
+        if in_set[-1].candidates:
+            return f"Something is wrong, and these cannot be told apart: {'; '.join(causes)}."
+        return f"Something may be wrong, or noise alone shows it; it would be {' or '.join(causes)}."
+    if notes and notes[0].startswith("the base model cannot"):
+        return f"Nothing is named: {notes[0]}"
+    if term is None:
+        return "Something is wrong that none of the known causes explains."
+    return (
+        "Something is wrong that none of the known causes explains; it acts like a term in the "
+        f"{term.port.replace('_', ' ')} that depends on the {term.variable.replace('_', ' ')}"
+        + (f", and nearly as well like {_first_labels(term.alike)}." if term.alike else ".")
+    )
+
+
+def _first_labels(labels: Sequence[str], most: int = 2) -> str:
+    """A few labels in words, and how many more there are."""
+    more = len(labels) - most
+    return " or ".join(labels[:most]) + (f" (and {more} more)" if more > 0 else "")
+
+
+def cause_words(one: FittedHypothesis) -> str:
+    """A hypothesis in words: `sensor_bias@load_flow` as "sensor bias of load flow"."""
+    return " together with ".join(
+        c.label.replace("parameter:", "the figure of ").replace("@", " of ").replace("_", " ") for c in one.candidates
+    )
+
+
+def location_text(verdict: str, in_set: Sequence[FittedHypothesis]) -> str:
+    if verdict not in (CAUSE, AMBIGUOUS):
+        return ""
+    return " or ".join(dict.fromkeys(c.location() for one in in_set for c in one.candidates))

@@ -1,0 +1,1 @@
+"""Measured sessions, predictions, and the fit of a valve to them."""

@@ -1,0 +1,275 @@
+"""The fit of a hypothesis: candidates together with the nuisance parameters of the nominal model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
+from valvesim.identification.fit import Fit, FittedCandidate, amplitude_limits, evaluate_fit, rescored, step_limits
+from valvesim.identification.fit_jacobian import all_candidate_sensitivities, jacobian_of, linearise_fit
+from valvesim.identification.least_squares import (
+    bounded_step,
+    levenberg_marquardt,
+    normal_equations,
+    occam_factor,
+    predict_reduction,
+    solve_normal,
+)
+from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance, robust_start
+from valvesim.identification.study import Study
+
+
+def fit_hypothesis(
+    nominal: NominalFit,
+    start: Sequence[FittedCandidate],
+    point: np.ndarray | None = None,
+    linearisations: int | None = None,
+) -> Fit:
+    """Candidates and nuisance parameters fitted together from `start`; None where that cannot be simulated.
+
+    The first Jacobian is that of the nominal fit. Starts that lie far off are shrunk.
+    """
+    linearisations = nominal.study.options.fit.most_linearisations if linearisations is None else linearisations
+    tried = list[Fit]()
+    for shrink in (1.0, 0.3, 0.1):
+        try:
+            fitted = tuple(replace(e, above_neutral=e.above_neutral * shrink) for e in start)
+            tried.append(evaluate_fit(nominal.study, nominal.fit.point if point is None else point, fitted))
+        except (SolveError, InputError):
+            continue
+        if tried[-1].chi_square < _worthwhile(nominal):
+            break
+    if not tried:
+        return _did_not_run(nominal, start)
+    near = min(tried, key=lambda one: one.chi_square)
+    fit = _fit_from_start(nominal, near, start, linearisations)
+    if near is tried[0] or (
+        fit.predicted_reduction < nominal.study.options.fit.unconverged and fit.chi_square < _worthwhile(nominal)
+    ):
+        return fit
+    afar = _fit_robustly(
+        nominal, tried[0], linearisations
+    )  # small beginnings may crawl along a bent valley: the great one jumps it
+    return min(fit, afar, key=lambda one: one.chi_square)
+
+
+def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandidate], linearisations: int) -> Fit:
+    """A fit from a start, or from the solution of the linearised equations, whichever predicts the lower end."""
+    leapt = _linear_start(nominal, tuple(start)) or _linear_start(nominal, fit.fitted)
+    begun = [pair for at in (fit, leapt) if at and (pair := _with_jacobian(nominal, at))]
+    if not begun:
+        return _did_not_run(nominal, start)
+    # promises are half kept
+    fit, jacobian = min(
+        begun,
+        key=lambda pair: (
+            pair[0].chi_square
+            - 0.5
+            * predict_reduction(
+                *normal_equations(*pair, options=nominal.study.options),
+                step_limits(pair[0], options=nominal.study.options),
+            )
+        ),
+    )
+    if fit.chi_square > nominal.study.options.fit.inadequate_ratio * fit.rows:
+        return _fit_robustly(nominal, fit, linearisations)
+    return _iterate(
+        nominal.study, fit, jacobian, nominal.study.options.fit.hypothesis_ftol, linearisations, _worthwhile(nominal)
+    )
+
+
+def fit_from_prior(nominal: NominalFit, start: Sequence[FittedCandidate]) -> Fit:
+    """The same restarted from the prior: no nuisance parameter beyond its tolerance, nothing kept of the nominal
+    fit.
+
+    Where that has moved parameters to where no valve runs, or none that has the cause besides, there is no way back
+    from there.
+    """
+    try:
+        return _fit_robustly(
+            nominal,
+            evaluate_fit(nominal.study, clipped_to_tolerance(nominal), tuple(start)),
+            nominal.study.options.fit.most_linearisations,
+        )
+    except (SolveError, InputError):
+        return _did_not_run(nominal, start)
+
+
+def continue_fit(nominal: NominalFit, fit: Fit) -> Fit:
+    """A fit continued from where it is, with a Jacobian of its own; None where it cannot be simulated."""
+    try:
+        return continue_from(nominal, evaluate_fit(nominal.study, fit.point, fit.fitted))
+    except (SolveError, InputError):
+        return _did_not_run(nominal, fit.fitted)
+
+
+def continue_from(nominal: NominalFit, fit: Fit) -> Fit:
+    """The same for a fit that has been simulated in the same study."""
+    study = nominal.study
+    try:
+        jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
+    except (SolveError, InputError):
+        return _did_not_run(nominal, fit.fitted)
+    return _iterate(
+        study,
+        fit,
+        jacobian,
+        nominal.study.options.fit.hypothesis_ftol,
+        nominal.study.options.fit.most_linearisations,
+        _worthwhile(nominal),
+    )
+
+
+def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCandidate, ...]]) -> np.ndarray:
+    """(len(starts),) reduction of the chi-square by each start, from the same point; -inf where it cannot be
+    simulated.
+
+    Each is simulated, and the nuisance parameters follow by the linearised equations; samples far off are down-
+    weighted.
+    """
+    study = nominal.study.without_oversampling()
+    fit = evaluate_fit(study, clipped_to_tolerance(nominal), ())
+    robust = robust_weights(study, fit.readings)
+    J = robust.stack(linearise_fit(study, fit)[1])
+    H = J.T @ J + np.eye(len(fit.point))
+
+    def left(fit: Fit) -> float:
+        gradient = J.T @ fit.residual - fit.point
+        return float(fit.chi_square - gradient @ solve_normal(H, gradient))
+
+    before = left(rescored(robust, fit))
+
+    def fall(start: tuple[FittedCandidate, ...]) -> float:
+        try:
+            return before - left(evaluate_fit(robust, fit.point, start))
+        except (SolveError, InputError):
+            return -np.inf
+
+    return np.array([fall(start) for start in starts])
+
+
+def _did_not_run(nominal: NominalFit, start: Sequence[FittedCandidate]) -> Fit:
+    """In place of a fit that no valve could be run for."""
+    return replace(nominal.fit.with_fitted([replace(e, above_neutral=0.0) for e in start]), chi_square=np.inf)
+
+
+def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int) -> Fit:
+    """A fit as the nominal one is made: a robust start at the samples alone, peaks down-weighted, then as the study
+    is.
+    """
+    study, without_oversampling = nominal.study, nominal.study.without_oversampling()
+    fit, linearised, columns = robust_start(without_oversampling, fit)
+    if not study.weights:
+        between = down_weight_peaks(without_oversampling, linearised)
+        start = rescored(between, fit)
+        near = _iterate(
+            between,
+            start,
+            jacobian_of(between, fit, linearised, columns),
+            nominal.study.options.fit.preliminary_ftol,
+            linearisations,
+            np.inf,
+        )
+        fit = rescored(study, near)
+        linearised, columns = linearise_fit(study, fit)
+    return _iterate(
+        study,
+        fit,
+        jacobian_of(study, fit, linearised, columns),
+        nominal.study.options.fit.hypothesis_ftol,
+        linearisations,
+        _worthwhile(nominal),
+    )
+
+
+def _worthwhile(nominal: NominalFit) -> float:
+    """The chi-square below which a fit is worth more linearisations."""
+    return max(nominal.fit.chi_square, nominal.study.options.fit.inadequate_ratio * nominal.fit.rows)
+
+
+def _iterate(study: Study, fit: Fit, jacobian: np.ndarray, enough: float, linearisations: int, good: float) -> Fit:
+    """Levenberg-Marquardt with the Jacobian taken anew where it no longer holds; with the Occam factor in the end."""
+    for iteration in range(1, linearisations + 1):
+        new, jacobian = levenberg_marquardt(study, fit, jacobian, enough)
+        stuck, fit = iteration > 1 and new.chi_square > fit.chi_square - enough, new
+        if (
+            fit.predicted_reduction < enough
+            or stuck
+            or iteration == linearisations
+            or (iteration >= study.options.fit.linearisations and fit.chi_square > good)
+        ):
+            break
+        jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
+    return replace(
+        fit,
+        occam_factor=occam_factor(
+            normal_equations(fit, jacobian, options=study.options)[0], fit, options=study.options
+        ),
+        trajectories=(),
+    )
+
+
+def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...]) -> Fit | None:
+    """Solution of the linearised equations for all parameters at once: what the cause has moved goes back at once."""
+    p = nominal.J.shape[1]
+    absent = nominal.fit.with_fitted(start)  # its residual is that without the fitted candidates
+    try:
+        S = added_jacobian(nominal, absent)
+        own = [k for k, (_, shape) in enumerate(absent.layout) if not shape]
+        plain = nominal.fit.with_fitted([replace(e, shapes=()) for e in start])
+        H, gradient = normal_equations(plain, np.column_stack([nominal.J, S[:, own]]), options=nominal.study.options)
+        limits = np.transpose(
+            [(-np.inf, np.inf)] * p + [amplitude_limits(e.candidate, options=nominal.study.options) for e in start]
+        )
+        step = bounded_step(H, gradient, limits)
+        fitted = tuple(replace(e, above_neutral=float(a)) for e, a in zip(start, step[p:], strict=True))
+        return evaluate_fit(nominal.study, nominal.fit.point + step[:p], fitted)
+    except (SolveError, InputError):
+        return None
+
+
+def _with_jacobian(nominal: NominalFit, fit: Fit) -> tuple[Fit, np.ndarray] | None:
+    """A fit with the nominal fit's Jacobian; None where no valve has its candidates at the nominal parameters."""
+    try:
+        return fit, np.column_stack([nominal.J, added_jacobian(nominal, fit)])
+    except InputError:
+        return None
+
+
+def added_jacobian(nominal: NominalFit, fit: Fit) -> np.ndarray:
+    """The whitened Jacobian (rows, n) at the nominal fit with respect to the candidates of another fit."""
+    study, origin = nominal.study, nominal.linearised[0].variant
+    candidates, changed, divide = [], [], []
+    for member in fit.fitted:
+        size = (
+            member.above_neutral
+            if abs(member.above_neutral) > 1e-3 * member.candidate.typical
+            else 1e-3 * member.candidate.typical
+        )
+        for name, value in (("", 0.0), *member.shapes):
+            shapes = dict(member.shapes) | (
+                {name: value * nominal.study.options.sensitivity.shape_ratio} if name else {}
+            )
+            candidates.append(member.candidate)
+            changed.append(member.candidate.apply_to(origin, size, **shapes))
+            divide.append(0.0 if name else size)
+    columns = study.stack(all_candidate_sensitivities(study, nominal.linearised, nominal.columns, candidates, changed))
+    out = np.empty_like(columns)
+    own = 0
+    for k, by in enumerate(divide):
+        if by != 0.0:
+            own = k
+            out[:, k] = columns[:, k] / by
+        else:
+            out[:, k] = (columns[:, k] - columns[:, own]) / np.log(nominal.study.options.sensitivity.shape_ratio)
+    if len(fit.fitted) == 1 and abs(fit.fitted[0].above_neutral) > 0.05 * fit.fitted[0].candidate.typical:
+        # what the fit has really gained by its one effect, over what the linearised equations say of the nominal model
+        moved = nominal.fit.residual - nominal.J @ (fit.point - nominal.fit.point) - fit.residual
+        secant = moved / fit.fitted[0].above_neutral
+        if float(secant @ out[:, 0]) > 0.25 * float(out[:, 0] @ out[:, 0]):
+            out[:, 0] = secant
+    return out

@@ -1,0 +1,123 @@
+"""Sensitivities of the readings of a record to nuisance parameters and to candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.linearised_record import LinearisedRecord
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.predictor import ModelVariant
+from valvesim.identification.prior import NominalModel, NuisanceParameter
+from valvesim.valve.parameters import Valve
+
+FAST = ("armature_inertia", "armature_damping")  # they act within a rough grid's step: on the way they are held
+RUN = ("armature_inertia",)  # it acts within a fine grid's step too: it is run, moved by more
+
+
+def perturbed_variants(nominal: NominalModel, variant: ModelVariant) -> list[ModelVariant]:
+    """The variant with each nuisance parameter of the valve moved by a little, see `_prior_step`."""
+    valve = variant.valve
+    return [
+        replace(
+            variant,
+            valve=replace(
+                valve, **{p.name: getattr(valve, p.name) + _prior_step(p, valve, options=nominal.options) * p.deviation}
+            ),
+        )
+        for p in nominal.parameters
+        if p.sensor is None
+    ]
+
+
+def _prior_step(parameter: NuisanceParameter, valve: Valve, *, options: IdentificationOptions) -> float:
+    """The step of a parameter in prior standard deviations: downwards where it is at its upper bound."""
+    size = options.sensitivity.simulated_step if parameter.name in RUN else options.sensitivity.step
+    most = parameter.bounds[1]
+    return size if getattr(valve, parameter.name) + size * parameter.deviation <= most else -size
+
+
+def parameter_sensitivities(
+    linear: LinearisedRecord, nominal: NominalModel, perturbed: Sequence[ModelVariant]
+) -> dict[str, np.ndarray]:
+    """Sensitivities (n_samples, p) to one prior standard deviation of each nuisance parameter, see
+    `perturbed_variants`.
+
+    None where the predictor is rough and the parameter fast: a fit that followed such answers ends in a wrong
+    resonance.
+    """
+    plant, valve = [p for p in nominal.parameters if p.sensor is None], linear.variant.valve
+    held = FAST if linear.predictor.preliminary else ()
+    slow = [k for k, p in enumerate(plant) if p.name not in (*RUN, *held)]
+    moved = linear.linear_difference([perturbed[k] for k in slow])
+    pairs = zip(plant, perturbed, strict=True)
+    run = {p.name: linear.simulated_difference(variant) for p, variant in pairs if p.name in RUN and p.name not in held}
+    out = {}
+    for name, read in linear.readings.items():
+        answered = dict(zip((plant[k].name for k in slow), moved[name].T, strict=True))
+        columns = []
+        for p in nominal.parameters:
+            if p.name in held or (p.sensor is not None and p.sensor.channel != name):
+                columns.append(np.zeros_like(read))
+            elif p.sensor is None:
+                columns.append(
+                    (run[p.name][name] if p.name in run else answered[p.name])
+                    / _prior_step(p, valve, options=linear.predictor.options)
+                )
+            else:
+                columns.append(_sensor_slope(linear, p, name) * p.deviation)
+        out[name] = np.column_stack(columns)
+    return out
+
+
+def _sensor_slope(linear: LinearisedRecord, parameter: NuisanceParameter, channel: str) -> np.ndarray:
+    """Slope (n_samples,) of a reading over a sensor's small error, by a step much shorter than its deviation."""
+    assert parameter.sensor is not None  # noqa: S101 - the caller has chosen those with a sensor
+    step, name = 0.1 * parameter.deviation, parameter.sensor.amplitude.name
+    at_valve = {channel: linear.trajectory.at_valve[channel]}
+    high, low = (
+        linear.predictor.apply_sensors(
+            at_valve, linear.trajectory, linear.variant.with_effect(parameter.sensor(**{name: by}))
+        )[channel]
+        for by in (step, -step)
+    )
+    return (high - low) / (2.0 * step)
+
+
+def candidate_sensitivities(
+    linear: LinearisedRecord,
+    candidates: Sequence[Candidate],
+    changed: Sequence[ModelVariant],
+    nominal: NominalModel,
+    known: dict[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """Sensitivities (n_samples, q) to each candidate, whose variant at its size is `changed`.
+
+    What a nuisance parameter does within its tolerance it does beyond it, and so does an effect that is the same thing:
+    their sensitivities are a share of the `known` ones, see `parameter_sensitivities`.
+    """
+    out = {name: np.zeros((len(linear.predictor.record.time), len(candidates))) for name in linear.readings}
+    quick, places = [], {p.name: j for j, p in enumerate(nominal.parameters)}
+    for k, (candidate, variant) in enumerate(zip(candidates, changed, strict=True)):
+        effect = candidate.effect
+        if (shared := candidate.share(variant, linear.variant)) is not None:
+            p, share = shared
+            for name in out:
+                out[name][:, k] = share * known[name][:, places[p.name]]
+        elif effect is None or effect.reading is None:
+            quick.append(k)
+        elif effect.channel in out:
+            name = effect.channel
+            out[name][:, k] = (
+                linear.predictor.apply_sensors({name: linear.trajectory.at_valve[name]}, linear.trajectory, variant)[
+                    name
+                ]
+                - linear.readings[name]
+            )
+    moved = linear.linear_difference([changed[k] for k in quick])
+    for name in out:
+        out[name][:, quick] = moved[name]
+    return out

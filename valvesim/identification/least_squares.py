@@ -1,0 +1,128 @@
+"""Penalised least squares: Levenberg-Marquardt with box constraints and Gaussian priors, and Broyden's update between
+linearisations.
+
+Symbols
+    r whitened residual, J its Jacobian, t parameters;  H = J'J + prior precision, g = J'r - prior precision (t - t0)
+Levenberg 1944, Marquardt 1963; Broyden 1965; Nocedal and Wright, Numerical Optimization, ch. 10 (least squares) and 16
+(active set). The Occam factor of a fit is that of MacKay 1992 (Laplace's approximation of the evidence).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.fit import Fit, evaluate_fit, moved_candidates, shapes_and_defaults, step_limits
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.study import Study
+
+
+def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
+    """The fit after damped Gauss-Newton steps, damped in the metric of the priors (Marquardt 1963), and its
+    Jacobian.
+
+    It ends where the predicted reduction is below `ftol`, or where steps no longer bring what is predicted. Between
+    linearisations the Jacobian (rows, n) is updated by each step (Broyden 1965). One step uphill is allowed: the
+    next may lead back into a curved valley, further down.
+    """
+    metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.layout])
+    damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
+    for _ in range(study.options.fit.steps):
+        H, gradient = normal_equations(fit, jacobian, options=study.options)
+        limits = step_limits(fit, options=study.options)
+        if fit is best:
+            best = fit = replace(fit, predicted_reduction=predict_reduction(H, gradient, limits))
+            lasting = study.options.fit.patience if study.is_long else 0
+            stale = best.chi_square < start.chi_square and (
+                failures > lasting or _linearisation_expired(start, best, options=study.options)
+            )
+            if best.predicted_reduction < enough or stale or failures == study.options.fit.failures:
+                break
+        step, held = bounded_step(H + damping * np.diag(metric), gradient, limits), damping
+        while np.max(np.abs(step[: len(fit.point)])) > study.options.fit.longest_step:
+            held = max(2.0 * held, 0.01)
+            step = bounded_step(H + held * np.diag(metric), gradient, limits)
+        try:
+            new = evaluate_fit(
+                study,
+                fit.point + step[: len(fit.point)],
+                moved_candidates(fit, step[len(fit.point) :], options=study.options),
+            )
+        except (SolveError, InputError):  # no valve can have these figures
+            fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
+            continue
+        moved, changed = new.vector - fit.vector, fit.residual - new.residual
+        if (length := float(moved @ (metric * moved))) > 0.0 and float(
+            changed @ changed
+        ) > study.options.fit.update_threshold:
+            jacobian = jacobian + np.outer((changed - jacobian @ moved) / length, metric * moved)
+        gained = best.chi_square - new.chi_square
+        if gained > 0.0:
+            failures = 0 if gained > 0.5 * best.predicted_reduction else failures + 1
+            damping = 0.0 if damping <= 0.1 or gained > 0.5 * best.predicted_reduction else damping / 10.0
+            best = fit = new
+        elif fit is best and failures == 0:
+            fit = new  # a bent valley: the next step may lead back into it, further down
+        else:
+            fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
+    return best, jacobian
+
+
+def predict_reduction(H: np.ndarray, gradient: np.ndarray, limits: np.ndarray) -> float:
+    """By how much the linearised equations would lower the penalised chi-square."""
+    step = bounded_step(H, gradient, limits)
+    return max(float((2.0 * gradient - H @ step) @ step), 0.0)
+
+
+def _linearisation_expired(start: Fit, fit: Fit, *, options: IdentificationOptions) -> bool:
+    """Whether the Jacobian taken at `start` is of a valve too far from where the fit is now."""
+    far = float(np.max(np.abs(fit.point - start.point)))
+    return start.chi_square - fit.chi_square > 50.0 and far > options.fit.linearisation_radius
+
+
+def bounded_step(H: np.ndarray, gradient: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """The step that lowers the chi-square most inside the box: active limits are held, the rest solved again."""
+    step, held = solve_normal(H, gradient), np.zeros(len(gradient), dtype=bool)
+    while (beyond := ~held & ((step < limits[0]) | (step > limits[1]))).any():
+        held |= beyond
+        step = np.where(held, np.clip(step, *limits), 0.0)
+        step[~held] = solve_normal(H[np.ix_(~held, ~held)], (gradient - H @ step)[~held])
+    return step
+
+
+def solve_normal(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """The solution of scaled normal equations; directions that the data do not see are left out."""
+    scale = np.sqrt(np.where(np.diag(H) > 0.0, np.diag(H), 1.0))
+    return np.linalg.lstsq(H / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
+
+
+def normal_equations(
+    fit: Fit, jacobian: np.ndarray, *, options: IdentificationOptions
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, gradient) of the nuisance parameters, then of the fitted candidates, with their priors."""
+    p = len(fit.point)
+    H = jacobian.T @ jacobian
+    prior = np.array([1.0] * p + [0.0 if not shape else options.fit.shape_deviation**-2 for _, shape in fit.layout])
+    gradient = jacobian.T @ fit.residual
+    gradient[:p] -= fit.point
+    for at, (member, shape) in enumerate(fit.layout):
+        if shape:
+            value, default = dict(zip((n for n, _ in member.shapes), shapes_and_defaults(member), strict=True))[shape]
+            gradient[p + at] -= np.log(value / default) / options.fit.shape_deviation**2
+    H[np.diag_indices_from(H)] += prior
+    return H, gradient
+
+
+def occam_factor(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -> float:
+    """The Occam factor of a fit (MacKay 1992): ln det of the posterior precision of the fitted candidates in units of
+    their priors, nuisance parameters marginalised.
+    """
+    p, layout = len(fit.point), fit.layout
+    scale = np.array([3.0 * e.candidate.typical if not shape else options.fit.shape_deviation for e, shape in layout])
+    left = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
+    amplitude = np.array([1.0 if not shape else 0.0 for _, shape in layout])
+    scaled = left * np.outer(scale, scale) + np.diag(amplitude)
+    sign, value = np.linalg.slogdet(scaled)
+    return float(value) if sign > 0 else 0.0

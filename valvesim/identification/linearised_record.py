@@ -1,0 +1,199 @@
+"""A record linearised about the trajectory of one model: sensitivities of its readings by tangent equations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from valvesim.channels import STATE_CHANNELS, Signals, State
+from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory
+from valvesim.identification.prior import ToleratedSensorError
+from valvesim.identification.tangent_linear import TangentLinear, first_order_response, linearise_along
+from valvesim.units import quantities
+from valvesim.valve.effect import ActiveEffect
+from valvesim.valve.equations import Model
+from valvesim.valve.parameters import Coefficients, Valve
+
+SIGNAL_NAMES = Signals._fields
+
+
+@dataclass(frozen=True)
+class LinearisedRecord:
+    """A record linearised about the trajectory of one variant: its readings, and the tangent equations.
+
+    `model` has the effects of the variant alone, in the order of the trajectory's; `rates` and `signals` are its own.
+    """
+
+    predictor: RecordPredictor
+    variant: ModelVariant
+    trajectory: Trajectory
+    tangent: TangentLinear
+    model: Model
+    readings: dict[str, np.ndarray]
+    rates: tuple
+    signals: Any
+
+    def residual(self) -> dict[str, np.ndarray]:
+        """Measured minus predicted, (n_samples,) by channel."""
+        return {name: self.predictor.record.values[name] - read for name, read in self.readings.items()}
+
+    def simulated_difference(self, variant: ModelVariant) -> dict[str, np.ndarray]:
+        """Readings of a variant less those of this one, (n_samples,) by channel, by simulation."""
+        read = self.predictor.readings(self.predictor.run(variant), variant)
+        return {name: read[name] - own for name, own in self.readings.items()}
+
+    def linear_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
+        """The same for several variants by the linearised equations, (n_samples, k): to first order in what they
+        change.
+
+        A variant has this linearised record's effects, then at most one more.
+        """
+        samples = len(self.predictor.record.time)
+        out = {name: np.empty((samples, len(variants))) for name in self.readings}
+        chunk = max(int(self.predictor.options.sensitivity.forcing_bytes / self.tangent.A[:, 0].nbytes), 1)
+        for start in range(0, len(variants), chunk):
+            moved = self.forced_response(*self._forcings(variants[start : start + chunk]))
+            for name, columns in moved.items():
+                out[name][:, start : start + chunk] = columns
+        return out
+
+    def forced_response(self, forcing: np.ndarray, direct: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The response (n_samples, k) of the readings to forcings (n, s, k) of the scaled rates and direct parts (n,
+        k).
+        """
+        response = self.tangent.response(forcing)
+        out = {}
+        for name, own in self.trajectory.at_valve.items():
+            if self.predictor.lags.get(name, 0.0) <= 0.0 and not self._altered(name):
+                out[name] = self.tangent.channel(name, response, direct.get(name), self.predictor.oversampling)
+                continue
+            moved = self.tangent.channel(name, response, direct.get(name))
+            faults = tuple(a for a in self.variant.effects if not isinstance(a.effect, ToleratedSensorError))
+            variant = replace(self.variant, effects=faults)
+            own = own[
+                :: self.predictor.sensor_oversampling
+            ]  # coarse for the sensor's corners: they are in both and cancel
+            nominal = self.predictor.apply_sensors({name: own}, self.trajectory, variant)[name]
+            out[name] = (
+                self.predictor.apply_sensors({name: own[:, None] + moved}, self.trajectory, variant)[name]
+                - nominal[:, None]
+            )
+        return out
+
+    def _altered(self, channel: str) -> bool:
+        """Whether a sensor fault changes the response of a channel; errors within tolerance do not matter."""
+        return any(
+            a.effect.channel == channel and not isinstance(a.effect, ToleratedSensorError) for a in self.variant.effects
+        )
+
+    def argument(self, variable: Any, states: tuple) -> np.ndarray:
+        """A variable of a term (n,) along the trajectory."""
+        memory = self.model.drive.memory
+        current = states[len(STATE_CHANNELS)] if memory else self.predictor.inputs[:, 0]
+        return np.asarray(variable.of(State(*states[: len(STATE_CHANNELS)]), current))
+
+    def _forcings(self, variants: Sequence[ModelVariant]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """`forcing` of several variants, (n, s, k) and (n, k) by signal; those of other valves go together."""
+        n, k = len(self.predictor.times), len(variants)
+        alike = [j for j, variant in enumerate(variants) if variant.effects == self.variant.effects]
+        g = np.empty((n, len(self.tangent.scale), k))
+        direct = {name: np.empty((n, k)) for name in self.trajectory.at_valve if name in SIGNAL_NAMES}
+        size = max(self.predictor.options.sensitivity.batch_values // n, 1)
+        for group in [
+            *(alike[start : start + size] for start in range(0, len(alike), size)),
+            *([j] for j in range(k) if j not in alike),
+        ]:
+            first = variants[group[0]]
+            batch = first if len(group) == 1 else replace(first, valve=_batch([variants[j].valve for j in group]))
+            rates, signals = self.forcing(batch)
+            together = group[-1] - group[0] == len(group) - 1
+            at = slice(group[0], group[-1] + 1) if together else group  # a list takes six times as long
+            g[:, :, at] = rates.reshape(n, -1, len(group))
+            for name, part in signals.items():
+                direct[name][:, at] = part.reshape(n, -1)
+        return g, direct
+
+    def forcing(self, variant: ModelVariant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """(scaled rates (n, s), direct parts (n,) by signal) that a variant adds along this trajectory.
+
+        A variant whose valve is a batch (batch, 1) adds (n, s, batch) and (n, batch).
+        """
+        n, inputs = len(self.predictor.times), tuple(self.predictor.inputs.T)
+        own = {effect.name for effect in self.model.effects}
+        more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
+        model = Model(self.model.drive, (*self.model.effects, *(a.effect for a in more)))
+        along = self.predictor.coefficients_along(variant, model)
+        states = [self.trajectory.states[:, k] for k in self.tangent.active]
+        for active in more:
+            states += self._memory_trajectories(active, tuple(states), along)
+        dimensions = along[0].ndim
+
+        def column(values: Any) -> np.ndarray:
+            """(n,), or (n, 1) beside a batch."""
+            return np.asarray(values).reshape(-1, *(1,) * (dimensions - 1))
+
+        rates, signals = model.evaluate(tuple(map(column, states)), tuple(map(column, inputs)), along)
+        shape = (n, *np.broadcast_shapes(*(part.shape[1:] for part in along)))
+        g = np.empty((n, len(self.rates), *shape[1:]))
+        for k, (new, old) in enumerate(zip(rates, self.rates, strict=False)):
+            g[:, k] = (new - column(old)) / self.tangent.scale[k]
+        direct = {
+            name: np.broadcast_to(getattr(signals, name) - column(getattr(self.signals, name)), shape)
+            for name in self.trajectory.at_valve
+            if name in SIGNAL_NAMES
+        }
+        return g, direct
+
+    def _memory_trajectories(self, active: ActiveEffect, states: tuple, along: tuple) -> list[np.ndarray]:
+        """The memories (n,) of an effect along the trajectory: each linear in itself, so exact for a trajectory that
+        rests.
+
+        z' = a - b z with a and b of the trajectory alone; both follow from the rates at z = 0 and z = 1.
+        """
+        count = len(active.effect.memory)
+        if not count:
+            return []
+        first = slice(0, len(STATE_CHANNELS) + len(self.model.drive.memory))
+
+        def middle(values: np.ndarray, rest: float | None = None) -> np.ndarray:
+            """The value at rest, then those in the middle of the steps."""
+            return np.concatenate([[values[0] if rest is None else rest], (values[1:] + values[:-1]) / 2.0])
+
+        mid = tuple(middle(x) for x in states[first])
+        inputs = tuple(middle(u, 0.0 if k == 1 else None) for k, u in enumerate(self.predictor.inputs.T))
+        c = tuple(middle(v) if len(v) > 1 else v for v in along[: len(Coefficients._fields)])
+        model = Model(self.model.drive, (active.effect,))
+        flat = (*c, *active.numbers)
+        at_0, at_1 = (model.rhs((*mid, *(np.full(len(mid[0]), z),) * count), inputs, flat)[-count:] for z in (0.0, 1.0))
+        h = float(self.predictor.times[1] - self.predictor.times[0])
+        memories = []
+        for zero, one in zip(at_0, at_1, strict=True):
+            a, b = np.broadcast_to(zero, mid[0].shape), np.broadcast_to(zero - one, mid[0].shape)
+            memories.append(first_order_response(a, b, h))
+        return memories
+
+
+def _batch(valves: Sequence[Valve]) -> Valve:
+    """One valve whose quantities are (k, 1) where those of the valves differ."""
+    first, differing = valves[0], dict[str, Any]()
+    for name in quantities(Valve):
+        values = [getattr(valve, name) for valve in valves]
+        if any(value != values[0] for value in values):
+            differing[name] = np.array(values)[:, None]
+    return replace(first, **differing)
+
+
+def linearise_record(
+    predictor: RecordPredictor, variant: ModelVariant, trajectory: Trajectory | None = None
+) -> LinearisedRecord:
+    """A record linearised about a variant, along its trajectory where that is known already."""
+    trajectory = predictor.run(variant) if trajectory is None else predictor.on_grid(trajectory)
+    model, own = predictor.reduced(trajectory.model, variant)
+    along = predictor.coefficients_along(variant, model)
+    tangent = linearise_along(predictor, trajectory, own, model, along)
+    rates, signals = model.evaluate(tuple(trajectory.states[:, own].T), tuple(predictor.inputs.T), along)
+    readings = predictor.readings(trajectory, variant)
+    return LinearisedRecord(predictor, variant, trajectory, tangent, model, readings, rates, signals)

@@ -1,0 +1,93 @@
+"""The noise of each channel of a session: from replicates where there are any, else from the residual of a fit.
+
+The difference of replicates holds no model error, whatever the model gets wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from valvesim.identification.noise_model import NoiseModel, fit_autoregression, quantisation_error
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.session import Record
+from valvesim.identification.study import Study
+
+
+def identify_noise(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> dict[tuple[str, float], NoiseModel]:
+    """The noise of each channel at each rate: from repeats where there are any, else from what the model leaves."""
+    session, found = study.session, {}
+    records = [predictor.record for predictor in study.predictors]
+    keys = dict.fromkeys((name, record.pace) for record in records for name in record.outputs)
+    for name, rate in keys:
+        own = [
+            (record, np.where(record.usable[name], record.values[name] - read[name], np.nan))
+            for record, read in zip(records, readings, strict=True)
+            if name in record.outputs and record.pace == rate
+        ]
+        sensor = session.sensors.get(name)
+        resolution = sensor.resolution if sensor is not None else 0.0
+        stated = sensor.noise if sensor is not None else None
+        series = _differences(own, options=study.options)
+        verified = bool(series)
+        if not verified:
+            series = [left for record, left in own]
+        floor = max(resolution / np.sqrt(12.0), 1e-9 * _size(own, name), stated or 0.0 if not verified else 0.0)
+        noise = fit_autoregression(
+            series, verified=verified, source="repeats" if verified else "residual", floor=floor, options=study.options
+        )
+        if resolution > 2.0 * noise.deviation:  # too coarse to be dithered by the noise: rounding repeats itself
+            coarse = [
+                quantisation_error(read[name], noise.deviation, resolution, session.seed)
+                for record, read in zip(records, readings, strict=True)
+                if name in record.outputs and record.pace == rate
+            ]
+            noise = fit_autoregression(
+                coarse, verified=verified, source=noise.source + ", resolution", floor=floor, options=study.options
+            )
+        found[name, rate] = noise
+    return found
+
+
+def _size(own: Sequence[tuple[Record, np.ndarray]], name: str) -> float:
+    return max(float(np.max(np.abs(record.values[name]))) for record, _ in own)
+
+
+def _differences(own: Sequence[tuple[Record, np.ndarray]], *, options: IdentificationOptions) -> list[np.ndarray]:
+    """Noise alone, from records that repeat each other: what the model gets wrong is the same in each.
+
+    NaN where one of them has lost its sample.
+    """
+    groups: dict[str, list[np.ndarray]] = {}
+    for record, left in own:
+        if record.repeats:
+            groups.setdefault(record.repeats, []).append(left)
+    series = []
+    for members in groups.values():
+        count = len(members)
+        if count < 2:
+            continue
+        length = min(map(len, members))
+        stack = np.array([m[:length] for m in members])
+        if np.mean(np.isfinite(stack).all(axis=0)) < options.noise.least_common:
+            continue
+        apart = (stack - stack.mean(axis=0)) * np.sqrt(count / (count - 1.0))
+        series += list(apart[:-1] if count == 2 else apart)
+    return series
+
+
+def initial_noise(study: Study) -> dict[tuple[str, float], NoiseModel]:
+    """White noise of the size of what a straight line through three samples leaves: to start the first fit with."""
+    found = {}
+    for predictor in study.predictors:
+        record = predictor.record
+        for name in record.outputs:
+            bend = np.diff(record.values[name], 2)
+            size = float(np.sqrt(np.mean(bend**2) / 6.0))
+            sensor = study.session.sensors.get(name)
+            floor = max(
+                (sensor.resolution if sensor else 0.0) / np.sqrt(12.0), 2e-3 * float(np.ptp(record.values[name]))
+            )
+            found[name, record.pace] = NoiseModel(max(size, floor, 1e-30), (), False, "first guess")
+    return found

@@ -1,0 +1,207 @@
+"""The fit of the nominal model: nuisance parameters and noise, by maximum a posteriori."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
+from valvesim.identification.fit import Fit, evaluate_fit, rescored
+from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
+from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
+from valvesim.identification.linearised_record import LinearisedRecord
+from valvesim.identification.noise_estimation import identify_noise, initial_noise
+from valvesim.identification.study import Study
+
+
+@dataclass(frozen=True, eq=False)
+class NominalFit:
+    """The nominal model at its maximum a posteriori, linearised there.
+
+    `columns` are its sensitivities to the nuisance parameters, see `linearise_study`; `J` (rows, p) the same, whitened.
+    """
+
+    study: Study
+    fit: Fit
+    linearised: tuple[LinearisedRecord, ...]
+    columns: tuple[dict[str, np.ndarray], ...]
+    J: np.ndarray
+
+
+def fit_nominal(study: Study, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
+    """Fit the nuisance parameters and identify the noise. Raises SolveError where the valve cannot be simulated."""
+    reached = 0.0
+
+    def ahead(share: float) -> None:
+        nonlocal reached
+        reached = max(reached, share)
+        progress(reached)
+
+    study = replace(study, noise=initial_noise(study))
+    fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
+    labels = [predictor.record.repeats for predictor in study.predictors if predictor.record.repeats]
+    noise = identify_noise(study, fit.readings) if len(labels) > len(set(labels)) else {}
+    if noise and all(one.verified for one in noise.values()):
+        return fit_nominal_from(replace(study, noise=noise), fit, ahead)
+    nominal = _preliminary(study, fit, ahead)
+    for _ in range(2):  # the noise is what the best fit leaves: again with its colour
+        noise = identify_noise(study, nominal.fit.readings)
+        nominal = _converge_down_weighted(replace(nominal, study=replace(nominal.study, noise=noise)), ahead)
+    return _at_full_weight(study, nominal, ahead)
+
+
+def fit_nominal_from(study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
+    """The nominal model fitted under a study's noise: robustly, with peaks down-weighted, at last at full weight."""
+    return _at_full_weight(study, _preliminary(study, fit, progress), progress)
+
+
+def fit_nominal_near(study: Study, point: np.ndarray, *, full_weight: bool) -> NominalFit:
+    """The nominal model fitted from a point (p,) near its best, and the noise with it; samples next to peaks count less
+    unless at `full_weight`.
+    """
+    fit = evaluate_fit(replace(study, noise=initial_noise(study)), point, ())
+    study = replace(study, noise=identify_noise(study, fit.readings))
+    nominal = linearise_nominal(study, rescored(study, fit))
+    for last in (False, True):
+        weighted = nominal.study if full_weight else down_weight_peaks(nominal.study, nominal.linearised)
+        nominal = _converge(reweighted(weighted, nominal), study.options.fit.nominal_ftol)
+        if last or all(noise.verified for noise in nominal.study.noise.values()):
+            break
+        nominal = reweighted(replace(study, noise=identify_noise(study, nominal.fit.readings)), nominal)
+    return nominal
+
+
+def refit_nominal(nominal: NominalFit, fit: Fit) -> NominalFit:
+    """The nominal model fitted at full weight from where another fit without candidates is."""
+    study = replace(nominal.study, weights={})
+    start = rescored(study, fit)
+    if start.chi_square > nominal.study.options.fit.inadequate_ratio * start.rows:
+        return fit_nominal_from(study, fit)
+    return _converge(linearise_nominal(study, start), nominal.study.options.fit.nominal_ftol)
+
+
+def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None]) -> NominalFit:
+    """A fit at the samples alone, from a robust start, with peaks down-weighted."""
+    without_oversampling = study.without_oversampling()
+    return _converge_down_weighted(
+        assembled(without_oversampling, *robust_start(without_oversampling, fit, progress)), progress
+    )
+
+
+def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float], None]) -> NominalFit:
+    """A preliminary fit continued at full weight; with peaks down-weighted where the model cannot follow them."""
+    study = replace(study, noise=nominal.study.noise)
+    near = linearise_nominal(study, rescored(study, nominal.fit))
+    full = _converge(near, study.options.fit.nominal_ftol, progress)
+    left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
+    follows = left <= study.options.fit.peak_ratio * max(left_between, 0.0) + 0.1 * full.fit.rows
+    if follows and full.fit.chi_square < study.options.fit.inadequate_ratio * full.fit.rows:
+        return full
+    return _converge(
+        reweighted(replace(study, weights=nominal.study.weights), near), study.options.fit.nominal_ftol, progress
+    )
+
+
+def unweighted(nominal: NominalFit) -> NominalFit:
+    """The same fit with all samples at full weight."""
+    return reweighted(replace(nominal.study, weights={}), nominal)
+
+
+def reweighted(study: Study, nominal: NominalFit) -> NominalFit:
+    """The same fit under a study's noise and weights."""
+    return assembled(study, rescored(study, nominal.fit), nominal.linearised, nominal.columns)
+
+
+def linearise_nominal(study: Study, fit: Fit) -> NominalFit:
+    """A fit without candidates, linearised where it is."""
+    return assembled(study, fit, *linearise_fit(study, fit))
+
+
+def assembled(
+    study: Study, fit: Fit, linearised: Sequence[LinearisedRecord], columns: Sequence[dict[str, np.ndarray]]
+) -> NominalFit:
+    """The parts of a nominal fit put together, its Jacobian whitened."""
+    return NominalFit(study, fit, tuple(linearised), tuple(columns), study.stack(columns))
+
+
+def robust_start(
+    study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None
+) -> tuple[Fit, list[LinearisedRecord], list[dict[str, np.ndarray]]]:
+    """A robust start: samples that are far off are down-weighted (Huber), while that lowers the chi-square by a good
+    part.
+
+    A leakage peak in the wrong place does not tell which way it should move; the rest of the record does. Given back
+    are the fit and its linearisation, see `linearise_study`.
+    """
+    linearised, columns = linearise_fit(study, fit)
+    for iteration in range(study.options.fit.robust_linearisations):
+        progress(0.5 * iteration / study.options.fit.robust_linearisations)
+        robust = robust_weights(study, fit.readings)
+        start = rescored(robust, fit)
+        near, _ = levenberg_marquardt(
+            robust,
+            start,
+            jacobian_of(robust, fit, linearised, columns),
+            study.options.fit.robust_ftol * start.chi_square,
+        )
+        if near.chi_square > (1.0 - study.options.fit.robust_ftol) * start.chi_square:
+            break
+        fit = rescored(study, near)
+        linearised, columns = linearise_fit(study, fit)
+    return fit, linearised, columns
+
+
+def _converge(nominal: NominalFit, enough: float, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
+    """The nominal model fitted under its study's noise until a fresh linearisation predicts no more than `enough`.
+
+    What steps have gained is kept and linearised again, unless it is next to nothing: a first step that brings less
+    than `enough` may stand before as much again.
+    """
+    for iteration in range(nominal.study.options.fit.nominal_linearisations):
+        progress(0.5 + 0.5 * iteration / nominal.study.options.fit.nominal_linearisations)
+        fit, _ = levenberg_marquardt(nominal.study, nominal.fit, nominal.J, enough)
+        if nominal.fit.chi_square - fit.chi_square < max(
+            0.1 * enough, nominal.study.negligible_reduction(nominal.fit.chi_square, nominal.fit.rows)
+        ):
+            break
+        nominal = linearise_nominal(nominal.study, fit)
+    return nominal
+
+
+def _converge_down_weighted(nominal: NominalFit, progress: Callable[[float], None]) -> NominalFit:
+    """The nominal model fitted with samples next to a sharp peak of a reading down-weighted."""
+    return _converge(
+        reweighted(down_weight_peaks(nominal.study, nominal.linearised), nominal),
+        nominal.study.options.fit.preliminary_ftol,
+        progress,
+    )
+
+
+def within_tolerance(nominal: NominalFit) -> Fit:
+    """The nominal fit with no parameter beyond its tolerance: what the model can do without an extension."""
+    if not np.any(np.abs(nominal.fit.point) > nominal.study.options.fit.tolerance_deviations):
+        return nominal.fit
+    limits = (
+        np.outer(
+            (-nominal.study.options.fit.tolerance_deviations, nominal.study.options.fit.tolerance_deviations),
+            np.ones_like(nominal.fit.point),
+        )
+        - nominal.fit.point
+    )
+    return evaluate_fit(
+        nominal.study,
+        nominal.fit.point
+        + bounded_step(*normal_equations(nominal.fit, nominal.J, options=nominal.study.options), limits),
+        (),
+    )
+
+
+def clipped_to_tolerance(nominal: NominalFit) -> np.ndarray:
+    """The nominal fit's point (p,) with each parameter that is beyond its tolerance back at the end of it."""
+    return np.clip(
+        nominal.fit.point,
+        -nominal.study.options.fit.tolerance_deviations,
+        nominal.study.options.fit.tolerance_deviations,
+    )

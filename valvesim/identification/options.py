@@ -1,0 +1,265 @@
+"""The options of identification: every threshold with its unit, meaning and where its value comes from.
+
+Options are passed on: a `Study` carries its own. `option_table` lists them. A value whose source is `JUDGEMENT` follows
+from no data sheet or theorem; those of the diagnosis are held against `benchmarks/hidden_effects.py` as a whole.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+JUDGEMENT = "judgement"
+
+
+def option(value: Any, unit: str, doc: str, source: str) -> Any:
+    """A dataclass field that declares an option once: value, unit ("1" for a number), meaning, source of the value."""
+    return dataclasses.field(default=value, metadata={"unit": unit, "doc": doc, "source": source})
+
+
+def option_table(options: Any) -> Iterator[tuple[str, Any, str, str, str]]:
+    """(name, value, unit, doc, source) of each option, those of stages inside as `stage.name`."""
+    for declared in dataclasses.fields(options):
+        value = getattr(options, declared.name)
+        if dataclasses.is_dataclass(value):
+            yield from ((f"{declared.name}.{name}", *rest) for name, *rest in option_table(value))
+        else:
+            yield declared.name, value, *(declared.metadata[key] for key in ("unit", "doc", "source"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuditOptions:
+    """What a record must be to be used."""
+
+    least_samples: int = option(50, "1", "samples that a record needs", JUDGEMENT)
+    clock_jitter: float = option(
+        0.02, "1", "share of the median step by which a step of the clock may differ", JUDGEMENT
+    )
+    gap: float = option(
+        1.5, "1", "times the median step from which a longer step is a gap", "a lost sample makes a step of 2"
+    )
+    replicate_mismatch: float = option(
+        0.05, "1", "share of the input's span: rms difference of inputs between replicates", JUDGEMENT
+    )
+    least_motion: float = option(1e-3, "1", "share of an input's scale: a smaller span is at rest", JUDGEMENT)
+    noise_motion: float = option(
+        5e-3, "1", "share of an input's scale: white noise of smaller rms is a sensor's at rest", JUDGEMENT
+    )
+    flat_samples: int = option(10, "1", "equal readings in a row at the extreme that make a flat top", JUDGEMENT)
+    flat_reach: float = option(
+        0.05, "1", "share of the output's span that the command must ask for beyond a flat top", JUDGEMENT
+    )
+    finest_grid: float = option(
+        1e-4,
+        "1",
+        "share of a channel's span: a finer grid is the writing of the file, not the sensor",
+        "files of five digits",
+    )
+    overshoot: float = option(
+        0.02, "1", "share of the supply by which a measured load pressure may exceed it", JUDGEMENT
+    )
+    hold_out_share: float = option(
+        0.25, "1", "share of the tests that is held out where the session names none", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictorOptions:
+    """How a record is predicted."""
+
+    oil_intervals: int = option(400, "1", "most straight lines that follow a record's oil temperature", JUDGEMENT)
+    oil_resolution: float = option(0.05, "delta_degC", "deviation to which they follow it", JUDGEMENT)
+    grid_spacing: float = option(
+        2.5e-4,
+        "s",
+        "a trajectory is kept at this spacing or finer where the record is fast enough to need it",
+        JUDGEMENT,
+    )
+    most_points: int = option(
+        20_000,
+        "1",
+        "points of the trajectories of all training records; with more, the spacing is wider",
+        "memory of the linear equations",
+    )
+    quasi_static_step: float = option(
+        5e-3,
+        "s",
+        "a record sampled more slowly is quasi-static between its samples, and kept as it is",
+        "response of the spool, some milliseconds",
+    )
+    tolerance: float = option(
+        3e-5,
+        "1",
+        "relative tolerance of the solver",
+        "measured: errs by 1e-7 of the span and a chi-square by 0.1; with ten times as much fits get lost",
+    )
+    most_steps: int = option(50_000_000, "1", "steps of the solver after which a run has failed", JUDGEMENT)
+    sensor_spacing: float = option(
+        1e-4,
+        "s",
+        "sensors are applied on a grid this fine, since a fast lag sees the corners between samples",
+        JUDGEMENT,
+    )
+    curvature_reach: int = option(
+        3,
+        "1",
+        "steps of the sensors' grid on either side over which a reading's curvature counts for a sample",
+        JUDGEMENT,
+    )
+    long_record: float = option(
+        20.0, "s", "in longer records the sensors' grid is no finer than half the trajectory's", "memory"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorOptions:
+    """Priors of the nuisance parameters, and candidates."""
+
+    sensor_bias: float = option(2e-3, "1", "tolerance of every sensor's offset, share of its channel's span", JUDGEMENT)
+    sensor_gain: float = option(4e-3, "1", "tolerance of every sensor's gain", JUDGEMENT)
+    sensor_delay: float = option(
+        1e-4, "s", "tolerance of every sensor's delay: its electronics and the logger's clock", JUDGEMENT
+    )
+    least_share: float = option(
+        0.01, "1", "share of its nominal value that a positive quantity keeps: the equations divide by some", JUDGEMENT
+    )
+    beyond_records: float = option(
+        5.0, "1", "times the longest record: a time constant of what hardly moves in it", JUDGEMENT
+    )
+    ordinary_lag: float = option(5e-5, "s", "a shorter lag of a sensor is hardly a fault", "an amplifier of 3 kHz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensitivityOptions:
+    """How sensitivities are worked out."""
+
+    forcing_bytes: float = option(1.5e8, "byte", "forcings that are solved for at once", "memory")
+    batch_values: int = option(
+        65_536,
+        "1",
+        "values of one quantity along a trajectory for a batch of valves",
+        "they stay in the processor's cache",
+    )
+    step: float = option(
+        0.01,
+        "1",
+        "prior deviations by which a parameter is moved",
+        "sensitivities that trade off must hold to a thousandth",
+    )
+    simulated_step: float = option(
+        0.3, "1", "prior deviations by which a parameter is moved whose sensitivity is simulated", JUDGEMENT
+    )
+    segments: int = option(2, "1", "segments of a record, for the test that an amplitude is constant", JUDGEMENT)
+    shape_ratio: float = option(1.1, "1", "ratio by which a shape parameter is moved", JUDGEMENT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseOptions:
+    """How noise is estimated."""
+
+    least_common: float = option(
+        0.2, "1", "share of the samples of replicates that none has lost: of fewer their noise is not taken", JUDGEMENT
+    )
+    most_lags: int = option(8, "1", "highest order of the autoregression", JUDGEMENT)
+    samples_per_lag: int = option(
+        20, "1", "samples for each lag that is estimated; half of them with their past unbroken", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """Fits of the nominal model and of hypotheses."""
+
+    most_rows: int = option(
+        300_000, "1", "whitened rows that are kept: of longer sessions every second, third ... one", "memory"
+    )
+    long_session: int = option(
+        60_000, "1", "points of all trajectories from which a session is long", "a linearisation takes minutes there"
+    )
+    negligible_share: float = option(
+        0.02,
+        "1",
+        "in a long session, share of the excess chi-square whose reduction is not worth a linearisation",
+        JUDGEMENT,
+    )
+    inadequate_ratio: float = option(
+        1.5,
+        "1",
+        "chi-square over its expectation from which a fit is inadequate and is fitted robustly first",
+        JUDGEMENT,
+    )
+    shape_stride: float = option(4.5, "1", "ratio by which one step may change a shape parameter", JUDGEMENT)
+    shape_deviation: float = option(
+        1.0, "1", "prior deviation of the logarithm of a shape parameter about its default", JUDGEMENT
+    )
+    interior: float = option(0.98, "1", "share of its limits to which an amplitude keeps while it is fitted", JUDGEMENT)
+    least_amplitude: float = option(
+        1e-4,
+        "1",
+        "share of the typical amplitude to which a one-sided amplitude may come while it is fitted",
+        "at zero a step would not see its direction",
+    )
+    largest_chi_square: float = option(1e30, "1", "chi-square beyond which readings make no sense", JUDGEMENT)
+    update_threshold: float = option(
+        3.0, "1", "change of the chi-square from which Broyden's update is made", "below is the solver's noise"
+    )
+    linearisation_radius: float = option(
+        3.0, "1", "prior deviations from the linearisation at which it is renewed", JUDGEMENT
+    )
+    longest_step: float = option(3.0, "1", "step of a nuisance parameter, in prior deviations", JUDGEMENT)
+    patience: int = option(
+        2,
+        "1",
+        "in a long session, steps in a row that bring less than predicted",
+        "a linearisation costs as much as six steps",
+    )
+    steps: int = option(20, "1", "steps with one linearisation", JUDGEMENT)
+    failures: int = option(4, "1", "steps in a row that bring much less than predicted", JUDGEMENT)
+    robust_scale: float = option(3.0, "1", "times the median residual at which a sample counts less", JUDGEMENT)
+    peak_share: float = option(
+        0.3, "1", "share of a reading's curvature within a tenth of a millisecond that may be wrong", JUDGEMENT
+    )
+    nominal_linearisations: int = option(24, "1", "linearisations of the fit of the nominal model", JUDGEMENT)
+    robust_ftol: float = option(0.1, "1", "relative reduction of the chi-square that ends the robust start", JUDGEMENT)
+    robust_linearisations: int = option(8, "1", "linearisations of the robust start", JUDGEMENT)
+    peak_ratio: float = option(
+        3.0,
+        "1",
+        "times the excess chi-square between peaks: where they leave more, the model cannot follow them",
+        JUDGEMENT,
+    )
+    tolerance_deviations: float = option(
+        2.0, "1", "prior deviations at which a tolerance ends", "the prior of `NominalModel`"
+    )
+    preliminary_ftol: float = option(10.0, "1", "reduction of the chi-square that ends a preliminary fit", JUDGEMENT)
+    nominal_ftol: float = option(
+        1.0, "1", "reduction of the chi-square that ends the fit of the nominal model", JUDGEMENT
+    )
+    linearisations: int = option(4, "1", "linearisations of a hypothesis that does not come near", JUDGEMENT)
+    most_linearisations: int = option(12, "1", "linearisations of a hypothesis that does", JUDGEMENT)
+    hypothesis_ftol: float = option(
+        2.0,
+        "1",
+        "reduction of the chi-square that ends the fit of a hypothesis",
+        "the answer set goes by several, and the rest is predicted",
+    )
+    unconverged: float = option(
+        4.0, "1", "predicted reduction from which a fit has not converged", "twice `hypothesis_ftol`"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentificationOptions:
+    """All options of identification, a stage each."""
+
+    audit: AuditOptions = AuditOptions()
+    predictor: PredictorOptions = PredictorOptions()
+    prior: PriorOptions = PriorOptions()
+    sensitivity: SensitivityOptions = SensitivityOptions()
+    noise: NoiseOptions = NoiseOptions()
+    fit: FitOptions = FitOptions()
+
+
+DEFAULT_IDENTIFICATION = IdentificationOptions()

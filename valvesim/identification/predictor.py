@@ -1,0 +1,382 @@
+"""What a valve is predicted to do in a measured record: many variants of one valve under the same inputs.
+
+Everything that variants share (inputs, breaks, times) is prepared once a record; a variant then costs one integration.
+Several effects with a balance run in one compiled model that holds them all (`Bench.universe`), each at its neutral
+value unless the variant says otherwise, so that no combination of effects is ever compiled for itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from valvesim.channels import STATE_CHANNELS, Inputs
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.record_scenario import record_scenario
+from valvesim.identification.session import Record, Session
+from valvesim.inputs import evaluate, merge
+from valvesim.simulation.run import between, brackets, on_lines, temperature_knots
+from valvesim.simulation.scenario import Scenario
+from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.effect import ActiveEffect, Effect, Reading
+from valvesim.valve.equations import Model
+from valvesim.valve.equilibrium import settle, solve_rest
+from valvesim.valve.parameters import Coefficients, Valve
+from valvesim.valve.thermal_network import TemperaturePath
+
+
+@dataclass(frozen=True)
+class ModelVariant:
+    """A valve with its active effects: one hypothesis about what was measured."""
+
+    valve: Valve
+    effects: tuple[ActiveEffect, ...] = ()
+
+    def with_effect(self, active: ActiveEffect) -> ModelVariant:
+        """The same valve with one effect more."""
+        return replace(self, effects=(*self.effects, active))
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A variant's run on the grid of its predictor: states (n, n_x) of `model`, in SI; its flat coefficients (n or
+    1, n_c).
+
+    `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there,
+    and `at_valve` the record's output channels (n_f,) before their sensors; `knots` (m, n_c) are the coefficients at
+    the `knot_times` (m,) of its temperatures.
+    """
+
+    model: Model
+    states: np.ndarray
+    coefficients: np.ndarray
+    fine: np.ndarray
+    oil: np.ndarray
+    at_valve: dict[str, np.ndarray]
+    knot_times: np.ndarray
+    knots: np.ndarray
+
+
+@dataclass(frozen=True)
+class RecordPredictor:
+    """One record, prepared: `times` (n,) is the grid, every `oversampling`-th of its points a sample of the record.
+
+    `preliminary` where that grid is meant for the way to a fit alone, see `without_oversampling`.
+    """
+
+    record: Record
+    scenario: Scenario
+    universe: tuple[Effect, ...]
+    lags: dict[str, float]
+    path: TemperaturePath
+    times: np.ndarray
+    oversampling: int
+    sensor_oversampling: int
+    fine_times: np.ndarray
+    fine_inputs: np.ndarray
+    starts: np.ndarray
+    rows: np.ndarray
+    inputs: np.ndarray  # (n, inputs): command, its rate, pressures
+    options: IdentificationOptions
+    preliminary: bool = False
+
+    def without_oversampling(self) -> RecordPredictor:
+        """The same predictor with its grid at the samples alone: it reads the same, and is seen in less time."""
+        times = self.times[:: self.oversampling]
+        return replace(
+            self,
+            times=times,
+            inputs=_inputs(self.scenario, times),
+            oversampling=1,
+            sensor_oversampling=self.oversampling * self.sensor_oversampling,
+            preliminary=True,
+        )
+
+    def runs_as(self, other: RecordPredictor) -> bool:
+        """Whether any variant reads the same on both: they are of a record and its repeat, say."""
+        mine, others = self._inputs_of_run(), other._inputs_of_run()
+        return self.record.outputs == other.record.outputs and all(map(np.array_equal, mine, others))
+
+    def _inputs_of_run(self) -> tuple[np.ndarray, ...]:
+        path = (self.path.times, *(np.asarray(value) for _, value in _parts(self.path)))
+        return self.times, self.fine_times, self.fine_inputs, self.starts, self.rows, *path
+
+    def model(self, effects: Sequence[ActiveEffect]) -> Model:
+        """The equations with the one effect that has a balance; for several those with the universe, if they are in it.
+
+        A model with its own effect alone runs twice as fast as the universe does.
+        """
+        own = tuple(active.effect for active in effects if active.effect.balance is not None)
+        if len(own) < 2:
+            return Model(self.scenario.drive, own)
+        names = {effect.name for effect in self.universe}
+        return Model(self.scenario.drive, self.universe if all(e.name in names for e in own) else own)
+
+    def run(self, variant: ModelVariant) -> Trajectory:
+        """The trajectory of a variant from rest. Raises InputError for impossible dimensions, SolveError where it
+        fails.
+        """
+        path, knots, model = self._coefficients(variant)
+        stacked = np.stack(np.broadcast_arrays(*knots), axis=-1).astype(float)
+        flat = np.array(np.broadcast_to(stacked, (len(path.times), stacked.shape[-1])))
+        compiled = compile_model(model, absent_coefficients(model, flat))
+        fine = _integrate(self, compiled, path, flat, self.switched_off(model, variant.effects))
+        oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
+        return self.on_grid(
+            Trajectory(model, fine, flat, fine, oil, self._outputs(model, fine, variant), path.times, flat)
+        )
+
+    def on_grid(self, trajectory: Trajectory) -> Trajectory:
+        """A trajectory of this predictor, or of the same at another spacing, on the grid of this one: nothing is
+        integrated.
+        """
+        one = len(trajectory.knot_times) == 1
+        along = trajectory.knots if one else between(self.times, trajectory.knot_times, trajectory.knots).T
+        return replace(
+            trajectory, states=np.ascontiguousarray(trajectory.fine[:: self.sensor_oversampling]), coefficients=along
+        )
+
+    def _coefficients(self, variant: ModelVariant, model: Model | None = None) -> tuple[TemperaturePath, tuple, Model]:
+        """Temperature path, flat coefficients at its knots, (), (m,) or (batch, m) each, and the model of both."""
+        path = self.path
+        if any(active.effect.temperatures is not None for active in variant.effects):
+            path, _ = temperature_knots(replace(self.scenario, effects=variant.effects))
+        with _naming_record(self.record):
+            c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
+        model = self.model(variant.effects) if model is None else model
+        return path, model.flat_coefficients(c, _with_neutral(model, variant.effects), path.parts), model
+
+    def coefficients_along(self, variant: ModelVariant, model: Model, times: np.ndarray | None = None) -> tuple:
+        """Flat coefficients of a model for a variant on the grid (or at `times`), (n,) each, (1,) where constant.
+
+        Of a variant whose valve is a batch, quantities (batch, 1), they are (n, batch), with ones where constant.
+        """
+        path, knots, _ = self._coefficients(variant, model)
+        dimensions = max(np.ndim(value) for value in knots)
+        columns = [np.array(value, dtype=float, ndmin=max(dimensions, 1)).T for value in knots]
+        if len(path.times) == 1:
+            return tuple(columns)
+        k, share = brackets(self.times if times is None else times, path.times)
+        share = share.reshape(-1, *(1,) * (columns[0].ndim - 1))
+        return tuple(column[:1] if np.all(column == column[0]) else on_lines(column, k, share) for column in columns)
+
+    def switched_off(self, model: Model, active: Sequence[ActiveEffect]) -> np.ndarray:
+        """True for each state of the model that is the memory of an effect which is not active."""
+        given = {a.effect.name for a in active}
+        off = [False] * (len(STATE_CHANNELS) + len(model.drive.memory))
+        return np.array([*off, *(e.name not in given for e in model.effects for _ in e.memory)])
+
+    def reduced(self, model: Model, variant: ModelVariant) -> tuple[Model, np.ndarray]:
+        """The model with a variant's own effects alone, and the indices of its states in those of a fuller one."""
+        active = {a.effect.name for a in variant.effects}
+        own = Model(model.drive, tuple(e for e in model.effects if e.name in active))
+        return own, np.flatnonzero(~self.switched_off(model, variant.effects))
+
+    def readings(self, trajectory: Trajectory, variant: ModelVariant) -> dict[str, np.ndarray]:
+        """What the record's sensors would have read, (n_samples,) by channel, before noise and resolution."""
+        return self.apply_sensors(trajectory.at_valve, trajectory, variant)
+
+    def _outputs(self, model: Model, fine: np.ndarray, variant: ModelVariant) -> dict[str, np.ndarray]:
+        """The record's output channels on the fine grid, (n_f,) each, as they are at the valve."""
+        names = self.record.outputs
+        values = {channel.name: fine[:, k] for k, channel in enumerate(model.state_channels) if channel.name in names}
+        if set(names) - set(values):
+            model, own = self.reduced(model, variant)
+            along = self.coefficients_along(variant, model, self.fine_times)
+            signals = model.signals(tuple(fine[:, own].T), Inputs(*self.fine_inputs.T), along)
+            for name in names:
+                if name not in values:
+                    values[name] = np.broadcast_to(getattr(signals, name), self.fine_times.shape)
+        return values
+
+    def apply_sensors(
+        self, values: dict[str, np.ndarray], trajectory: Trajectory, variant: ModelVariant
+    ) -> dict[str, np.ndarray]:
+        """Channels on either grid, (n,) or columns (n, k), as their sensors give them at the samples."""
+        every = {True: self.oversampling * self.sensor_oversampling, False: self.oversampling}
+        applied = {name: self._apply_sensor(name, column, trajectory, variant) for name, column in values.items()}
+        return {name: column[:: every[len(column) == len(self.fine_times)]] for name, column in applied.items()}
+
+    def _apply_sensor(self, name: str, column: np.ndarray, trajectory: Trajectory, variant: ModelVariant) -> np.ndarray:
+        """A channel on either grid as its sensor gives it there."""
+        fine = len(column) == len(self.fine_times)
+        times, oil = (
+            (self.fine_times, trajectory.oil) if fine else (self.times, trajectory.oil[:: self.sensor_oversampling])
+        )
+        acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
+        if self.lags.get(name, 0.0) > 0.0:
+            acting.append(CATALOGUE["sensor_lag"].on(name)(time_constant=self.lags[name]))
+        for active in acting:
+            column = _apply_reading(active, times, column, oil)
+        return column
+
+    def curvatures(self, trajectory: Trajectory, variant: ModelVariant) -> dict[str, np.ndarray]:
+        """By how much each reading, on the fine grid, bends next to a sample (n_samples,): half its second difference.
+
+        Zero where the grid is that of the samples.
+        """
+        from scipy.ndimage import maximum_filter1d
+
+        step, curvatures = self.oversampling * self.sensor_oversampling, {}
+        for name, column in trajectory.at_valve.items():
+            bend = np.zeros(len(column))
+            if step > 1:
+                bend[1:-1] = np.abs(np.diff(self._apply_sensor(name, column, trajectory, variant), 2)) / 2.0
+            curvatures[name] = maximum_filter1d(bend, 2 * self.options.predictor.curvature_reach + 1)[::step]
+        return curvatures
+
+
+def _apply_reading(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.ndarray) -> np.ndarray:
+    reading = active.effect.reading
+    assert reading is not None  # noqa: S101 - the caller has chosen effects with one
+    if columns.ndim == 1 or active.effect.name == "sensor_lag":
+        return reading(Reading(times, columns, oil), active.values)
+    return np.column_stack([reading(Reading(times, column, oil), active.values) for column in columns.T])
+
+
+def prepare_record(
+    session: Session, record: Record, universe: Sequence[Effect], *, options: IdentificationOptions
+) -> RecordPredictor:
+    """A record ready to be predicted with any variant whose effects with a balance are among `universe`."""
+    with _naming_record(record):
+        scenario = record_scenario(session, record, tolerance=options.predictor.tolerance, options=options)
+        path, _ = temperature_knots(scenario)
+    step = 1.0 / record.rate
+    oversampling = (
+        int(np.ceil(step / _grid_spacing(session, options=options) - 1e-6))
+        if step <= options.predictor.quasi_static_step
+        else 1
+    )
+    count = (len(record.time) - 1) * oversampling + 1
+    times = np.linspace(0.0, float(record.time[-1]), count)
+    sensor_oversampling = 1
+    if step <= options.predictor.quasi_static_step:
+        sensor_oversampling = (
+            int(np.ceil(step / oversampling / options.predictor.sensor_spacing - 1e-6))
+            if record.duration <= options.predictor.long_record
+            else 2
+        )
+    fine_times = np.linspace(0.0, float(record.time[-1]), (count - 1) * sensor_oversampling + 1)
+    starts, intervals = merge((scenario.command, *scenario.pressures()), scenario.duration)
+    sensors = session.sensors
+    return RecordPredictor(
+        record=record,
+        scenario=scenario,
+        universe=tuple(effect for effect in universe if effect.balance is not None),
+        lags={name: sensors[name].lag for name in record.outputs if name in sensors},
+        path=path,
+        times=times,
+        oversampling=oversampling,
+        sensor_oversampling=sensor_oversampling,
+        fine_times=fine_times,
+        fine_inputs=_inputs(scenario, fine_times),
+        starts=starts,
+        rows=intervals.rows,
+        inputs=_inputs(scenario, times),
+        options=options,
+    )
+
+
+@contextmanager
+def _naming_record(record: Record) -> Iterator[None]:
+    """An InputError from inside gets the record's name."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"record {record.name}: {error}") from None
+
+
+def _grid_spacing(session: Session, *, options: IdentificationOptions) -> float:
+    """The spacing (s) of trajectories in a session: wider where its training records are long."""
+    return max(
+        options.predictor.grid_spacing,
+        sum(r.duration for r in session.training if r.rate * options.predictor.quasi_static_step >= 1.0)
+        / options.predictor.most_points,
+    )
+
+
+def _inputs(scenario: Scenario, times: np.ndarray) -> np.ndarray:
+    """(n, inputs): command, its rate, pressures."""
+    values = [evaluate(command, times) for command in (scenario.command, *scenario.pressures())]
+    rate = np.gradient(values[0], times)
+    rate[0] = 0.0  # a record starts at rest
+    return np.column_stack([values[0], rate, *values[1:]])
+
+
+def neutral(effect: Effect) -> ActiveEffect:
+    """The effect switched off."""
+    amplitude = effect.amplitude
+    return effect(**{amplitude.name: amplitude.neutral or 0.0})
+
+
+def _with_neutral(model: Model, active: Sequence[ActiveEffect]) -> list[ActiveEffect]:
+    """The active effects, with those of the model that are not among them switched off, in the model's order."""
+    given = {a.effect.name: a for a in active if a.effect.balance is not None}
+    in_model = [given.get(effect.name) or neutral(effect) for effect in model.effects]
+    return [*in_model, *(a for a in active if a.effect.balance is None)]
+
+
+def _parts(path: TemperaturePath) -> list[tuple[str, np.ndarray]]:
+    return [(name, getattr(path.parts, name)) for name in path.parts.__dataclass_fields__]
+
+
+def _column(value: np.ndarray, path: TemperaturePath) -> np.ndarray:
+    return np.broadcast_to(np.asarray(value, dtype=float), path.times.shape)[:, None]
+
+
+def _integrate(
+    predictor: RecordPredictor, compiled: CompiledModel, path: TemperaturePath, flat: np.ndarray, off: np.ndarray
+) -> np.ndarray:
+    """States (n_f, n_x) in SI on the predictor's fine grid."""
+    y = _rest(predictor, compiled, flat[0], off)
+    out = np.empty((len(predictor.fine_times), len(y)))
+    clock, count = np.array([0.0, 1e-5, 0.0]), np.zeros(2, dtype=np.int64)
+    atol = np.where(off, np.inf, 1e-2 * predictor.options.predictor.tolerance)
+    end = float(predictor.times[-1])
+    status = compiled.run(
+        y,
+        clock,
+        end,
+        predictor.starts,
+        predictor.rows,
+        path.times,
+        flat,
+        predictor.fine_times,
+        out,
+        predictor.options.predictor.tolerance,
+        atol,
+        predictor.options.predictor.most_steps,
+        count,
+    )
+    if status or not np.isfinite(out[-1]).all():
+        raise SolveError(
+            f"record {predictor.record.name}: the simulation failed at t = {clock[0]:.6g} s; is the valve of "
+            "session.toml the one that was measured?"
+        )
+    return out * compiled.scale
+
+
+def _rest(predictor: RecordPredictor, compiled: CompiledModel, flat: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """The scaled state at rest under the first inputs: the static solution, then Newton on the model itself."""
+    c = Coefficients(*flat[: len(Coefficients._fields)])
+    first = predictor.inputs[0].copy()
+    first[1] = 0.0
+    memory = compiled.model.drive.rest(first[0], c)
+    rest = solve_rest(c, memory[0] if memory else first[0], 0.0, *first[2:])
+    y = np.zeros(len(compiled.scale))
+    y[:6] = [float(v) for v in (rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2,
+                                rest.spool_position, 0.0)]  # fmt: skip
+    y[6 : 6 + len(memory)] = memory
+    y /= compiled.scale
+    if not any(e.balance for e in compiled.model.effects):
+        return y
+    return settle(
+        lambda y, out: compiled.derivative(y, first, flat, out),
+        lambda y, out: compiled.jacobian(y, first, flat, out),
+        y, compiled.model.state_channels, where=f"record {predictor.record.name}: ", held=off,
+    )  # fmt: skip

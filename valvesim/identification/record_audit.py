@@ -1,0 +1,204 @@
+"""The audit of the records of a session: inputs in range, repeats that repeat, sensors stuck, coarse or saturated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from valvesim.errors import InputError
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.record_csv import file_line
+from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, value_text
+from valvesim.units import DISPLAY, quantities
+from valvesim.valve.fluid import COMPUTED_RANGE
+from valvesim.valve.parameters import Valve
+
+# Where the output goes when the command goes up, so that a flat top can be told from rest; leakage goes down both ways.
+_SIGN = {name: 1.0 for name in OUTPUTS} | {"nozzle_pressure_2": -1.0, "internal_leakage": 0.0}
+
+
+def input_scale(name: str, valve: Valve) -> float:
+    """The size against which an input's motion is judged: rated command, 100 K, supply pressure."""
+    if name == "current":
+        return valve.rated_current
+    if name == "voltage":
+        return valve.rated_current * valve.coil_resistance
+    return 100.0 if UNITS[name] == "degC" else valve.supply_pressure
+
+
+def is_at_rest(values: np.ndarray, scale: float, *, options: IdentificationOptions) -> bool:
+    """Whether an input is at rest: constant, or no more than white noise of a sensor."""
+    if np.ptp(values) <= options.audit.least_motion * scale:
+        return True
+    white = np.var(np.diff(values)) > 1.4 * np.var(values)  # 2 where neighbours know nothing of each other
+    return bool(white and np.std(values) <= options.audit.noise_motion * scale)
+
+
+def check_command(path: Path, record: Record, valve: Valve, notes: list[str]) -> None:
+    command, rated = record.values[record.command], input_scale(record.command, valve)
+    unit, factor = DISPLAY.get(UNITS[record.command], (UNITS[record.command], 1.0))
+    k = int(np.argmax(np.abs(command)))
+    told = f"{record.command} of {command[k] * factor:.4g} {unit}"
+    limit = f"the rated {rated * factor:.4g} {unit}"
+    if abs(command[k]) > 2.0 * rated:
+        raise InputError(f"{path}, line {file_line(path, k)}: {told} is beyond twice {limit}")
+    if abs(command[k]) > rated * (1 + 1e-9):
+        notes.append(f"{record.name}: {told} is beyond {limit}; spool and flapper may reach their stops")
+
+
+def check_conditions(
+    path: Path, record: Record, valve: Valve, notes: list[str], *, options: IdentificationOptions
+) -> None:
+    """Temperatures and pressures must be ones that the valve can be in."""
+    bounds = {name: field.metadata["bounds"] for name, field in quantities(valve).items()}
+    bounds |= {"oil_temperature": COMPUTED_RANGE, "body_temperature": COMPUTED_RANGE}
+
+    def refuse(wrong: np.ndarray, name: str, why: str) -> None:
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            value = value_text(record.values[name][k], UNITS[name])
+            raise InputError(f"{path}, line {file_line(path, k)}: {name} of {value} {why}")
+
+    for name in record.inputs[1:]:
+        (low, high), values = bounds[name], record.values[name]
+        span = f"[{value_text(low, UNITS[name])}, {value_text(high, UNITS[name])}]"
+        refuse((values < low) | (values > high), name, f"is outside {span}")
+    pressure = {f"{n}_pressure": record.values.get(f"{n}_pressure", getattr(valve, f"{n}_pressure")) for n in
+                ("supply", "return", "load")}  # fmt: skip
+    supply = np.broadcast_to(pressure["supply_pressure"], record.time.shape)
+    measured_channels = next((n for n in ("return_pressure", "supply_pressure") if n in record.values), "")
+    if measured_channels:
+        refuse(pressure["return_pressure"] >= supply, measured_channels, "leaves no pressure between supply and return")
+    if "load_pressure" in record.values:
+        load = record.values["load_pressure"]
+        refuse(
+            np.abs(load) > (1.0 + options.audit.overshoot) * supply, "load_pressure", "is beyond the supply pressure"
+        )
+        if (np.abs(load) > supply).any():
+            record.values["load_pressure"] = np.clip(load, -supply, supply)
+            notes.append(f"{record.name}: load_pressure is a little beyond the supply pressure and held at it")
+
+
+def check_drive(records: Sequence[Record]) -> None:
+    first = records[0]
+    for record in records:
+        if record.command != first.command:
+            raise InputError(
+                f"{first.name} is driven by {first.command}, {record.name} by {record.command}: a session has one drive"
+            )
+
+
+def check_replicates(records: Sequence[Record], valve: Valve, *, options: IdentificationOptions) -> None:
+    """Repeats of one test must have one clock and the same inputs."""
+    first: dict[str, Record] = {}
+    for record in records:
+        if record.repeats is None or (other := first.setdefault(record.repeats, record)) is record:
+            continue
+        pair = f"{other.name} and {record.name} are called repeats {record.repeats!r}, but their"
+        if len(record.time) != len(other.time):
+            raise InputError(f"{pair} lengths differ: {len(other.time)} and {len(record.time)} samples")
+        if abs(record.duration - other.duration) * record.rate > 0.5:
+            raise InputError(f"{pair} clocks disagree: they end at {other.duration:.6g} s and {record.duration:.6g} s")
+        for name in dict.fromkeys((*other.inputs, *record.inputs)):
+            if name not in other.values or name not in record.values:
+                raise InputError(f"{pair} columns differ: only one has {name!r}")
+            a, b = other.values[name], record.values[name]
+            span = max(np.ptp(a), np.ptp(b))
+            if name != record.command:  # a temperature or pressure that rests has no span of its own
+                span = max(span, input_scale(name, valve))
+            off = float(np.sqrt(np.mean((a - b) ** 2)))
+            if off > options.audit.replicate_mismatch * max(
+                span, options.audit.least_motion * input_scale(name, valve)
+            ):
+                raise InputError(
+                    f"{pair} inputs differ: {name} by {value_text(off, UNITS[name])} rms, more than "
+                    f"{options.audit.replicate_mismatch:.0%} of {value_text(span, UNITS[name])}"
+                )
+
+
+def audited_sensors(
+    stated: dict[str, Sensor], records: Sequence[Record], notes: list[str], *, options: IdentificationOptions
+) -> dict[str, Sensor]:
+    """One for each output channel that was measured; a resolution that is not stated is looked for in the data."""
+    measured_channels = [name for name in OUTPUTS if any(name in record.outputs for record in records)]
+    for name in stated:
+        if name not in measured_channels:
+            raise InputError(
+                f"sensors.{name}: no record has this output channel; they have {', '.join(measured_channels)}"
+            )
+    sensors = {}
+    for name in measured_channels:
+        sensor = stated.get(name, Sensor(name, UNITS[name]))
+        if sensor.resolution == 0.0:
+            step = _grid([record.values[name] for record in records if name in record.outputs], options=options)
+            if step > 0.0:
+                notes.append(
+                    f"{name}: readings sit on a grid of {value_text(step, sensor.unit)}, taken as the resolution"
+                )
+            sensor = replace(sensor, resolution=step)
+        sensors[name] = sensor
+    return sensors
+
+
+def _grid(readings: Sequence[np.ndarray], *, options: IdentificationOptions) -> float:
+    """The step of the grid on which all readings sit, or 0 where they sit on none that is coarse enough to matter."""
+    levels = np.unique(np.concatenate(readings))
+    span = levels[-1] - levels[0]
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels))]  # equal readings that the conversion of units has parted
+    if len(gaps) < 2 or np.min(gaps) < options.audit.finest_grid * span:
+        return 0.0
+    step = float(span / np.round(span / np.min(gaps)))  # the smallest gap alone is rounded; the whole span is not
+    turns = (levels - levels[0]) / step
+    return step if np.max(np.abs(turns - np.round(turns))) < 0.02 else 0.0
+
+
+def usable_record(
+    record: Record, sensors: dict[str, Sensor], notes: list[str], *, options: IdentificationOptions
+) -> Record | None:
+    """The record with the output channels that can be used, or None where nothing moves or none can."""
+    if not record.moves():
+        notes.append(f"{record.name}: never moves (no input changes) and is left out")
+        return None
+    usable = {}
+    for name in record.outputs:
+        values = record.values[name]
+        if record.moves(record.command) and np.ptp(values) == 0.0:
+            notes.append(f"{record.name}: {name} is stuck at {value_text(values[0], UNITS[name])} while the "
+                         f"{record.command} moves, and is left out")  # fmt: skip
+            continue
+        good = ~_saturated(record, sensors[name], options=options)
+        bad = 1.0 - float(np.mean(good))
+        if bad > 0.0:
+            left_out = " and is left out" if bad > 0.5 else ""
+            notes.append(f"{record.name}: {name} is saturated in {bad:.2%} of the samples{left_out}")
+        if bad <= 0.5:
+            usable[name] = good
+    if not usable:
+        notes.append(f"{record.name}: has no output channel left and is left out")
+        return None
+    return replace(record, usable=usable)
+
+
+def _saturated(record: Record, sensor: Sensor, *, options: IdentificationOptions) -> np.ndarray:
+    """Where a channel stands at an end of its sensor's range, or at a flat top of its own while the command goes on."""
+    values, command = record.values[sensor.channel], record.values[record.command]
+    (low, high), half = sensor.range, 0.5 * sensor.resolution
+    saturated = (values <= low + half) | (values >= high - half)
+    span, asked = np.ptp(values), np.ptp(command)
+    if asked == 0.0:
+        return saturated
+    for side in (1.0, -1.0):
+        at_extreme = side * values == np.max(side * values)
+        outward = side * _SIGN[sensor.channel] * command * span / asked  # what the command asks for, as an output
+        runs = np.flatnonzero(np.diff(at_extreme.astype(int), prepend=0, append=0)).reshape(-1, 2)
+        for a, b in runs[np.diff(runs)[:, 0] >= options.audit.flat_samples]:
+            # Rest and friction are flat too, but there the command goes no further out than where the reading stopped.
+            if np.max(outward[a:b]) - max(outward[a], outward[b - 1]) > max(
+                3.0 * sensor.resolution, options.audit.flat_reach * span
+            ):
+                saturated[a:b] = True
+    return saturated

@@ -1,0 +1,245 @@
+"""Reading a session folder, `session.toml` and CSV records, strictly: what makes no sense is an InputError with file
+and line or key.
+
+What merely carries no information (a record that never moves, a stuck or saturated sensor) is left out by the audit,
+and `Session.notes` says so in words.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from valvesim.errors import InputError, nearest, unknown_name
+from valvesim.identification.holdout import hold_out
+from valvesim.identification.options import DEFAULT_IDENTIFICATION, IdentificationOptions
+from valvesim.identification.record_audit import (
+    audited_sensors,
+    check_command,
+    check_conditions,
+    check_drive,
+    check_replicates,
+    input_scale,
+    is_at_rest,
+    usable_record,
+)
+from valvesim.identification.record_csv import even_clock, read_values
+from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session
+from valvesim.io import check_printable, read_toml
+from valvesim.simulation.scenario import Reader, located, read_valve
+from valvesim.units import parse, quantities
+from valvesim.valve.effect_files import load_effects_files
+from valvesim.valve.parameters import REFERENCE_TEMPERATURE, Valve
+
+_TABLES = ("valve", "oil", "thermal", "effects", "tolerances", "sensors")
+_ROLES = ("train", "test")
+
+
+def load_session(
+    folder: str | Path,
+    *,
+    seed: int | None = None,
+    effects: Sequence[str | Path] = (),
+    options: IdentificationOptions = DEFAULT_IDENTIFICATION,
+) -> Session:
+    """Read a session folder and audit it.
+
+    `seed` takes the place of the session's own; `effects` are further files of a user's own effects.
+
+    Raises InputError (file, line, key) for a missing or broken `session.toml`, unknown keys, and records that make no
+    sense: see the module's tests for every case.
+    """
+    folder = Path(folder)
+    path = folder / "session.toml"
+    text, table = read_toml(path, "a session is a folder with session.toml and CSV records")
+    text = _numbered(text)
+    with located(path, text):
+        session = _settings(folder, table, tuple(Path(file).absolute() for file in effects))
+        if seed is not None:
+            session = replace(session, seed=_seed(seed))
+        listed = _listed(folder, table.get("records"))
+        stated = _stated_sensors(table.get("sensors", {}))
+    notes: list[str] = []
+    records = [_read_record(folder, session, notes, *each, options=options) for each in listed]
+    check_drive(records)
+    check_replicates(records, session.valve, options=options)
+    with located(path, text):
+        sensors = audited_sensors(stated, records, notes, options=options)
+    records = [
+        usable for record in records if (usable := usable_record(record, sensors, notes, options=options)) is not None
+    ]
+    if not any(record.moves() for record in records):
+        raise InputError(f"{folder}: no record is left that moves and has a usable output channel: {'; '.join(notes)}")
+    records = hold_out(records, session.seed, notes, options=options)
+    if all(record.role == "test" for record in records):
+        raise InputError(f"{folder}: every record has role = 'test', so none is left to learn from")
+    return replace(session, sensors=sensors, records=tuple(records), notes=tuple(notes))
+
+
+def _numbered(text: str) -> str:
+    """The text with each [[records]] numbered from 1, as the messages name them."""
+    numbers = count(1)
+    return re.sub(r"(?m)^[ \t]*\[\[\s*records\s*\]\]", lambda _: f"[records.{next(numbers)}]", text)
+
+
+def _settings(folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...]) -> Session:
+    """Everything in `session.toml` but sensors and records, with more files of effects."""
+    reader = Reader(folder)
+    reader.known(table, ("title", "seed", "effects_files", "records", *_TABLES), "session")
+    for name in _TABLES:
+        if not isinstance(table.get(name, {}), dict):
+            raise InputError(f"{name}: expected a table, got {table[name]!r}")
+    title = table.get("title", folder.resolve().name)
+    check_printable(title, "title")
+    if "oil_temperature" in table.get("thermal", {}):
+        raise InputError("thermal.oil_temperature: comes from the records (column 'oil_temperature [degC]')")
+    valve = read_valve(table.get("valve", {}))
+    named = reader.names(table.get("effects_files", []), "effects_files", "file")
+    files: tuple[str | Path, ...] = (*named, *more_effects)
+    own = load_effects_files(folder, files)
+    return Session(
+        folder=folder,
+        title=title,
+        seed=_seed(table.get("seed", 0)),
+        valve=valve,
+        oil=reader.oil(table.get("oil", {})),
+        thermal=reader.thermal(table.get("thermal", {})),
+        effects=reader.effects(table.get("effects", {}), own),
+        user_effects=own,
+        effects_files=tuple(folder.absolute() / file for file in files),
+        tolerances={name: _tolerance(valve, name, text) for name, text in table.get("tolerances", {}).items()},
+        sensors={},
+        records=(),
+        notes=(),
+    )
+
+
+def _seed(given: Any) -> int:
+    if isinstance(given, bool) or not isinstance(given, int) or given < 0:
+        raise InputError(f"seed: expected a whole number, 0 or more, got {given!r}")
+    return given
+
+
+def _tolerance(valve: Valve, name: str, text: Any) -> float:
+    """The half-width of a valve parameter in SI, from a share of its value or a quantity."""
+    declared, where = quantities(valve), f"tolerances.{name}"
+    if name not in declared:
+        raise unknown_name("valve parameter", name, declared, "tolerances")
+    if isinstance(text, str) and text.rstrip().endswith("%"):
+        size = abs(getattr(valve, name))
+        if size == 0.0:
+            unit = declared[name].metadata["unit"]
+            raise InputError(f"{where}: {name} is zero, so a share of it is nothing; give an absolute one in {unit}")
+        half_width = parse(text, "1", where) * size
+    else:
+        half_width = parse(text, declared[name].metadata["unit"], where)
+    if half_width <= 0.0:
+        raise InputError(f"{where}: {text!r} must be positive")
+    return half_width
+
+
+def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
+    sensors = {}
+    for name, figures in table.items():
+        where = f"sensors.{name}"
+        if name not in OUTPUTS:
+            raise unknown_name("output channel", name, OUTPUTS, "sensors")
+        if not isinstance(figures, dict):
+            raise InputError(f"{where}: expected a table, got {figures!r}")
+        Reader.known(figures, ("noise", "resolution", "lag", "range"), where)
+        units = {"noise": UNITS[name], "resolution": UNITS[name], "lag": "s"}
+        known: dict[str, Any] = {}
+        for key in units:
+            if key not in figures:
+                continue
+            known[key] = parse(figures[key], units[key], f"{where}.{key}")
+            if known[key] < 0.0 or (key == "noise" and known[key] == 0.0):
+                least = "be positive" if key == "noise" else "not be negative"
+                raise InputError(f"{where}.{key}: {figures[key]!r} must {least}")
+        if "range" in figures:
+            known["range"] = _range(figures["range"], UNITS[name], f"{where}.range")
+        sensors[name] = Sensor(name, UNITS[name], **known)
+    return sensors
+
+
+def _range(given: Any, unit: str, where: str) -> tuple[float, float]:
+    if not isinstance(given, list) or len(given) != 2:
+        raise InputError(f"{where}: expected [lowest, highest], such as ['-1 {unit}', '1 {unit}'], got {given!r}")
+    low, high = (parse(text, unit, where) for text in given)
+    if low >= high:
+        raise InputError(f"{where}: {given[0]!r} must be below {given[1]!r}")
+    return low, high
+
+
+def _listed(folder: Path, records: Any) -> list[tuple[str, str, str | None]]:
+    """(file, role, repeats) of each record; without a list, every CSV file in name order."""
+    have = sorted(path.name for path in folder.glob("*.csv"))
+    if records is None:
+        if not have:
+            raise InputError("no record: the folder holds no CSV file")
+        return [(name, "train", None) for name in have]
+    if not isinstance(records, list) or not all(isinstance(entry, dict) for entry in records):
+        raise InputError("records: expected [[records]], one for each file")
+    if not records:
+        raise InputError("records: the list is empty")
+    listed: list[tuple[str, str, str | None]] = []
+    for k, entry in enumerate(records, start=1):
+        where = f"records.{k}"
+        Reader.known(entry, ("file", "repeats", "role"), where)
+        file, role, repeats = entry.get("file"), entry.get("role", "train"), entry.get("repeats")
+        if not isinstance(file, str):
+            raise InputError(f"{where}.file: expected the name of a CSV file, got {file!r}")
+        if not (folder / file).is_file():
+            raise InputError(f"{where}.file: {file!r} is not in the folder{nearest(file, have)}")
+        for other, _, _ in listed:
+            if _called(file) == _called(other):
+                raise InputError(f"{where}.file: {file!r} is listed twice" if file == other else
+                                 f"{where}.file: {file!r} and {other!r} are both called {_called(file)!r}")  # fmt: skip
+        if not isinstance(role, str) or role not in _ROLES:
+            raise unknown_name("role", str(role), _ROLES, f"{where}.role")
+        if repeats is not None and not isinstance(repeats, str):
+            raise InputError(f"{where}.repeats: expected a label in quotes, got {repeats!r}")
+        listed.append((file, role, repeats))
+    return listed
+
+
+def _called(file: str) -> str:
+    """The name of the record in a file."""
+    return str(Path(file).with_suffix(""))
+
+
+def _read_record(
+    folder: Path,
+    session: Session,
+    notes: list[str],
+    file: str,
+    role: str,
+    repeats: str | None,
+    *,
+    options: IdentificationOptions,
+) -> Record:
+    """One record, audited on its own; every output channel still counts as usable throughout."""
+    path, name = folder / file, _called(file)
+    values = read_values(path, options=options)
+    time = even_clock(path, values.pop("time"), options=options)
+    if "oil_temperature" not in values:
+        values["oil_temperature"] = np.full(len(time), REFERENCE_TEMPERATURE)
+        notes.append(f"{name}: no oil temperature was measured; {REFERENCE_TEMPERATURE:g} °C is assumed")
+    outputs = [n for n in OUTPUTS if n in values and (n != "current" or "voltage" in values)]
+    if not outputs:
+        raise InputError(f"{path}: no output channel; expected one or more of {', '.join(OUTPUTS[:-1])}")
+    if "body_temperature" in values:
+        notes.append(f"{name}: body_temperature is not used: the parts follow the oil as [thermal] says")
+    record = Record(name, time, values, {n: np.ones(len(time), dtype=bool) for n in outputs}, role, repeats, path)
+    for column in record.inputs:
+        if is_at_rest(values[column], input_scale(column, session.valve), options=options):
+            values[column] = np.full(len(time), np.mean(values[column]))
+    check_command(path, record, session.valve, notes)
+    check_conditions(path, record, session.valve, notes, options=options)
+    return record

@@ -1,0 +1,137 @@
+"""A session with everything that its fits share, before and after its noise is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from valvesim.identification.candidates import Candidate, candidates_of
+from valvesim.identification.noise_model import NoiseModel
+from valvesim.identification.options import DEFAULT_IDENTIFICATION, IdentificationOptions
+from valvesim.identification.predictor import RecordPredictor, prepare_record
+from valvesim.identification.prior import NominalModel, nominal_model_of
+from valvesim.identification.session import Record, Session
+from valvesim.simulation.run import cores
+from valvesim.valve.catalogue import CATALOGUE
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A session with everything that its fits share."""
+
+    session: Session
+    nominal: NominalModel
+    candidates: tuple[Candidate, ...]
+    predictors: tuple[RecordPredictor, ...]
+    representatives: tuple[int, ...]  # of each predictor, the first that runs as it does
+    options: IdentificationOptions
+    noise: dict[tuple[str, float], NoiseModel] = field(default_factory=dict)
+    weights: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (record, channel): of its whitened rows
+    is_long: bool = False  # a look takes long, and what hardly helps is left
+
+    @property
+    def stride(self) -> int:
+        """Every how many of the whitened rows is kept: they are independent, so none is missed but for its weight."""
+        rows = sum(len(b.record.time) * len(b.record.outputs) for b in self.predictors)
+        return int(np.ceil(rows / self.options.fit.most_rows))
+
+    def negligible_reduction(self, chi_square: float, rows: float) -> float:
+        """Reduction of the chi-square not worth a linearisation: in a long session, a share of what a fit leaves."""
+        return (
+            self.options.fit.negligible_share * max(chi_square - self.options.fit.inadequate_ratio * rows, 0.0)
+            if self.is_long
+            else 0.0
+        )
+
+    def without_oversampling(self) -> Study:
+        """The study with its trajectories at the samples alone: the same readings, and preliminary sensitivities."""
+        return replace(self, predictors=tuple(predictor.without_oversampling() for predictor in self.predictors))
+
+    def each(self, function: Callable, *over: Sequence) -> list:
+        """The function over the predictors or what belongs to them, on threads; what runs alike is worked out once."""
+        own = sorted(set(self.representatives))
+        found = dict(zip(own, each(function, *([one[k] for k in own] for one in over)), strict=True))
+        return [found[k] for k in self.representatives]
+
+    def whiten(self, predictor: RecordPredictor, columns: dict[str, np.ndarray]) -> list[np.ndarray]:
+        """Whitened columns (n, k) of a record, channel by channel."""
+        record = predictor.record
+        white = []
+        for name in record.outputs:
+            noise = self.noise[name, record.pace]
+            rows = noise.whiten(columns[name], record.usable[name])[:: self.stride]
+            weights = self.weights.get((record.name, name))
+            white.append(rows if weights is None else rows * weights[:, None])
+        return white
+
+    def with_weights(self, weights: Sequence[np.ndarray]) -> Study:
+        """The study with weights (rows,) of each channel of each training record, in their order."""
+        keys = [(predictor.record.name, name) for predictor in self.predictors for name in predictor.record.outputs]
+        return replace(self, weights=dict(zip(keys, weights, strict=True)))
+
+    def stack(self, columns: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
+        """Whitened columns of all training records, (rows, k)."""
+        return np.concatenate(
+            [
+                one
+                for predictor, each in zip(self.predictors, columns, strict=True)
+                for one in self.whiten(predictor, each)
+            ]
+        )
+
+
+def each(function: Callable, *over: Sequence) -> list:
+    """The function over sequences, on threads where there are cores for them: the integration lets others work."""
+    threads = min(cores(), len(over[0]))
+    if threads < 2:
+        return list(map(function, *over))
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(function, *over))
+
+
+def prepare_study(
+    session: Session, more: Sequence = (), *, options: IdentificationOptions = DEFAULT_IDENTIFICATION
+) -> Study:
+    """The study of a session, noise not yet known; `more` are effects that its fits may use beside the catalogue's."""
+    nominal = nominal_model_of(session, options=options)
+    universe = (*CATALOGUE.values(), *session.user_effects, *more)
+    predictors = tuple(prepare_record(session, record, universe, options=options) for record in session.training)
+    is_long = sum(len(predictor.times) for predictor in predictors) > options.fit.long_session
+    return Study(
+        session,
+        nominal,
+        candidates_of(session, nominal),
+        predictors,
+        _representatives(predictors),
+        options,
+        is_long=is_long,
+    )
+
+
+def _representatives(predictors: Sequence[RecordPredictor]) -> tuple[int, ...]:
+    return tuple(next(k for k, first in enumerate(predictors) if first.runs_as(predictor)) for predictor in predictors)
+
+
+def restricted_study(study: Study, records: Sequence[Record]) -> Study:
+    """The study of parts of its training records, in their order: the same nuisance parameters, the same candidates."""
+    session = replace(study.session, records=(*records, *study.session.locked))
+    predictors = tuple(
+        prepare_record(session, r, b.universe, options=study.options)
+        for r, b in zip(records, study.predictors, strict=True)
+    )
+    return replace(
+        study,
+        session=session,
+        predictors=predictors,
+        representatives=_representatives(predictors),
+        noise={},
+        weights={},
+    )
+
+
+def residual_of(record: Record, readings: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Measured minus read, by channel, as columns (n, 1)."""
+    return {name: (record.values[name] - readings[name])[:, None] for name in record.outputs}

@@ -1,0 +1,492 @@
+"""Commands over time for current, voltage, temperature and pressure: constant, step, ramp, sine, chirp, pulse, ...
+
+Every command is a row of pieces, so that one formula (`piece_value`) serves numpy and compiled code, and every jump is
+known before the integration starts and is never stepped over. In a piece, with tau = t - start,
+
+    value = offset + slope tau + sum over its waves of A sin(2 pi f g(tau) + phase),
+    g = tau + (rate/2) tau^2 / f for a linear chirp,  g = (exp(growth tau) - 1)/growth for a logarithmic one.
+
+Times in seconds, values in the unit of what is commanded. Levels are absolute; amplitudes, heights and rates are
+differences. What a command reaches within a run is told by its pieces (`extremes`), never by samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from valvesim.errors import InputError
+from valvesim.units import POSITIVE, check_bounds, quantity
+
+MOST_PIECES = 1_000_000  # of a command within a run: with all that is made of them some 300 MB
+PIECE_WIDTH, WAVE_WIDTH = 3, 5  # (start, offset, slope), then (amplitude, frequency, rate, growth, phase) per wave
+
+VALUE = "value"  # the unit of such a figure is that of what is commanded
+
+
+def piece_value(row, t):
+    """(value, rate) of one piece at time t, or times; `row` is a row of `Command.pieces`. Compiled as it stands."""
+    tau = t - row[0]
+    value, rate = row[1] + row[2] * tau, row[2]
+    for k in range(3, row.shape[0], 5):
+        amplitude, frequency, sweep, growth, phase = row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4]
+        if amplitude != 0.0:
+            swelling = 0.0 if growth == 0.0 else np.expm1(growth * tau)
+            turns = frequency * tau if growth == 0.0 else frequency * swelling / growth
+            angle = 2.0 * np.pi * (turns + 0.5 * sweep * tau * tau) + phase
+            value += amplitude * np.sin(angle)
+            rate += amplitude * np.cos(angle) * 2.0 * np.pi * (frequency * (1.0 + swelling) + sweep * tau)
+    return value, rate
+
+
+class Command(Protocol):
+    """What a command can do. `pieces(end)`: rows (n, 3 + 5 waves) sorted by start, the first at or before zero."""
+
+    def pieces(self, end: float) -> np.ndarray: ...
+
+
+def evaluate(command: Command, times) -> np.ndarray:
+    """Values at `times` (s, any shape); at a jump, the value after it."""
+    t = np.asarray(times, dtype=float)
+    rows = command.pieces(float(np.max(t, initial=0.0)))
+    which = np.clip(np.searchsorted(rows[:, 0], t, side="right") - 1, 0, None)
+    if rows.shape[1] == PIECE_WIDTH:
+        return rows[which, 1] + rows[which, 2] * (t - rows[which, 0])
+    piece, point, values = which.ravel(), t.ravel(), np.empty(t.size)
+    order = np.argsort(piece, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(piece[order], prepend=-1)))[1:]:  # the points of one piece
+        values[group] = piece_value(rows[piece[group[0]]], point[group])[0]
+    return values.reshape(t.shape)
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """The least and the greatest value of a command, and when (s) each is reached."""
+
+    lowest: float
+    lowest_at: float
+    highest: float
+    highest_at: float
+
+
+def extremes(command: Command, end: float) -> Extremes:
+    """What a command reaches over 0..end, values just before a jump included: bounds that nothing exceeds.
+
+    Exact for straight pieces. Waves are bounded by bisection of time: to 1e-10 of their size where each piece has one
+    (or several of one frequency), and nearly always where they differ; after `MOST_BOUNDED` intervals the bound that
+    stands is given, which is safe but may be wide.
+    """
+    rows = command.pieces(end)
+    first, stop = np.maximum(rows[:, 0], 0.0), np.append(rows[1:, 0], np.inf)
+    ruling = (first < stop) & (first <= end)
+    rows, begin, until = rows[ruling], first[ruling], np.minimum(stop, end)[ruling]
+    if not rows[:, PIECE_WIDTH::WAVE_WIDTH].any():  # straight: at the ends of a piece
+        times = np.append(begin, until)
+        values = np.tile(rows[:, 1], 2) + np.tile(rows[:, 2], 2) * (times - np.tile(rows[:, 0], 2))
+        least, most = int(np.argmin(values)), int(np.argmax(values))
+        return Extremes(float(values[least]), float(times[least]), float(values[most]), float(times[most]))
+    high, high_at = _highest(rows, begin, until)
+    mirrored = rows.copy()
+    mirrored[:, 1:3] *= -1.0
+    mirrored[:, PIECE_WIDTH::WAVE_WIDTH] *= -1.0
+    low, low_at = _highest(mirrored, begin, until)
+    return Extremes(-low, low_at, high, high_at)
+
+
+def largest(command: Command, end: float) -> float:
+    """The greatest |value| over 0..end, as `extremes` has it."""
+    reach = extremes(command, end)
+    return max(abs(reach.lowest), abs(reach.highest))
+
+
+def turns(rows: np.ndarray, end: float) -> float:
+    """How many periods the waves of some pieces pass through until `end`."""
+    stop = np.minimum(np.append(rows[1:, 0], np.inf), end)
+    waves, length = rows[:, PIECE_WIDTH:].reshape(len(rows), -1, WAVE_WIDTH), np.maximum(stop - rows[:, 0], 0.0)
+    amplitude, frequency, sweep, growth, _ = (waves[:, :, k] for k in range(WAVE_WIDTH))
+    tau = length[:, None]
+    with np.errstate(all="ignore"):
+        swept = np.where(growth == 0.0, frequency * tau, frequency * np.expm1(growth * tau) / growth)
+        return float(np.sum(np.abs(swept + 0.5 * sweep * tau**2), where=amplitude != 0.0))
+
+
+def _highest(rows: np.ndarray, begin: np.ndarray, until: np.ndarray) -> tuple[float, float]:
+    """(upper bound, when) of pieces that rule from `begin` to `until`."""
+    lines, waves = rows[:, :PIECE_WIDTH], _joined(rows[:, PIECE_WIDTH:].reshape(len(rows), -1, WAVE_WIDTH))
+    with np.errstate(all="ignore"):
+        best, at, upper = _bounds(lines, waves, begin, until)
+        size = float(np.max(np.abs(upper))) if len(upper) else 0.0
+        close, told, spent = 1e-10 * size, best, 0
+        piece = np.arange(len(rows))
+        while True:
+            told = max(told, float(np.max(upper, initial=-np.inf, where=upper <= best + close)))
+            left = ~(upper <= best + close)  # NaN is left
+            piece, begin, until, upper = piece[left], begin[left], until[left], upper[left]
+            if not len(piece) or spent > MOST_BOUNDED:
+                break
+            pick = np.argsort(-upper)[:256]  # the most promising are halved
+            rest = np.ones(len(piece), dtype=bool)
+            rest[pick] = False
+            middle = 0.5 * (begin[pick] + until[pick])
+            which, low, high = np.tile(piece[pick], 2), np.append(begin[pick], middle), np.append(middle, until[pick])
+            reached, when, bound = _bounds(lines[which], waves[which], low, high)
+            if reached > best:
+                best, at = reached, when
+            spent += len(which)
+            piece, upper = np.append(piece[rest], which), np.append(upper[rest], bound)
+            begin, until = np.append(begin[rest], low), np.append(until[rest], high)
+        told = max(told, best, float(np.max(upper, initial=-np.inf)))
+    return told, at
+
+
+MOST_BOUNDED = 40_000  # intervals, before `extremes` takes the bound that it has
+
+
+def _joined(waves: np.ndarray) -> np.ndarray:
+    """Waves (n, k, 5) with those of one frequency added up in the first of them, and columns of none left out."""
+    waves = waves.copy()
+    for j in range(waves.shape[1] - 1, 0, -1):
+        for i in range(j):
+            one, other = waves[:, i], waves[:, j]
+            same = (one[:, 1:4] == other[:, 1:4]).all(axis=1) & (other[:, 0] != 0.0) & (one[:, 0] != 0.0)
+            both = one[same, 0] * np.exp(1j * one[same, 4]) + other[same, 0] * np.exp(1j * other[same, 4])
+            waves[same, i, 0], waves[same, i, 4], waves[same, j, 0] = np.abs(both), np.angle(both), 0.0
+    return waves[:, (waves[:, :, 0] != 0.0).any(axis=0)]
+
+
+def _bounds(lines: np.ndarray, waves: np.ndarray, begin: np.ndarray, until: np.ndarray) -> tuple[float, float, Any]:
+    """(greatest value seen, when, upper bound (n,) of each) of pieces (n, 3) with waves (n, k, 5) in begin..until.
+
+    The bound is the lesser of two: every term at its own greatest, and a parabola about the middle that bends as much
+    as any wave can.
+    """
+    start, offset, slope = lines.T
+    amplitude, frequency, sweep, growth, phase = (waves[:, :, k] for k in range(WAVE_WIDTH))
+
+    def angle(t):
+        tau = (t - start)[:, None]
+        turns = np.where(growth == 0.0, frequency * tau, frequency * np.expm1(growth * tau) / growth)
+        return 2.0 * np.pi * (turns + 0.5 * sweep * tau**2) + phase
+
+    def speed(t):
+        tau = (t - start)[:, None]
+        return 2.0 * np.pi * (frequency * np.exp(growth * tau) + sweep * tau)
+
+    def line(t):
+        return offset + slope * (t - start)
+
+    def value(t):
+        return line(t) + (amplitude * np.sin(angle(t))).sum(axis=1)
+
+    middle, half = 0.5 * (begin + until), 0.5 * (until - begin)
+    first, last, slow, fast = angle(begin), angle(until), speed(begin), speed(until)
+    crest = np.where(amplitude < 0.0, -0.5 * np.pi, 0.5 * np.pi)
+    after = crest + 2.0 * np.pi * np.ceil((first - crest) / (2.0 * np.pi))
+    before = crest + 2.0 * np.pi * np.floor((last - crest) / (2.0 * np.pi))
+    rising = (slow > 0.0) & (fast > 0.0)
+    ends = np.maximum(amplitude * np.sin(first), amplitude * np.sin(last))
+    tops = np.where(rising & (after > last), ends, np.abs(amplitude))
+    apart = np.maximum(line(begin), line(until)) + tops.sum(axis=1)
+    here = value(middle)
+    rate = slope + (amplitude * np.cos(angle(middle)) * speed(middle)).sum(axis=1)
+    bend = np.maximum(slow**2, fast**2) + np.maximum(
+        *(np.abs(2.0 * np.pi * (sweep + growth * frequency * np.exp(growth * (t - start)[:, None])))
+          for t in (begin, until))
+    )  # fmt: skip
+    together = here + np.abs(rate) * half + 0.5 * (np.abs(amplitude) * bend).sum(axis=1) * half**2
+    upper = np.where(np.isfinite(together), np.minimum(apart, together), apart)
+    seen = [(begin, value(begin)), (until, value(until)), (middle, here)]
+    for k in range(min(waves.shape[1], 4)):
+        for target in (after[:, k], before[:, k]):  # the first and the last crest of a wave
+            turns = (target - phase[:, k]) / (2.0 * np.pi)
+            f, s, g = frequency[:, k], sweep[:, k], growth[:, k]
+            tau = np.where(g == 0.0, 2.0 * turns / (f + np.sqrt(f**2 + 2.0 * s * turns)), np.log1p(g * turns / f) / g)
+            t = np.where(np.isfinite(tau), np.clip(start + tau, begin, until), begin)
+            seen.append((t, value(t)))
+    times, values = np.array([t for t, _ in seen]), np.array([v for _, v in seen])
+    values = np.where(np.isnan(values), -np.inf, values)
+    where = np.unravel_index(int(np.argmax(values)), values.shape)
+    return float(values[where]), float(times[where]), np.maximum(upper, values.max(axis=0))
+
+
+def _wave(amplitude: float, frequency: float, rate: float, growth: float, phase: float) -> list[float]:
+    return [amplitude, frequency, rate, growth, phase]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constant:
+    """One value throughout."""
+
+    value: float = quantity(0.0, VALUE, "value", (-np.inf, np.inf), "")
+
+    def __post_init__(self):
+        check_bounds(self)
+
+    def pieces(self, end: float) -> np.ndarray:
+        return np.array([[0.0, self.value, 0.0]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """`before` until `time`, then `after`."""
+
+    before: float = quantity(0.0, VALUE, "value before", (-np.inf, np.inf), "")
+    after: float = quantity(0.0, VALUE, "value after", (-np.inf, np.inf), "")
+    time: float = quantity(0.0, "s", "time of the jump", (0.0, np.inf), "")
+
+    def __post_init__(self):
+        check_bounds(self)
+
+    def pieces(self, end: float) -> np.ndarray:
+        return np.array([[0.0, self.before, 0.0], [self.time, self.after, 0.0]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ramp:
+    """From `start_value` at `time` to `end_value` at `rate` (its sign follows from the two), then held."""
+
+    start_value: float = quantity(0.0, VALUE, "value before", (-np.inf, np.inf), "")
+    end_value: float = quantity(0.0, VALUE, "value after", (-np.inf, np.inf), "")
+    rate: float = quantity(1.0, VALUE + "/s", "size of the slope", (POSITIVE, np.inf), "")
+    time: float = quantity(0.0, "s", "time of the start", (0.0, np.inf), "")
+
+    def __post_init__(self):
+        check_bounds(self)
+
+    def pieces(self, end: float) -> np.ndarray:
+        change = self.end_value - self.start_value
+        slope, stop = np.sign(change) * self.rate, self.time + abs(change) / self.rate
+        rows = [[0.0, self.start_value, 0.0], [self.time, self.start_value, slope], [stop, self.end_value, 0.0]]
+        return np.array(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sine:
+    """amplitude sin(2 pi frequency (t - time) + phase) from `time` on, `offset` throughout."""
+
+    amplitude: float = quantity(0.0, VALUE + "_difference", "amplitude", (-np.inf, np.inf), "")
+    frequency: float = quantity(1.0, "Hz", "frequency", (POSITIVE, 1e5), "")
+    phase: float = quantity(0.0, "rad", "phase", (-np.inf, np.inf), "")
+    offset: float = quantity(0.0, VALUE, "mean", (-np.inf, np.inf), "")
+    time: float = quantity(0.0, "s", "time of the start", (0.0, np.inf), "")
+
+    def __post_init__(self):
+        check_bounds(self)
+
+    def pieces(self, end: float) -> np.ndarray:
+        still = [0.0, self.offset, 0.0, *_wave(0.0, self.frequency, 0.0, 0.0, 0.0)]
+        wave = _wave(self.amplitude, self.frequency, 0.0, 0.0, self.phase)
+        return np.array([still, [self.time, self.offset, 0.0, *wave]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chirp:
+    """A sine whose frequency runs from `start_frequency` to `end_frequency` within `duration`, evenly or by octaves.
+
+    `spacing` is `Chirp.LINEAR` or `Chirp.LOGARITHMIC`; after `duration` the mean is held.
+    """
+
+    amplitude: float = quantity(0.0, VALUE + "_difference", "amplitude", (-np.inf, np.inf), "")
+    start_frequency: float = quantity(1.0, "Hz", "first frequency", (POSITIVE, 1e5), "")
+    end_frequency: float = quantity(500.0, "Hz", "last frequency", (POSITIVE, 1e5), "")
+    duration: float = quantity(1.0, "s", "duration", (POSITIVE, np.inf), "")
+    offset: float = quantity(0.0, VALUE, "mean", (-np.inf, np.inf), "")
+    time: float = quantity(0.0, "s", "time of the start", (0.0, np.inf), "")
+    logarithmic: bool = field(default=False, metadata={"doc": "even in octaves instead of in hertz"})
+
+    def __post_init__(self):
+        check_bounds(self)
+
+    def pieces(self, end: float) -> np.ndarray:
+        still = _wave(0.0, 1.0, 0.0, 0.0, 0.0)
+        ratio = self.end_frequency / self.start_frequency
+        rate, growth = (self.end_frequency - self.start_frequency) / self.duration, 0.0
+        if self.logarithmic:
+            rate, growth = 0.0, np.log(ratio) / self.duration
+        wave = _wave(self.amplitude, self.start_frequency, rate, growth, 0.0)
+        return np.array(
+            [
+                [0.0, self.offset, 0.0, *still],
+                [self.time, self.offset, 0.0, *wave],
+                [self.time + self.duration, self.offset, 0.0, *still],
+            ]
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pulse:
+    """`base` throughout, and `height` more for `width` seconds from `time` on; repeated every `period` where given."""
+
+    base: float = quantity(0.0, VALUE, "value otherwise", (-np.inf, np.inf), "")
+    height: float = quantity(0.0, VALUE + "_difference", "rise above the base", (-np.inf, np.inf), "")
+    width: float = quantity(1e-3, "s", "duration", (POSITIVE, np.inf), "")
+    time: float = quantity(0.0, "s", "time of the first", (0.0, np.inf), "")
+    period: float = quantity(np.inf, "s", "from pulse to pulse", (POSITIVE, np.inf), "")
+
+    def __post_init__(self):
+        check_bounds(self)
+        if self.period <= self.width:
+            raise InputError(f"pulse.period = {self.period:g} s must be longer than pulse.width = {self.width:g} s")
+
+    def pieces(self, end: float) -> np.ndarray:
+        within = max(np.ceil((end - self.time) / self.period), 0.0) + 1.0
+        if within > MOST_PIECES / 2:
+            raise InputError(
+                f"pulse.period = {self.period:g} s makes {within:.7g} pulses within {end:g} s, more than "
+                f"{MOST_PIECES / 2:g}"
+            )
+        k = np.arange(int(within))
+        starts = self.time + k * (self.period if np.isfinite(self.period) else 0.0)
+        stops = np.minimum(starts + self.width, self.time + (k + 1) * self.period)  # rounding never mixes their order
+        rows = np.zeros((1 + 2 * len(k), PIECE_WIDTH))
+        rows[0, 1], rows[1::2, 0], rows[2::2, 0] = self.base, starts, stops
+        rows[1::2, 1], rows[2::2, 1] = self.base + self.height, self.base
+        return rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class Staircase:
+    """From `start_value` to `end_value` in `steps` equal jumps, each level held for `hold` seconds."""
+
+    start_value: float = quantity(0.0, VALUE, "first level", (-np.inf, np.inf), "")
+    end_value: float = quantity(0.0, VALUE, "last level", (-np.inf, np.inf), "")
+    steps: float = quantity(10.0, "1", "number of jumps", (1.0, 1e6), "")
+    hold: float = quantity(0.1, "s", "duration of a level", (POSITIVE, np.inf), "")
+
+    def __post_init__(self):
+        check_bounds(self)
+        if self.steps != int(self.steps):
+            raise InputError(f"staircase.steps = {self.steps:g} must be a whole number in [1, 1e+06]")
+
+    def pieces(self, end: float) -> np.ndarray:
+        if min(self.steps, end / self.hold) > MOST_PIECES:
+            raise InputError(
+                f"staircase.steps = {self.steps:g} of {self.hold:g} s make more than {MOST_PIECES:g} levels within "
+                f"{end:g} s"
+            )
+        levels = np.linspace(self.start_value, self.end_value, int(self.steps) + 1)
+        return np.column_stack([np.arange(len(levels)) * self.hold, levels, np.zeros(len(levels))])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Straight lines between given points, held at its first and last value; two points at one time make no jump here.
+
+    Raises InputError for fewer than two points or too many, lengths that differ, NaN, or times that do not rise.
+    """
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+    where: str = "table"
+
+    def __post_init__(self):
+        t, y = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
+        if t.shape != y.shape or t.ndim != 1 or len(t) < 2:
+            raise InputError(f"{self.where}: needs two or more points, with as many times as values")
+        if len(t) >= MOST_PIECES:
+            raise InputError(f"{self.where}: {len(t)} points are more than {MOST_PIECES - 1}")
+        bad = ~(np.isfinite(t) & np.isfinite(y))
+        if bad.any():
+            raise InputError(f"{self.where}: row {int(np.argmax(bad)) + 1} of the data is not a number")
+        falls = np.diff(t) <= 0.0
+        if falls.any():
+            k = int(np.argmax(falls)) + 1
+            what = "repeats" if t[k] == t[k - 1] else "is before"
+            raise InputError(
+                f"{self.where}: times must rise, but row {k + 1} ({t[k]:.6g} s) {what} row {k} ({t[k - 1]:.6g} s)"
+            )
+
+    def pieces(self, end: float) -> np.ndarray:
+        t, y = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
+        rows = np.column_stack([t, y, np.append(np.diff(y) / np.diff(t), 0.0)])
+        return np.vstack([[min(t[0], 0.0), y[0], 0.0], rows])  # what holds before the first point
+
+
+@dataclass(frozen=True)
+class Sum:
+    """The sum of commands, such as a bias with a sine."""
+
+    terms: tuple[Command, ...]
+
+    def pieces(self, end: float) -> np.ndarray:
+        return merge(self.terms, float(np.nextafter(end, np.inf)))[1].sum_of_inputs()  # a jump at `end` is in
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A command times a factor."""
+
+    command: Command
+    factor: float
+
+    def pieces(self, end: float) -> np.ndarray:
+        rows = np.array(self.command.pieces(end), dtype=float)
+        rows[:, 1:PIECE_WIDTH] *= self.factor
+        rows[:, PIECE_WIDTH::WAVE_WIDTH] *= self.factor
+        return rows
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Rows (interval, input, width) of several commands between the joint break times; see `merge`."""
+
+    starts: np.ndarray
+    rows: np.ndarray
+
+    def sum_of_inputs(self) -> np.ndarray:
+        """One row an interval: straight parts added (moved to the interval's start), waves side by side."""
+        n, inputs, _ = self.rows.shape
+        lines = self.rows[:, :, 1] + self.rows[:, :, 2] * (self.starts[:, None] - self.rows[:, :, 0])
+        waves = self.rows[:, :, PIECE_WIDTH:].reshape(n, inputs, -1, WAVE_WIDTH).copy()
+        late = (self.starts[:, None] - self.rows[:, :, 0])[:, :, None]  # a wave goes on from where it is
+        frequency, sweep, growth, phase = (waves[..., k] for k in (1, 2, 3, 4))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turns = np.where(growth == 0.0, frequency * late, frequency * np.expm1(growth * late) / growth)
+        waves[..., 4] = phase + 2 * np.pi * (turns + 0.5 * sweep * late**2)
+        waves[..., 1] = frequency * np.exp(growth * late) + sweep * late
+        return np.column_stack([self.starts, lines.sum(1), self.rows[:, :, 2].sum(1), waves.reshape(n, -1)])
+
+
+def merge(commands: Sequence[Command], end: float) -> tuple[np.ndarray, Intervals]:
+    """All commands on the union of their breaks before `end`: starts, and rows (interval, input, width).
+
+    Raises InputError for commands of too many pieces together (see `MOST_PIECES`).
+    """
+    pieces: list[np.ndarray] = []
+    for command in commands:
+        pieces.append(command.pieces(end))
+        if sum(map(len, pieces)) > 2 * MOST_PIECES:
+            raise InputError(f"sum: the commands have more than {2 * MOST_PIECES} pieces together")
+    starts = np.unique(np.concatenate([p[:, 0] for p in pieces]))
+    starts = np.unique(np.concatenate([[0.0], starts[(starts > 0.0) & (starts < end)]]))
+    width = max(p.shape[1] for p in pieces)
+    if len(starts) * len(pieces) * width > 40 * MOST_PIECES:  # eight numbers for each of five commands
+        raise InputError(f"sum: {len(starts)} pieces of {len(pieces)} commands with waves are too many to hold")
+    rows = np.zeros((len(starts), len(pieces), width))
+    for k, p in enumerate(pieces):
+        which = np.clip(np.searchsorted(p[:, 0], starts, side="right") - 1, 0, None)
+        rows[:, k, : p.shape[1]] = p[which]
+    return starts, Intervals(starts, rows)
+
+
+def read_table(path: Path, column: str, unit: str) -> Table:
+    """A table from a CSV file with a header of names and units, `time [s], <column> [unit]`.
+
+    Raises InputError (with file and line) for a missing file, a missing or unitless column, gaps, bad numbers and too
+    many rows.
+    """
+    from valvesim.io import read_columns
+
+    columns = read_columns(path, {"time": "s", column: unit}, most_rows=MOST_PIECES - 1)
+    return Table(times=tuple(columns["time"]), values=tuple(columns[column]), where=str(path))
+
+
+COMMANDS: dict[str, Any] = {
+    "constant": Constant, "step": Step, "ramp": Ramp, "sine": Sine, "chirp": Chirp, "pulse": Pulse,
+    "staircase": Staircase,
+}  # fmt: skip
+"""Commands by the name that a scenario file uses; `table` is read with `read_table`."""

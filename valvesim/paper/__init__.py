@@ -1,0 +1,1 @@
+"""The TAD paper (Yan, Liu, Ma 2019) recomputed."""

@@ -1,0 +1,1 @@
+"""The integrator and the compilation of the equations for it."""

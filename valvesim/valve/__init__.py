@@ -1,0 +1,1 @@
+"""The valve itself: laws, oils, parameters, effects and the equations that they enter."""

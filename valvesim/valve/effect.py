@@ -1,0 +1,203 @@
+"""What an effect is that a nominal valve lacks; the entries themselves stand in `valve/effects/`.
+
+An effect acts in one or more of four places: on the temperatures of the parts, on the coefficients, in the balances
+(what it adds at which port, with states of its own as memory), or on what a sensor reads. It declares its parameters,
+their bounds, and the neutral value at which it vanishes. A user's effect is an `Effect` too: pass it to `Model` or
+`Scenario` like one from the catalogue.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import namedtuple
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from valvesim.channels import SIGNAL_CHANNELS, STATE_CHANNELS, Channel, Inputs, State
+from valvesim.errors import InputError, unknown_name
+from valvesim.units import parse, symbol
+from valvesim.valve.coefficients import Coefficients, PartTemperatures
+
+CHANNEL = "channel"  # the unit of such a parameter is that of the channel that a sensor reads; bounds are in its scale
+READABLE = {
+    channel.name: channel
+    for channel in (*STATE_CHANNELS, *SIGNAL_CHANNELS, Channel("body_temperature", "degC", "body", 100.0))
+}
+"""What a sensor can read, by name."""
+
+
+class Ports(NamedTuple):
+    """Where an effect may add to the equations: each is a term of the balance that its comment names."""
+
+    coil_current: Any = 0.0  # A, magnetic circuit: added to the current that magnetises
+    armature_torque: Any = 0.0  # N m, armature torque balance
+    rod_deflection: Any = 0.0  # m, deflection of the feedback rod at the ball
+    spool_force: Any = 0.0  # N, spool force balance
+    compliance_1: Any = 0.0  # 1/Pa, chamber 1 volume balance: added to 1/bulk modulus
+    compliance_2: Any = 0.0  # 1/Pa, chamber 2
+    supply_pressure: Any = 0.0  # Pa, at the valve: added to the supply's in every equation
+    return_pressure: Any = 0.0  # Pa, behind the nozzles: added to the return's
+    chamber_flow_1: Any = 0.0  # m^3/s, into chamber 1
+    chamber_flow_2: Any = 0.0  # m^3/s, into chamber 2
+    load_flow: Any = 0.0  # m^3/s, out of port A
+    internal_leakage: Any = 0.0  # m^3/s, supply to return
+
+
+class Situation(NamedTuple):
+    """What an effect sees of the valve at one instant; the flows are those at the pressures of `inputs`."""
+
+    state: State
+    inputs: Inputs
+    coil_current: Any
+    coil_current_rate: Any
+    load_flow: Any
+    nozzle_flow_1: Any
+    nozzle_flow_2: Any
+    coefficients: Coefficients
+
+
+class Reading(NamedTuple):
+    """What a sensor sees: one channel over time, all arrays (n_t,)."""
+
+    time: Any  # s
+    values: Any  # in the channel's unit
+    oil_temperature: Any  # °C
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A figure of an effect. The amplitude has a `neutral` value; a shape parameter (neutral None) has none.
+
+    `typical` is an amplitude seen in service, in the same unit and within the bounds; every amplitude of the catalogue
+    has one.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    default: float
+    bounds: tuple[float, float]
+    neutral: float | None = None
+    typical: float | None = None
+
+
+@functools.cache
+def _record(names: tuple[str, ...]) -> Any:
+    return namedtuple("Values", names)  # type: ignore[misc]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """An effect: where it acts, its parameters, and the figures at which it vanishes.
+
+    `temperatures(times, parts, p) -> PartTemperatures` changes the temperatures of the parts over the times (m,);
+    `coefficients(c, p, parts) -> Coefficients` changes coefficients;
+    `balance(situation, p, memory) -> (Ports, memory rates)` adds terms;
+    `reading(reading, p) -> values` changes what the sensor of `channel` gives (see `on`).
+    All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
+    `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
+    `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
+    `law_error` is the share of what the effect explains by which another law of the same thing may do better.
+    """
+
+    name: str
+    doc: str
+    location: str
+    signature: str
+    parameters: tuple[Parameter, ...]
+    memory: tuple[Channel, ...] = ()
+    temperatures: Callable[[Any, PartTemperatures, Any], PartTemperatures] | None = None
+    coefficients: Callable[[Coefficients, Any, PartTemperatures], Coefficients] | None = None
+    balance: Callable[[Situation, Any, tuple], tuple[Ports, tuple]] | None = None
+    reading: Callable[[Reading, Any], Any] | None = None
+    channel: str = ""
+    figure: str = ""
+    plainer: str = ""
+    law_error: float = 0.0
+
+    def on(self, channel: str) -> Effect:
+        """This sensor effect on one channel, its parameters in that channel's unit. InputError for a wrong name."""
+        if self.reading is None:
+            raise InputError(f"effect {self.name} does not act on a sensor, so it takes no channel")
+        if channel not in READABLE:
+            raise unknown_name("channel", channel, READABLE, f"effects.{self.name}.channel")
+        target = READABLE[channel]
+
+        def bound(p: Parameter) -> Parameter:
+            if CHANNEL not in p.unit:
+                return p
+            unit, (low, high) = "delta_degC" if target.unit == "degC" else target.unit, p.bounds
+            return replace(
+                p,
+                unit=p.unit.replace(CHANNEL, unit),
+                default=p.default * target.scale,
+                bounds=(low * target.scale, high * target.scale),
+                typical=None if p.typical is None else p.typical * target.scale,
+            )
+
+        return replace(self, channel=channel, parameters=tuple(bound(p) for p in self.parameters))
+
+    @property
+    def amplitude(self) -> Parameter:
+        """The parameter whose neutral value switches the effect off."""
+        for parameter in self.parameters:
+            if parameter.neutral is not None:
+                return parameter
+        raise InputError(f"effect {self.name} has no parameter with a neutral value, so nothing switches it off")
+
+    def values(self, numbers) -> Any:
+        """The parameters by name from a sequence in their order."""
+        return _record(tuple(p.name for p in self.parameters))(*numbers)
+
+    def __call__(self, **numbers: float) -> ActiveEffect:
+        """The effect at given parameters (SI): `effect("spool_coulomb_friction")(friction_force=2.0)`.
+
+        Raises InputError for an unknown parameter, one outside its bounds, a missing amplitude, or a sensor effect
+        without its channel.
+        """
+        self._check_channel()
+        known = {p.name: p for p in self.parameters}
+        for name, value in numbers.items():
+            if name not in known:
+                raise unknown_name(f"parameter of effect {self.name}", name, known)
+            low, high = known[name].bounds
+            if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
+                unit = symbol(known[name].unit)
+                raise InputError(
+                    f"effects.{self.name}.{name} = {value} {unit} is outside [{low:g}, {high:g}] {unit} "
+                    f"({known[name].doc})"
+                )
+        if self.amplitude.name not in numbers:
+            raise InputError(f"effects.{self.name} needs {self.amplitude.name} ({self.amplitude.doc})")
+        return ActiveEffect(self, tuple(numbers.get(p.name, p.default) for p in self.parameters))
+
+    def read(self, table: dict[str, Any], where: str = "") -> ActiveEffect:
+        """The effect from text with units, as in a scenario file; raises InputError."""
+        if self.reading is not None and not self.channel and "channel" in table:
+            return self.on(str(table["channel"])).read({k: v for k, v in table.items() if k != "channel"}, where)
+        self._check_channel()
+        known = {p.name: p for p in self.parameters}
+        for name in table:
+            if name not in known:
+                raise unknown_name(f"parameter of effect {self.name}", name, known, where)
+        return self(**{name: parse(text, known[name].unit, f"{where}.{name}") for name, text in table.items()})
+
+    def _check_channel(self) -> None:
+        if self.reading is not None and not self.channel:
+            raise InputError(f"effects.{self.name} needs a channel, such as spool_position")
+
+
+@dataclass(frozen=True)
+class ActiveEffect:
+    """An effect with its figures, in the order of its parameters."""
+
+    effect: Effect
+    numbers: tuple[Any, ...]
+
+    @property
+    def values(self) -> Any:
+        """The parameters by name."""
+        return self.effect.values(self.numbers)

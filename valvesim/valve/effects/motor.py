@@ -1,0 +1,125 @@
+"""Effects of torque motor and coil.
+
+Symbols
+    i coil current, z memory in [-1, 1] of a hysteresis (Dahl), p the parameters by name"""
+
+from __future__ import annotations
+
+from valvesim.channels import Channel
+from valvesim.valve.coefficients import Coefficients, PartTemperatures
+from valvesim.valve.effect import Effect, Ports, Situation
+from valvesim.valve.effects.declare import amplitude_parameter, scaled, shape_parameter
+from valvesim.valve.laws import dahl_rate
+
+
+def _demagnetization(c: Coefficients, p, parts: PartTemperatures):
+    return scaled(c, polarization_mmf=1.0 - p.loss)
+
+
+def _hysteresis(s: Situation, p, memory):
+    (z,) = memory
+    return Ports(coil_current=-p.coercive_current * z), (dahl_rate(s.coil_current_rate, z, p.turning_current),)
+
+
+def _saturation(s: Situation, p, memory):
+    i = s.coil_current
+    return Ports(coil_current=-p.cubic_share * i * (i / p.reference_current) ** 2), ()
+
+
+def _turns_loss(c: Coefficients, p, parts: PartTemperatures):
+    left = 1.0 - p.loss
+    return scaled(c, coil_turns=left, coil_resistance=left, coil_inductance=left * left)
+
+
+def _eddy_current(s: Situation, p, memory):
+    (late,) = memory
+    behind = late - s.coil_current
+    return Ports(coil_current=p.share * behind), (-behind / p.time_constant,)
+
+
+def _resistance_drift(c: Coefficients, p, parts: PartTemperatures):
+    return scaled(c, coil_resistance=1.0 + p.share)
+
+
+def _flexure_loss(c: Coefficients, p, parts: PartTemperatures):
+    return scaled(c, spring_tube_stiffness=1.0 - p.loss)
+
+
+MOTOR = (
+    Effect(
+        name="magnet_demagnetization",
+        doc="irreversible loss of the magnets: M0 (1 - IL), paper Eq. 4",
+        location="magnetic circuit",
+        signature="gain lost for good, with the negative magnetic spring; no return at 20 °C",
+        parameters=(amplitude_parameter("loss", "1", "irreversible loss IL", (0.0, 0.9), 0.05),),
+        coefficients=_demagnetization,
+        figure="polarization_mmf",
+    ),
+    Effect(
+        name="magnetic_hysteresis",
+        doc="the iron holds back part of the current: -i_c z with z' = (i' - |i'| z)/i_t (Dahl, Duhem)",
+        location="magnetic circuit",
+        signature="rate-independent loop of angle and spool over current that grows with amplitude",
+        parameters=(
+            amplitude_parameter("coercive_current", "A", "half width i_c of the full loop", (0.0, 5e-3), 2e-4),
+            shape_parameter(
+                "turning_current", "A", "change i_t of current over which the loop turns", 2e-3, (1e-5, 0.1)
+            ),
+        ),
+        memory=(Channel("magnetic_hysteresis_state", "1", "share of the coercive current that acts", 1.0),),
+        balance=_hysteresis,
+        law_error=0.2,  # measured against play operators: 0.07 to 0.18
+    ),
+    Effect(
+        name="magnetic_saturation",
+        doc="the iron saturates: i - k i^3/i_r^2 magnetises",
+        location="magnetic circuit",
+        signature="gain falls towards rated current, alike on both sides and at every frequency; nothing near null",
+        parameters=(
+            amplitude_parameter(
+                "cubic_share", "1", "share k of the current lost at the reference current", (0.0, 0.5), 0.2
+            ),
+            shape_parameter("reference_current", "A", "i_r, at which the share is lost", 10e-3, (1e-3, 1.0)),
+        ),
+        balance=_saturation,
+    ),
+    Effect(
+        name="coil_turns_loss",
+        doc="shorted turns: N_c (1 - s), resistance (1 - s), inductance (1 - s)^2",
+        location="magnetic circuit; coil circuit of a voltage drive",
+        signature="torque constant lost without the magnetic spring; at held voltage more current, faster",
+        parameters=(amplitude_parameter("loss", "1", "share s of the turns that is shorted", (0.0, 0.5), 0.05),),
+        coefficients=_turns_loss,
+        figure="coil_turns",
+    ),
+    Effect(
+        name="eddy_current_lag",
+        doc="a share s of the magnetising current lags: i + s (j - i) with j' = (i - j)/tau",
+        location="magnetic circuit",
+        signature="gain and phase step down about 1/(2 pi tau); nothing at rest, no loop in a slow sweep",
+        parameters=(
+            amplitude_parameter("share", "1", "share s of the current that lags", (0.0, 0.9), 0.2),
+            shape_parameter("time_constant", "s", "tau of the eddy currents", 2e-3, (5e-5, 1.0)),
+        ),
+        memory=(Channel("eddy_lagging_current", "A", "current j that the eddy currents have let through", 1e-2),),
+        balance=_eddy_current,
+    ),
+    Effect(
+        name="coil_resistance_drift",
+        doc="resistance of coil, leads and amplifier off: R (1 + s)",
+        location="coil circuit of a voltage drive",
+        signature="current at held voltage off in proportion, corner of the coil moved; nothing over current",
+        parameters=(amplitude_parameter("share", "1", "share s of the resistance, signed", (-0.5, 1.0), 0.1),),
+        coefficients=_resistance_drift,
+        figure="coil_resistance",
+    ),
+    Effect(
+        name="flexure_stiffness_loss",
+        doc="the spring tube has softened (fatigue, crack): K_s (1 - s)",
+        location="armature torque balance",
+        signature="armature natural frequency down, gain up a little; no loop, null unchanged",
+        parameters=(amplitude_parameter("loss", "1", "share s of the stiffness", (0.0, 0.5), 0.05),),
+        coefficients=_flexure_loss,
+        figure="spring_tube_stiffness",
+    ),
+)

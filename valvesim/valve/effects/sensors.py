@@ -1,0 +1,79 @@
+"""Effects of sensors: what a channel reads instead of the value.
+
+Symbols
+    r the reading over time, T_oil oil temperature °C, p the parameters by name"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from valvesim.valve.coefficients import REFERENCE_TEMPERATURE
+from valvesim.valve.effect import CHANNEL, Effect, Parameter, Reading
+from valvesim.valve.effects.declare import amplitude_parameter
+from valvesim.valve.laws import lagged
+
+
+def _bias(r: Reading, p):
+    return r.values + p.bias
+
+
+def _gain(r: Reading, p):
+    return r.values * (1.0 + p.gain_error)
+
+
+def _lag(r: Reading, p):
+    return lagged(r.time, r.values, p.time_constant)
+
+
+def _delay(r: Reading, p):
+    """Straight lines between samples; before the first there is the first."""
+    return np.interp(r.time - p.delay, r.time, r.values)
+
+
+def _temperature_drift(r: Reading, p):
+    return r.values + p.drift * (r.oil_temperature - REFERENCE_TEMPERATURE)
+
+
+def _sensor(name: str, doc: str, signature: str, amplitude: Parameter, reading) -> Effect:
+    return Effect(
+        name=name, doc=doc, location="sensor", signature=signature, parameters=(amplitude,), reading=reading
+    )  # fmt: skip
+
+
+SENSORS = (
+    _sensor(
+        "sensor_bias",
+        "the sensor reads b too much",
+        "one channel off by a constant; every other one fits",
+        amplitude_parameter("bias", CHANNEL, "b, signed", (-1.0, 1.0), 0.02),
+        _bias,
+    ),
+    _sensor(
+        "sensor_gain",
+        "the sensor reads (1 + g) of the value",
+        "one channel off in proportion; every other one fits",
+        amplitude_parameter("gain_error", "1", "g, signed", (-0.9, 10.0), 0.03),
+        _gain,
+    ),
+    _sensor(
+        "sensor_lag",
+        "the sensor follows with a first-order lag tau",
+        "one channel late and smaller at high frequency, right at rest",
+        amplitude_parameter("time_constant", "s", "tau", (0.0, 10.0), 1e-3),
+        _lag,
+    ),
+    _sensor(
+        "sensor_delay",
+        "the sensor reads the value of a time T ago",
+        "one channel late by the same time at every frequency, of full size",
+        amplitude_parameter("delay", "s", "T", (0.0, 0.1), 1e-3),
+        _delay,
+    ),
+    _sensor(
+        "sensor_temperature_drift",
+        "the sensor reads k (T_oil - 20 °C) too much",
+        "one channel off by an offset that follows the oil temperature; every other one fits",
+        amplitude_parameter("drift", f"{CHANNEL}/K", "k, signed", (-0.02, 0.02), 1e-3),
+        _temperature_drift,
+    ),
+)

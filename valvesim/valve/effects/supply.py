@@ -1,0 +1,61 @@
+"""Effects of supply, return and oil.
+
+Symbols
+    Q load flow, p_s supply and p_0 return pressure, p the parameters by name"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from valvesim.channels import Channel
+from valvesim.valve.coefficients import Coefficients, PartTemperatures
+from valvesim.valve.effect import Effect, Ports, Situation
+from valvesim.valve.effects.declare import amplitude_parameter, scaled, shape_parameter
+
+
+def _droop(s: Situation, p, memory):
+    """The memory is the lagged flow rather than the droop, so that no resistance is no droop whatever it holds."""
+    (late,) = memory
+    return Ports(supply_pressure=-p.resistance * late), ((np.abs(s.load_flow) - late) / p.time_constant,)
+
+
+def _return_rise(s: Situation, p, memory):
+    return Ports(return_pressure=p.resistance * np.abs(s.load_flow)), ()
+
+
+def _viscosity_grade(c: Coefficients, p, parts: PartTemperatures):
+    return scaled(c, dynamic_viscosity=p.viscosity_factor, spool_damping=p.viscosity_factor)
+
+
+SUPPLY = (
+    Effect(
+        name="supply_pressure_droop",
+        doc="the supply gives way to the load flow: p_s - R q with q' = (|Q| - q)/tau",
+        location="supply pressure, in every balance",
+        signature="less flow at large opening than the square root, later by tau; pilot pressures dip with the flow",
+        parameters=(
+            amplitude_parameter("resistance", "Pa/(m^3/s)", "R of pump and supply line", (0.0, 2e10), 3e9),
+            shape_parameter("time_constant", "s", "tau of accumulator and line", 10e-3, (1e-4, 10.0)),
+        ),
+        memory=(Channel("supply_droop_flow", "m^3/s", "load flow q that the supply has felt", 3e-4),),
+        balance=_droop,
+    ),
+    Effect(
+        name="return_pressure_rise",
+        doc="the return backs up with the load flow: p_0 + R |Q|",
+        location="pressure behind the nozzles",
+        signature="both nozzle pressures up with the load flow, whichever way it goes",
+        parameters=(amplitude_parameter("resistance", "Pa/(m^3/s)", "R of the return line", (0.0, 2e10), 3e9),),
+        balance=_return_rise,
+    ),
+    Effect(
+        name="oil_viscosity_grade",
+        doc="another oil than stated: viscosity and the spool's viscous damping times f",
+        location="leakage past the lands; spool force balance",
+        signature="spool damped by f more, clearances of closed lands leak less by f; nothing through orifices",
+        parameters=(
+            amplitude_parameter("viscosity_factor", "1", "f, of the stated oil's", (0.2, 5.0), 2.5, neutral=1.0),
+        ),
+        coefficients=_viscosity_grade,
+    ),
+)

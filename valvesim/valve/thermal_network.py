@@ -1,0 +1,192 @@
+"""Temperatures of the parts: a lumped network driven by the prescribed oil temperature.
+
+Symbols
+    C heat capacity J/K, G conductance W/K, T temperature °C
+    C_k T_k' = G_k,oil (T_oil - T_k) + sum_j G_kj (T_j - T_k) + G_k,amb (T_amb - T_k)
+
+The network is linear and nothing in it hears the valve's motion, so it is solved exactly (matrix exponential, oil
+temperature straight between knots) before the valve is. Its figures are estimates, good to about +-50 % (model.md 5,
+field.md 2): no measured valve-body transient is public.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.errors import InputError
+from valvesim.inputs import PIECE_WIDTH, WAVE_WIDTH, Command, evaluate
+from valvesim.units import POSITIVE, check_bounds, quantity
+from valvesim.valve.fluid import Oil
+from valvesim.valve.parameters import PART_NAMES, PartTemperatures
+
+MOST_KNOTS = 1_000_000  # of a temperature path: 0.4 GB of coefficients
+NODES = tuple(name for name in PART_NAMES if name != "oil")
+
+
+def _estimate(value: float, unit: str, doc: str, *, floor: float = 0.0):
+    return quantity(value, unit, doc, (floor, 1e5), "estimate, field.md 2", tolerance=0.5)
+
+
+def _capacity(value: float, doc: str):
+    return _estimate(value, "J/K", "heat capacity of the " + doc, floor=POSITIVE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalNetwork:
+    """Capacities and conductances. Alone against the oil the parts take 1 s (pilot metal), 4 s (spool), 38 s (body)."""
+
+    pilot_metal_capacity: float = _capacity(0.4, "nozzles, orifices and flapper")
+    spool_capacity: float = _capacity(2.0, "spool")
+    sleeve_capacity: float = _capacity(12.0, "sleeve")
+    body_capacity: float = _capacity(150.0, "body")
+    torque_motor_capacity: float = _capacity(33.0, "torque motor")
+    spring_tube_capacity: float = _capacity(0.3, "spring tube")
+    feedback_rod_capacity: float = _capacity(0.25, "feedback rod")
+    oil_to_pilot_metal: float = _estimate(0.4, "W/K", "jets on nozzles and flapper")
+    oil_to_spool: float = _estimate(0.5, "W/K", "oil to spool")
+    oil_to_sleeve: float = _estimate(1.2, "W/K", "oil to sleeve")
+    oil_to_body: float = _estimate(4.0, "W/K", "oil to body")
+    oil_to_spring_tube: float = _estimate(0.1, "W/K", "wet inside of the spring tube")
+    oil_to_feedback_rod: float = _estimate(0.25, "W/K", "oil to feedback rod")
+    sleeve_to_body: float = _estimate(8.0, "W/K", "sleeve in its bore")
+    body_to_torque_motor: float = _estimate(1.5, "W/K", "screws and face")
+    spring_tube_to_torque_motor: float = _estimate(0.02, "W/K", "dry outside and flange of the spring tube")
+    torque_motor_to_ambient: float = _estimate(0.03, "W/K", "torque motor to the air")
+    body_to_ambient: float = _estimate(0.1, "W/K", "body to the air")
+
+    def __post_init__(self):
+        check_bounds(self)
+
+    def matrices(self) -> tuple[np.ndarray, np.ndarray]:
+        """(M, N) of T' = M T + N [T_oil, T_ambient]; T in the order of `NODES`, M in 1/s."""
+        sources = ("oil", "ambient")
+        M, N = np.zeros((len(NODES), len(NODES))), np.zeros((len(NODES), len(sources)))
+        for name in self.__dataclass_fields__:
+            one, _, other = name.partition("_to_")
+            if not other:
+                continue
+            conductance = getattr(self, name)
+            for here, there in ((one, other), (other, one)):
+                if here not in NODES:
+                    continue
+                k = NODES.index(here)
+                gain = conductance / getattr(self, here + "_capacity")
+                M[k, k] -= gain
+                if there in NODES:
+                    M[k, NODES.index(there)] += gain
+                else:
+                    N[k, sources.index(there)] += gain
+        return M, N
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemperaturePath:
+    """Temperatures at knots, °C, straight in between; a pair of equal times is a jump."""
+
+    times: np.ndarray
+    parts: PartTemperatures
+
+
+def temperature_path(
+    oil_temperature: Command,
+    end: float,
+    *,
+    network: ThermalNetwork | None,
+    initial: float | Mapping[str, float] | None = None,
+    ambient: float = 20.0,
+    throttling: Callable | None = None,
+    spacing: float = 0.1,
+    knots: np.ndarray | None = None,
+) -> TemperaturePath:
+    """Oil and part temperatures from 0 to `end` s.
+
+    `network` None holds every part at the oil's temperature (the paper's assumption). `initial` (°C) is where the parts
+    start, see `starting_temperatures`. `throttling(T)` is added to the oil temperature, K. The times (m,) are `knots`,
+    or those of `first_knots` at this `spacing`.
+    """
+    times = first_knots(oil_temperature, end, spacing) if knots is None else knots
+    oil = _before_jumps(oil_temperature, times)
+    if throttling is not None:
+        oil = oil + throttling(oil)
+    if network is None:
+        return TemperaturePath(times=times, parts=PartTemperatures.uniform(oil))
+    M, N = network.matrices()
+    T = np.empty((len(times), len(NODES)))
+    start = starting_temperatures(initial, float(oil[0]))
+    T[0] = [getattr(start, name) for name in NODES]
+    propagators: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    for k, step in enumerate(np.diff(times)):
+        key = float(f"{step:.9g}")
+        if key not in propagators:
+            propagators[key] = _propagator(M, N, step)
+        E, F, G = propagators[key]
+        now = np.array([oil[k], ambient])
+        change = np.array([oil[k + 1] - oil[k], 0.0])
+        T[k + 1] = E @ T[k] + F @ now + G @ change
+    parts = PartTemperatures(oil=oil, **{name: T[:, k] for k, name in enumerate(NODES)})
+    return TemperaturePath(times=times, parts=parts)
+
+
+def starting_temperatures(initial: float | Mapping[str, float] | None, oil: float) -> PartTemperatures:
+    """The parts at the start, °C: all at `initial`, or by part; those left out (all of them with None) with the oil."""
+    given = initial if isinstance(initial, Mapping) else dict.fromkeys(NODES, oil if initial is None else initial)
+    return PartTemperatures(oil=oil, **{name: float(given.get(name, oil)) for name in NODES})
+
+
+def _propagator(M: np.ndarray, N: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """T(step) = E T(0) + F u(0) + G (u(step) - u(0)) for u straight in between: exact, by one matrix exponential."""
+    from scipy.linalg import expm  # 0.2 s to import, which an isothermal run need not wait for
+
+    n, m = N.shape
+    block = np.zeros((n + 2 * m, n + 2 * m))
+    block[:n, :n], block[:n, n : n + m] = M * step, N * step
+    block[n : n + m, n + m :] = np.eye(m)
+    big = expm(block)
+    return big[:n, :n], big[:n, n : n + m], big[:n, n + m :]
+
+
+def first_knots(command: Command, end: float, spacing: float) -> np.ndarray:
+    """Times at most `spacing` s apart, two at every break of the command, one or more between any two, 20 or more to
+    each of its periods. InputError where that makes more than `MOST_KNOTS`.
+    """
+    rows = command.pieces(end)
+    starts = rows[:, 0]
+    edges = np.unique(np.concatenate([[0.0, end], starts[(starts > 0.0) & (starts < end)]]))
+    spacings = np.full(len(edges) - 1, spacing)
+    if rows.shape[1] > PIECE_WIDTH:
+        ruling = np.maximum(np.searchsorted(starts, edges[:-1], side="right") - 1, 0)
+        fastest = [
+            max(_fastest(rows[k], a), _fastest(rows[k], b))
+            for k, a, b in zip(ruling, edges[:-1], edges[1:], strict=True)
+        ]
+        spacings = np.minimum(spacing, 0.05 / np.maximum(fastest, 1e-9))
+    counts = np.maximum(np.ceil(np.diff(edges) / spacings), 2.0)
+    if counts.sum() > MOST_KNOTS:
+        raise InputError(
+            f"oil_temperature: {counts.sum():.3g} knots over {end:g} s are more than {MOST_KNOTS:g}; fewer breaks, a "
+            "lower frequency or a shorter duration will do"
+        )
+    return np.concatenate(
+        [np.linspace(a, b, int(n) + 1) for a, b, n in zip(edges[:-1], edges[1:], counts, strict=True)]
+    )
+
+
+def _before_jumps(command: Command, times: np.ndarray) -> np.ndarray:
+    """Values at knots; at the first of a pair of equal times the value just before it."""
+    first = np.append(times[:-1] == times[1:], False)
+    return evaluate(command, np.where(first, np.nextafter(times, -np.inf), times))
+
+
+def _fastest(row: np.ndarray, t: float) -> float:
+    """Highest frequency of the waves of a piece at time t, Hz."""
+    amplitude, frequency, sweep, growth, _ = row[PIECE_WIDTH:].reshape(-1, WAVE_WIDTH).T
+    now = np.abs(frequency * np.exp(growth * (t - row[0])) + sweep * (t - row[0]))
+    return float(np.max(now, initial=0.0, where=amplitude != 0.0))
+
+
+def throttling_rise(oil: Oil, pressure_drop: float) -> Callable:
+    """Mean rise of the oil in the pilot stage, K: half of what the whole drop gives, as a function of °C."""
+    return lambda temperature: 0.5 * oil.throttling_rise(temperature, pressure_drop)
