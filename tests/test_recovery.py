@@ -137,7 +137,7 @@ def test_nothing_is_recovered_where_nothing_is_hidden():
 
 
 def test_nothing_is_recovered_from_a_scene_without_families(nominal):
-    assert recover_term(nominal, score_test(nominal, nominal.fit, isolation=(), options=DIAGNOSIS)) is None
+    assert recover_term(nominal, score_test(nominal, nominal.fit, terms=(), options=DIAGNOSIS)) is None
 
 
 # ---------------------------------------------------------------- formulas
