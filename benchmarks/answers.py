@@ -59,13 +59,17 @@ THERMAL = (
 )
 OWN = {
     "voltage_drive": 'duration = "60 ms"\n' + THERMAL.format(drive="voltage", u="V"),
-    "friction_and_hysteresis": 'duration = "60 ms"\n' + THERMAL.format(drive="current", u="mA") + """
+    "friction_and_hysteresis": 'duration = "60 ms"\n'
+    + THERMAL.format(drive="current", u="mA")
+    + """
 [effects.spool_coulomb_friction]
 friction_force = "2 N"
 [effects.magnetic_hysteresis]
 coercive_current = "0.2 mA"
 """,
-    "lagged_sensor": 'duration = "60 ms"\n' + THERMAL.format(drive="current", u="mA") + """
+    "lagged_sensor": 'duration = "60 ms"\n'
+    + THERMAL.format(drive="current", u="mA")
+    + """
 [[effects.sensor_lag]]
 channel = "load_flow"
 time_constant = "1 ms"

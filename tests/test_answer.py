@@ -95,7 +95,9 @@ def test_the_file_holds_what_the_dictionary_does(tmp_path):
 def test_the_dictionary_has_every_field_but_traces_and_what_only_python_can_use():
     table = answer(extended_variant=object()).to_dict()
     assert set(table) == {f.name for f in dataclasses.fields(Diagnosis)} - {
-        "traces", "extended_variant", "extended_effects"
+        "traces",
+        "extended_variant",
+        "extended_effects",
     }
     assert set(table["next_test"]) == {f.name for f in dataclasses.fields(NextTest)} - {"inputs"}
     assert table["verdict"] == "cause" and table["causes"] == ["spool_coulomb_friction"]

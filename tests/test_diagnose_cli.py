@@ -109,8 +109,10 @@ def test_what_is_ambiguous_comes_with_the_next_test(call, found, session, tmp_pa
     code, out, _ = call(session, "-o", tmp_path / "out")
     assert code == 0 and "candidates: friction 98%, silting 2%" in out
     assert "next test, 4 s: a slow triangle; tells a from b apart with 99%" in out
-    assert (tmp_path / "out" / "next_test.csv").read_text(encoding="utf-8").startswith(
-        "time [s],current [mA],supply_pressure [bar]\n0,0,200\n"
+    assert (
+        (tmp_path / "out" / "next_test.csv")
+        .read_text(encoding="utf-8")
+        .startswith("time [s],current [mA],supply_pressure [bar]\n0,0,200\n")
     )
     wanted = {"time": "s", "current": "A", "supply_pressure": "Pa"}
     read = read_columns(tmp_path / "out" / "next_test.csv", wanted)

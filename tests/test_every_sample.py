@@ -48,9 +48,7 @@ def error(result, reference, name):
 def test_a_quiet_valve_feels_what_drives_it_at_every_sample(case):
     scenario = vs.Scenario(**({"command": HELD, "output_rate": 2000.0} | case))
     result = vs.simulate(scenario)
-    tight = dataclasses.replace(
-        scenario, tolerance=1e-8, command=with_idle_breaks(scenario.command, scenario.duration)
-    )
+    tight = dataclasses.replace(scenario, tolerance=1e-8, command=with_idle_breaks(scenario.command, scenario.duration))
     reference = vs.simulate(tight)
     for name in POSITIONS_AND_PRESSURES:
         assert error(result, reference, name) < 5e-4, name

@@ -176,7 +176,7 @@ def test_any_falling_table_is_an_oil_that_falls_and_comes_back_from_its_text(ste
     t = first + np.cumsum([step for step, _ in steps])
     falls = np.diff(np.log10(t + 273.15)) * [slope for _, slope in steps[1:]]  # on the axes of ASTM D341
     up = np.append(np.cumsum(falls[::-1])[::-1], 0.0)
-    nu = 10.0 ** 10.0 ** (np.log10(np.log10(last + 0.7)) + up) - 0.7
+    nu = 10.0**10.0 ** (np.log10(np.log10(last + 0.7)) + up) - 0.7
     rows = {"temperature": ", ".join(map(repr, t.tolist())), "viscosity": ", ".join(map(repr, nu.tolist()))}
     rows = {"temperature": rows["temperature"] + " degC", "viscosity": rows["viscosity"] + " cSt"}
     oil = read_oil({"name": "any", **rows})

@@ -294,9 +294,9 @@ def test_every_picture_has_contrast_and_size(written):
 def test_the_page_is_a_whole_html_document(written):
     page = written[3]
     reader = Reader(page)  # balanced tags
-    assert page.startswith("<!DOCTYPE html>\n<html lang=\"en\">") and 'charset="utf-8"' in page
+    assert page.startswith('<!DOCTYPE html>\n<html lang="en">') and 'charset="utf-8"' in page
     assert reader.tags[:2] == ["html", "head"] and reader.tags.count("title") == reader.tags.count("h1") == 1
-    assert len(re.findall("<img alt=\"[^\"]{20,}\"", page)) == reader.tags.count("img")
+    assert len(re.findall('<img alt="[^"]{20,}"', page)) == reader.tags.count("img")
 
 
 def test_the_same_diagnosis_gives_the_same_files(tmp_path):

@@ -5,12 +5,13 @@ What Rodas5P should do: G. Steinebach, BIT 63 (2023): order 5, L-stable, stiffly
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from elimination import full_elimination
+from hypothesis import given
 from hypothesis import strategies as st
 
 from valvesim.inputs import Constant, Pulse, Ramp, Sine, Step, Sum, Table, merge
 from valvesim.solver import rodas5p as rosenbrock
-from valvesim.solver.rodas5p import DONE, STEP_TOO_SMALL, TOO_MANY_STEPS, back_substitute, factor
+from valvesim.solver.rodas5p import DONE, STEP_TOO_SMALL, TOO_MANY_STEPS
 
 NO_KNOTS = (np.array([0.0]), np.zeros((1, 1)))
 STILL = (Constant(),)
@@ -34,11 +35,11 @@ class Run:
             self.calls += 1
             derivative(*arguments)
 
+        solver = full_elimination(len(self.y))
         for stop in (*slices, end):
             self.status = rosenbrock.integrate(
-                counted, jacobian, self.y, self.clock, stop, starts, rows, *knots, self.t_out, self.out, rtol,
-                np.full(len(self.y), atol),
-                max_steps, self.count,
+                counted, jacobian, *solver, self.y, self.clock, stop, starts, rows, *knots, self.t_out, self.out, rtol,
+                np.full(len(self.y), atol), np.zeros(len(self.y)), max_steps, self.count,
             )  # fmt: skip
 
 
@@ -398,46 +399,3 @@ def test_derivative_that_is_not_finite_never_gets_into_the_solution(bad, value):
     assert run.clock[0] == pytest.approx(0.5, abs=1e-6)
     assert np.all(np.isfinite(run.y))
     assert np.all(np.isfinite(run.out[: int(run.clock[2])]))
-
-
-# ---------------------------------------------------------------- linear solver
-
-
-@given(st.integers(1, 8), st.integers(0, 10**6), st.booleans())
-def test_factors_solve_as_numpy_does(n, seed, exchange):
-    rng = np.random.default_rng(seed)
-    W, x = rng.normal(size=(n, n)), rng.normal(size=n)
-    if exchange:
-        W[np.arange(n - 1), np.arange(n - 1)] = 0.0  # the first pivot must come from below
-    assume(np.linalg.cond(W) < 1e6)
-    expected = np.linalg.solve(W, x)
-    order = np.empty(n, np.int64)
-    assert factor(W, order)
-    back_substitute(W, order, x)
-    assert x == pytest.approx(expected, rel=1e-8, abs=1e-8 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("n", [2, 6, 8])
-def test_permutation_is_solved_exactly(n):
-    P = np.roll(np.eye(n), 1, axis=0)
-    W, x, order = P.copy(), np.arange(1.0, n + 1), np.empty(n, np.int64)
-    assert factor(W, order)
-    back_substitute(W, order, x)
-    assert x.tolist() == np.linalg.solve(P, np.arange(1.0, n + 1)).tolist()
-
-
-def test_factors_serve_many_right_hand_sides():
-    rng = np.random.default_rng(3)
-    M = rng.normal(size=(6, 6)) * 10.0 ** rng.integers(-6, 6, (6, 1))  # rows of very different size
-    W, order = M.copy(), np.empty(6, np.int64)
-    assert factor(W, order)
-    for _ in range(3):
-        b = rng.normal(size=6)
-        x = b.copy()
-        back_substitute(W, order, x)
-        assert x == pytest.approx(np.linalg.solve(M, b), rel=1e-9)
-
-
-@pytest.mark.parametrize("M", [np.zeros((2, 2)), np.ones((3, 3)), np.diag([1.0, np.nan]), np.diag([np.inf, 1.0])])
-def test_singular_or_infinite_matrix_is_refused(M):
-    assert factor(M.copy(), np.empty(len(M), np.int64)) is False

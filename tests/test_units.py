@@ -120,10 +120,18 @@ REFUSED = [
     ("20 C", "Pa", "'C' has the wrong dimension; expected a unit that converts to 'Pa'"),
     ("1 lpm", "m^3/s", "unknown unit 'lpm'; expected one that converts to 'm^3/s'; did you mean 'L/min'?"),
     ("3000 psia", "Pa", "unknown unit 'psia'; expected one that converts to 'Pa'; did you mean 'psi'?"),
-    ("3000 psig", "Pa", "unknown unit 'psig'; expected one that converts to 'Pa'; 'psig' is above the air's pressure, "
-     "but pressures are absolute: add 14.696 psi"),
-    ("200 bar(g)", "Pa", "'bar(g)' has the wrong dimension; expected a unit that converts to 'Pa'; 'bar(g)' is above "
-     "the air's pressure, but pressures are absolute: add 1.01325 bar"),
+    (
+        "3000 psig",
+        "Pa",
+        "unknown unit 'psig'; expected one that converts to 'Pa'; 'psig' is above the air's pressure, "
+        "but pressures are absolute: add 14.696 psi",
+    ),
+    (
+        "200 bar(g)",
+        "Pa",
+        "'bar(g)' has the wrong dimension; expected a unit that converts to 'Pa'; 'bar(g)' is above "
+        "the air's pressure, but pressures are absolute: add 1.01325 bar",
+    ),
     ("1 2 bar", "Pa", "unknown unit '2 bar'; expected one that converts to 'Pa'"),
     ("1 bar/0", "Pa", "unknown unit 'bar/0'; expected one that converts to 'Pa'"),
     ("1 (bar", "Pa", "unknown unit '(bar'; expected one that converts to 'Pa'"),

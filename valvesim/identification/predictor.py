@@ -350,6 +350,7 @@ def _integrate(
         out,
         predictor.options.predictor.tolerance,
         atol,
+        y.copy(),
         predictor.options.predictor.most_steps,
         count,
     )

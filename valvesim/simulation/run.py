@@ -30,7 +30,7 @@ from valvesim.valve.thermal_network import TemperaturePath, first_knots
 MAX_STEPS = 50_000_000  # of a slice
 SLICES = 64  # at most, of a run, between which progress is told: none shorter than a second
 JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
-KNOT_ERROR = 3e-6  # relative error of the coefficients between the knots of the temperature path
+KNOT_ERROR = 1e-6  # relative error of the coefficients between the knots of the temperature path
 MOST_HALVINGS = 16  # of the time between two knots
 
 
@@ -307,7 +307,7 @@ def _integrate(problem: _Problem, member: int, progress: Callable[[float], None]
         end = scenario.duration * k / slices if k < slices else scenario.duration
         status = compiled.run(
             y, clock, end, problem.starts, problem.rows, problem.path.times, problem.knots[member], problem.times, out,
-            rtol, np.full(len(y), 0.01 * rtol), MAX_STEPS, count,
+            rtol, np.full(len(y), 0.01 * rtol), problem.initial[member], MAX_STEPS, count,
         )  # fmt: skip
         if status:
             raise _failure(problem, member, status, y, float(clock[0]))

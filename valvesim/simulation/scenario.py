@@ -104,7 +104,7 @@ class Scenario:
     effects: tuple[ActiveEffect, ...] = ()
     output_rate: float = quantity(1000.0, "Hz", "output samples per second", (POSITIVE, 1e7), "")
     channels: tuple[str, ...] = ()
-    tolerance: float = quantity(3e-4, "1", "relative tolerance of the integration", (1e-10, 1e-2), "")
+    tolerance: float = quantity(5e-5, "1", "relative tolerance of the integration", (1e-10, 1e-2), "")
 
     def __post_init__(self):
         check_bounds(self)

@@ -28,6 +28,7 @@ from valvesim import inputs
 from valvesim.channels import INPUT_CHANNELS
 from valvesim.errors import InputError
 from valvesim.solver import rodas5p
+from valvesim.solver.elimination import print_elimination
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.equations import CurrentDrive, Model, VoltageDrive
 
@@ -109,7 +110,8 @@ def _compile(model: Model, absent: frozenset[str]) -> CompiledModel:
     with _short_loops():
         module.run(  # to nowhere, so that it is compiled here and not in somebody's first run
             np.zeros(n), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, len(INPUT_CHANNELS) - 1, 3)), np.zeros(1),
-            np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, np.full(n, 1e-5), 1, np.zeros(2, dtype=np.int64),
+            np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, np.full(n, 1e-5), np.zeros(n), 1,
+            np.zeros(2, dtype=np.int64),
         )  # fmt: skip
     return CompiledModel(model, scale, module.run, module.derivative, module.jacobian, module.jacobians)
 
@@ -153,11 +155,12 @@ def source(model: Model, absent: frozenset[str] = frozenset()) -> str:
             "from valvesim.solver.rodas5p import *",
             "",
             *_print_function("derivative", rate, [f"out[{k}]" for k in range(n)], []),
+            *_print_solver(*print_elimination(n, zip(rows, columns, strict=True))),
             *_print_function("jacobian", slope, [f"out[{i}, {j}]" for i, j in zip(rows, columns, strict=True)], zeros),
-            "@njit(cache=True, nogil=True, error_model='numpy')",
+            _HEAD,
             _JACOBIANS,
-            "@njit(cache=True, nogil=True, error_model='numpy')",
-            _integrator_source(),
+            _HEAD,
+            _integrator_source(n, arguments[2].shape[0]),
         ]
     )
 
@@ -173,27 +176,40 @@ def _make_callable() -> None:
     """Let compiled code call the plain functions that `integrate` calls."""
     from numba.extending import register_jitable
 
-    for function in (
-        inputs.piece_value, rodas5p.factor, rodas5p.back_substitute, rodas5p.set_inputs,
-        rodas5p.set_coefficients,
-    ):  # fmt: skip
+    for function in (inputs.piece_value, rodas5p.set_inputs, rodas5p.set_coefficients):
         register_jitable(function)
 
 
-def _integrator_source() -> str:
-    """`rodas5p.integrate` as `run`, which finds `derivative` and `jacobian` in its own module.
+def _integrator_source(n: int, n_c: int) -> str:
+    """`rodas5p.integrate` as `run`, which finds the model's functions in its own module, and has its sizes in figures.
 
-    Printed rather than called with them as arguments: numba keeps no compiled code of a function that takes functions.
+    Printed rather than called with them as arguments: numba keeps no compiled code of a function that takes functions,
+    and loops of a known length are unrolled.
     """
     text = inspect.getsource(rodas5p.integrate)
-    return text.replace("def integrate(", "def run(", 1).replace("derivative, jacobian, ", "", 1)
+    for plain, printed in (
+        ("def integrate(", "def run("),
+        ("derivative, jacobian, factor, back_substitute, ", ""),
+        ("n, n_c = y.shape[0], knots.shape[1]", f"n, n_c = {n}, {n_c}"),
+    ):
+        text = text.replace(plain, printed, 1)
+    return text
+
+
+_HEAD = "@njit(cache=True, nogil=True, error_model='numpy')"
+
+
+def _print_solver(factor: Sequence[str], back_substitute: Sequence[str]) -> list[str]:
+    """`factor(W)` and `back_substitute(W, x)` from their lines."""
+    bodies = {"factor(W)": factor, "back_substitute(W, x)": back_substitute}
+    return [line for name, body in bodies.items() for line in (_HEAD, f"def {name}:", *(f"    {x}" for x in body), "")]
 
 
 def _print_function(name: str, function: Any, targets: Sequence[str], zeros: Sequence[tuple[int, int]]) -> list[str]:
     """A CasADi function as Python source: one line an operation."""
     import casadi
 
-    lines = ["@njit(cache=True, nogil=True, error_model='numpy')", f"def {name}(y, u, c, out):"]
+    lines = [_HEAD, f"def {name}(y, u, c, out):"]
     operations = _operations(casadi)
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
@@ -255,8 +271,8 @@ def _package_text() -> str:
     folder = Path(__file__).parents[1]
     versions = [version("numba"), version("casadi"), version("numpy"), sys.version]
     names = (
-        "channels", "inputs", "solver/codegen", "solver/rodas5p", "valve/coefficients", "valve/effect",
-        "valve/equations", "valve/fluid", "valve/laws", "valve/parameters",
+        "channels", "inputs", "solver/codegen", "solver/elimination", "solver/rodas5p", "valve/coefficients",
+        "valve/effect", "valve/equations", "valve/fluid", "valve/laws", "valve/parameters",
         *(f"valve/effects/{path.stem}" for path in sorted((folder / "valve" / "effects").glob("*.py"))),
     )  # fmt: skip
     return "\n".join([*versions, *((folder / f"{name}.py").read_text(encoding="utf-8") for name in names)])

@@ -8,7 +8,8 @@ Symbols
     y scaled states, h step, f derivative, J its Jacobian, W = 1/(gamma h) - J, k_i stages, e error of the step
     W k_i = f(t + c_i h, y + sum a_ij k_j) + sum C_ij k_j/h + d_i h df/dt
 
-`integrate` is plain Python that numba compiles; `derivative` and `jacobian` come from a traced model.
+`integrate` is plain Python that numba compiles; `derivative`, `jacobian` and the two functions of the linear systems
+(`solver.elimination`) are printed from a traced model.
 """
 
 from __future__ import annotations
@@ -65,47 +66,6 @@ FIRST_BEND = 1e4  # tolerances by which a state may bend away, y'' h^2, in the f
 DONE, TOO_MANY_STEPS, STEP_TOO_SMALL = 0, 1, 2
 
 
-def factor(W, order):
-    """LU factors of W in place, with row exchanges kept in `order`; False where W is singular."""
-    n = W.shape[0]
-    for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(W[i, k]) > abs(W[pivot, k]):
-                pivot = i
-        order[k] = pivot
-        if pivot != k:
-            for j in range(n):
-                W[k, j], W[pivot, j] = W[pivot, j], W[k, j]
-        if W[k, k] == 0.0 or not np.isfinite(W[k, k]):
-            return False
-        inverse = 1.0 / W[k, k]
-        for i in range(k + 1, n):
-            if W[i, k] != 0.0:
-                ratio = W[i, k] * inverse
-                W[i, k] = ratio
-                for j in range(k + 1, n):
-                    W[i, j] -= ratio * W[k, j]
-        W[k, k] = inverse  # kept inverted: the solve multiplies
-    return True
-
-
-def back_substitute(W, order, x):
-    """Solve with the factors of `factor`, in place."""
-    n = W.shape[0]
-    for k in range(n):
-        pivot = order[k]
-        if pivot != k:
-            x[k], x[pivot] = x[pivot], x[k]
-    for k in range(n):
-        for i in range(k + 1, n):
-            x[i] -= W[i, k] * x[k]
-    for k in range(n - 1, -1, -1):
-        for j in range(k + 1, n):
-            x[k] -= W[k, j] * x[j]
-        x[k] *= W[k, k]
-
-
 def set_inputs(rows, t, u):
     """Inputs of the model at time t from the rows of one interval: command with its rate, then the pressures."""
     u[0], u[1] = piece_value(rows[0], t)
@@ -122,21 +82,24 @@ def set_coefficients(knot_times, knots, at, t, c):
 
 
 def integrate(
-    derivative, jacobian, y, clock, t_end, starts, rows, knot_times, knots, t_out, out, rtol, atol, max_steps, count
-):
+    derivative, jacobian, factor, back_substitute, y, clock, t_end, starts, rows, knot_times, knots, t_out, out, rtol,
+    atol, rest, max_steps, count
+):  # fmt: skip
     """Advance scaled states `y` in place from clock[0] to t_end; fill `out` at the times `t_out`; return a status.
 
     clock: [time, next step, next output index]; all updated, so that a run can go on in slices.
     starts, rows: input pieces between breaks; knot_times (m,), knots (m, n_c): coefficients, straight in between.
-    atol (n,): absolute tolerance of each scaled state; infinite for one whose error does not matter.
+    rtol: relative tolerance of a state's distance from `rest` (n,), so that a small motion about a large pressure is
+    as exact as a large one. atol (n,): absolute tolerance of each scaled state; infinite where its error does not
+    matter.
     count: [accepted, rejected] steps, added to. A step crosses neither a break nor a knot.
     """
     n, n_c = y.shape[0], knots.shape[1]
-    f, f_late, coupled, u = np.empty(n), np.empty(n), np.empty(n), np.empty(rows.shape[1] + 1)
+    f, f_late, u = np.empty(n), np.empty(n), np.empty(rows.shape[1] + 1)
     c, stage_y, new, W = np.empty(n_c), np.empty(n), np.empty(n), np.empty((n, n))
     for k in range(n_c):
         c[k] = knots[0, k]
-    J, K, order, bend = np.empty((n, n)), np.empty((STAGES, n)), np.empty(n, np.int64), np.empty((3, n))
+    J, K, bend = np.empty((n, n)), np.empty((STAGES, n)), np.empty((3, n))
     t, h, at_out = clock[0], clock[1], int(clock[2])
     interval, at, fresh = 0, 0, False
     while interval + 1 < starts.shape[0] and starts[interval + 1] <= t:
@@ -174,7 +137,7 @@ def integrate(
                     bending = (stage_y[i] - f[i]) / delta
                     for j in range(n):
                         bending += J[i, j] * f[j]
-                    size = atol[i] + rtol * abs(y[i])
+                    size = atol[i] + rtol * abs(y[i] - rest[i])
                     if abs(bending) * h * h > FIRST_BEND * size:
                         h = np.sqrt(FIRST_BEND * size / abs(bending))
             free = h  # the step that the error control wants, before any break shortens it
@@ -202,37 +165,34 @@ def integrate(
                     for j in range(n):
                         W[i, j] = -J[i, j]
                     W[i, i] += 1.0 / (GAMMA * h)
-                error = 1e10  # of a step that cannot be made
-                if factor(W, order):
-                    for s in range(STAGES):
-                        if s == 0:
-                            for i in range(n):
-                                new[i] = y[i]
-                                stage_y[i] = f[i] + h * D[0] * f_late[i]
-                        else:
-                            for i in range(n):
-                                new[i], coupled[i] = y[i], 0.0
-                            for j in range(s):
-                                a, c_over_h = A[s, j], C[s, j] / h
-                                for i in range(n):
-                                    new[i] += a * K[j, i]
-                                    coupled[i] += c_over_h * K[j, i]
-                            set_inputs(row, t + NODES[s] * h, u)
-                            set_coefficients(knot_times, knots, at, t + NODES[s] * h, c)
-                            derivative(new, u, c, stage_y)
-                            for i in range(n):
-                                stage_y[i] += coupled[i]
-                                if s < 5:
-                                    stage_y[i] += h * D[s] * f_late[i]
-                        back_substitute(W, order, stage_y)
-                        for i in range(n):
-                            K[s, i] = stage_y[i]
-                    error = 0.0
+                finite = factor(W)  # where W is singular the stages are not finite, and the step is refused
+                per_h = 1.0 / h
+                for i in range(n):
+                    K[0, i] = f[i] + h * D[0] * f_late[i]
+                back_substitute(W, K[0])
+                for s in range(1, STAGES):
                     for i in range(n):
-                        new[i] += K[STAGES - 1, i]
-                        size = atol[i] + rtol * max(abs(y[i]), abs(new[i]))
-                        share = abs(K[STAGES - 1, i]) / size
-                        error = max(error, share) if np.isfinite(share) else 1e10
+                        advanced, coupled = y[i], 0.0
+                        for j in range(s):
+                            advanced += A[s, j] * K[j, i]
+                            coupled += C[s, j] * K[j, i]
+                        new[i] = advanced
+                        K[s, i] = coupled * per_h
+                    if s < 6:  # the last three stages are at the end of the step
+                        set_inputs(row, t + NODES[s] * h, u)
+                        set_coefficients(knot_times, knots, at, t + NODES[s] * h, c)
+                    derivative(new, u, c, stage_y)
+                    for i in range(n):
+                        K[s, i] += stage_y[i]
+                        if s < 5:
+                            K[s, i] += h * D[s] * f_late[i]
+                    back_substitute(W, K[s])
+                error = 0.0 if finite else 1e10
+                for i in range(n):
+                    new[i] += K[STAGES - 1, i]
+                    size = atol[i] + rtol * max(abs(y[i] - rest[i]), abs(new[i] - rest[i]))
+                    share = abs(K[STAGES - 1, i]) / size
+                    error = max(error, share) if np.isfinite(share) else 1e10
                 if error <= 1.0:
                     break
                 count[1] += 1

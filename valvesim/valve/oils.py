@@ -134,7 +134,7 @@ MIL_PRF_23699 = Oil(
 
 def _walther_points(a: float, b: float, temperatures: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
     """Points of one Walther line, log10 log10 (nu + 0.7) = a - b log10(T/K)."""
-    return tuple((t, float(10.0 ** 10.0 ** (a - b * np.log10(t + 273.15)) - 0.7)) for t in temperatures)
+    return tuple((t, float(10.0**10.0 ** (a - b * np.log10(t + 273.15)) - 0.7)) for t in temperatures)
 
 
 ISO_VG_46 = Oil(
