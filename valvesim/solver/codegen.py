@@ -1,24 +1,18 @@
 """The model as machine code: traced once by CasADi, with exact derivatives, printed as Python and compiled by numba.
 
 `Model.rhs` runs on symbols; what comes out is a straight line of arithmetic. CasADi takes its Jacobian, and each
-line is printed as Python source, kept in the user's cache directory under a hash of the text, so that numba finds its
-compiled code again in the next process. States in the compiled functions are scaled by the channels' scales.
+line is printed as Python source, which `cache` keeps with its machine code for the next process. States in the compiled
+functions are scaled by the channels' scales.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
-import importlib.util
 import inspect
-import os
-import sys
-import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -26,8 +20,7 @@ import numpy as np
 
 from valvesim import inputs
 from valvesim.channels import INPUT_CHANNELS
-from valvesim.errors import InputError
-from valvesim.solver import rodas5p
+from valvesim.solver import cache, rodas5p
 from valvesim.solver.elimination import print_elimination
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.equations import CurrentDrive, Model, VoltageDrive
@@ -106,14 +99,38 @@ def compile_model(model: Model, absent: frozenset[str] = frozenset()) -> Compile
 def _compile(model: Model, absent: frozenset[str]) -> CompiledModel:
     module = _load(model, absent)
     scale = np.array([channel.scale for channel in model.state_channels])
-    n, n_c = len(scale), len(model.coefficient_names)
+    return CompiledModel(model, scale, module.run, module.derivative, module.jacobian, module.jacobians)
+
+
+def _load(model: Model, absent: frozenset[str] = frozenset()) -> ModuleType:
+    """The printed module of a model, its functions compiled or found compiled."""
+    from numba.extending import register_jitable
+
+    for function in _CALLED:
+        register_jitable(function)
+    return cache.load(
+        _short_name(model, absent), lambda: source(model, absent), _CALLED, lambda module: _call_once(module, model)
+    )
+
+
+def _short_name(model: Model, absent: frozenset[str]) -> list[str] | None:
+    """What tells a model of this package alone from every other; None for one with a user's effect or drive."""
+    own = type(model.drive) in (CurrentDrive, VoltageDrive) and all(
+        CATALOGUE.get(effect.name) is effect for effect in model.effects
+    )  # fmt: skip
+    return [type(model.drive).__name__, *(e.name for e in model.effects), "", *sorted(absent)] if own else None
+
+
+def _call_once(module: ModuleType, model: Model) -> None:
+    """Each function called to nowhere, so that it is compiled here and not in somebody's first run."""
+    n, n_u, n_c = len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names)
     with _short_loops():
-        module.run(  # to nowhere, so that it is compiled here and not in somebody's first run
-            np.zeros(n), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, len(INPUT_CHANNELS) - 1, 3)), np.zeros(1),
+        module.run(
+            np.zeros(n), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, n_u - 1, 3)), np.zeros(1),
             np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, np.full(n, 1e-5), np.zeros(n), 1,
             np.zeros(2, dtype=np.int64),
         )  # fmt: skip
-    return CompiledModel(model, scale, module.run, module.derivative, module.jacobian, module.jacobians)
+        module.jacobians(np.zeros((0, n)), np.zeros((0, n_u)), np.ones((1, n_c)), np.zeros((0, n, n)))
 
 
 @contextlib.contextmanager
@@ -172,12 +189,8 @@ _JACOBIANS = """def jacobians(y, u, c, out):
 """The Jacobian along a course: y (n, states), u (n, inputs), c (n or 1, coefficients) -> out (n, states, states)."""
 
 
-def _make_callable() -> None:
-    """Let compiled code call the plain functions that `integrate` calls."""
-    from numba.extending import register_jitable
-
-    for function in (inputs.piece_value, rodas5p.set_inputs, rodas5p.set_coefficients):
-        register_jitable(function)
+_CALLED = (inputs.piece_value, rodas5p.set_inputs, rodas5p.set_coefficients)
+"""The plain functions that `integrate` calls."""
 
 
 def _integrator_source(n: int, n_c: int) -> str:
@@ -196,7 +209,7 @@ def _integrator_source(n: int, n_c: int) -> str:
     return text
 
 
-_HEAD = "@njit(cache=True, nogil=True, error_model='numpy')"
+_HEAD = "@njit(nogil=True, error_model='numpy')"
 
 
 def _print_solver(factor: Sequence[str], back_substitute: Sequence[str]) -> list[str]:
@@ -240,69 +253,3 @@ def _operations(casadi: ModuleType) -> dict[int, str]:
         casadi.OP_AND: "(1.0 if {0} != 0.0 and {1} != 0.0 else 0.0)",
         casadi.OP_OR: "(1.0 if {0} != 0.0 or {1} != 0.0 else 0.0)",
     }  # fmt: skip
-
-
-def _load(model: Model, absent: frozenset[str] = frozenset()) -> ModuleType:
-    """Import the printed source from the cache directory, printing it first where it is not there.
-
-    A model of this package alone is known by the package's own text, without a new trace; one with a user's effect or
-    drive is known by what it prints, since nothing else tells what the user's functions hold.
-    """
-    own = type(model.drive) in (CurrentDrive, VoltageDrive) and all(
-        CATALOGUE.get(effect.name) is effect for effect in model.effects
-    )  # fmt: skip
-    text = None if own else source(model, absent)
-    parts = [type(model.drive).__name__, *(effect.name for effect in model.effects)] if text is None else [text]
-    parts += sorted(absent)
-    name = "model_" + hashlib.sha256("\n".join([*parts, _package_text()]).encode()).hexdigest()[:20]
-    path = _write_once(f"{name}.py", lambda: text or source(model, absent))
-    _make_callable()
-    spec = importlib.util.spec_from_file_location(f"valvesim_cache.{name}", path)
-    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
-    sys.modules[spec.name] = module  # type: ignore[union-attr]
-    spec.loader.exec_module(module)  # type: ignore[union-attr]
-    return module
-
-
-def _package_text() -> str:
-    """The text of the modules that make up a compiled model, and the versions of what prints and compiles it."""
-    from importlib.metadata import version
-
-    folder = Path(__file__).parents[1]
-    versions = [version("numba"), version("casadi"), version("numpy"), sys.version]
-    names = (
-        "channels", "inputs", "solver/codegen", "solver/elimination", "solver/rodas5p", "valve/coefficients",
-        "valve/effect", "valve/equations", "valve/fluid", "valve/laws", "valve/parameters",
-        *(f"valve/effects/{path.stem}" for path in sorted((folder / "valve" / "effects").glob("*.py"))),
-    )  # fmt: skip
-    return "\n".join([*versions, *((folder / f"{name}.py").read_text(encoding="utf-8") for name in names)])
-
-
-def _write_once(name: str, text: Callable[[], str]) -> Path:
-    """The file of that name in the cache directory, written if need be; in a private one where that cannot be."""
-    for folder in (_cache_folder, _private_folder):
-        try:
-            path = folder() / name
-            if not path.exists():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                handle, temporary = tempfile.mkstemp(suffix=".py", dir=path.parent)
-                with os.fdopen(handle, "w", encoding="utf-8") as file:
-                    file.write(text())
-                os.replace(temporary, path)
-            return path
-        except OSError:
-            continue
-    raise InputError("no folder can be written for the compiled model: set VALVESIM_CACHE_DIR to one that can")
-
-
-def _cache_folder() -> Path:
-    import platformdirs
-
-    named = os.environ.get("VALVESIM_CACHE_DIR")
-    return Path(named) if named else Path(platformdirs.user_cache_dir("valvesim", appauthor=False))
-
-
-@functools.cache
-def _private_folder() -> Path:
-    """A folder of this process alone: others must not be able to put code there."""
-    return Path(tempfile.mkdtemp(prefix="valvesim-"))
