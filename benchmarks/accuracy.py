@@ -3,9 +3,9 @@
     .venv/bin/python benchmarks/accuracy.py [--seed 1] [--count 1000] [--workers 2] [--write]
 
 The reference runs at a tolerance of `TIGHT`, on coefficient knots a hundred times finer, with idle breaks added at
-random; `INDEPENDENT` of the scenarios without memory are compared with scipy's Radau over `Model.rhs` as well. An error is the
-largest over all samples as a share of the channel's span. Wherever a held, isothermal valve without effects has had
-time, it must rest on the static solution. Batches are compared with their members run alone.
+random; `INDEPENDENT` of the scenarios without memory are compared with scipy's Radau over `Model.rhs` as well. An
+error is the largest over all samples as a share of the channel's span. Wherever a held, isothermal valve without
+effects has had time, it must rest on the static solution. Batches are compared with their members run alone.
 
 `--write` puts the table into docs/accuracy.md and the rows into benchmarks/results/accuracy.jsonl.
 """
