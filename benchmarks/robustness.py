@@ -190,7 +190,7 @@ def outcome(path: Path) -> tuple[str, str]:
 
     from valvesim.errors import InputError, SolveError
     from valvesim.simulation.run import check_channels, simulate
-    from valvesim.simulation.scenario import load_scenario
+    from valvesim.simulation.scenario_toml import load_scenario
 
     try:
         case = load_scenario(path)

@@ -10,7 +10,8 @@ import valvesim as vs
 from valvesim.errors import LONGEST_MESSAGE, InputError, one_line
 from valvesim.inputs import MOST_PIECES, Pulse, Scaled, Staircase, Step, Sum, Table, evaluate, read_table
 from valvesim.io import DEEPEST, MOST_TEXT, check_file, read_columns, split_heading
-from valvesim.simulation.scenario import MOST_OIL_PIECES, load_scenario
+from valvesim.simulation.scenario import MOST_OIL_PIECES
+from valvesim.simulation.scenario_toml import load_scenario
 from valvesim.units import parse, parse_list
 from valvesim.valve.effect_files import load_effects
 

@@ -103,9 +103,9 @@ HEAD = "time [s],current [mA]\n"
         (HEAD + "0,1\n-inf,2\n", ", line 3: -inf in column 'time' is not a finite number"),
         (HEAD + "0,1e999\n", ", line 2: 1e999 in column 'current' is not a finite number"),
         ("time [s],current [bar]\n0,1\n",
-         ", column 'current': 'bar' has the wrong dimension; expected a unit that converts to 'A'"),
-        ("time [s],current [ma/]\n0,1\n", ", column 'current': unknown unit 'ma/'; expected one that converts to 'A'"),
-        ("time [s],current [kA]\n0,1e307\n", ", column 'current': 1e+307 kA is too large a number in 'A'"),
+         ", line 1: column 'current': 'bar' has the wrong dimension; expected a unit that converts to 'A'"),
+        ("time [s],current [ma/]\n0,1\n", ", line 1: column 'current': unknown unit 'ma/'; expected one that converts to 'A'"),
+        ("time [s],current [kA]\n0,1e307\n", ", line 1: column 'current': 1e+307 kA is too large a number in 'A'"),
     ],
 )  # fmt: skip
 def test_a_file_that_makes_no_sense_is_refused_with_its_line(table, content, message):
@@ -212,7 +212,7 @@ def test_a_writer_that_fails_leaves_everything_as_it_was(tmp_path, error, old, h
     assert {p.name: p.read_text(encoding="utf-8") for p in tmp_path.iterdir()} == ({"run.nc": old} if old else {})
 
 
-@pytest.mark.parametrize("error", [OSError("disk full"), OSError(28, "disk full")])
+@pytest.mark.parametrize("error", [OSError("disk full"), OSError(28, "disk full")], ids=str)
 def test_a_disk_that_fails_is_an_input_error_and_keeps_the_old_content(tmp_path, error):
     path = tmp_path / "run.nc"
     path.write_text("old", encoding="utf-8")
@@ -221,7 +221,7 @@ def test_a_disk_that_fails_is_an_input_error_and_keeps_the_old_content(tmp_path,
         raise error
 
     message = refusal(write_atomically, path, write)
-    assert message == f"{path}: cannot be written ({error})" and "disk full" in message
+    assert message == f"{path}: cannot be written (disk full)"
     assert {p.name: p.read_text(encoding="utf-8") for p in tmp_path.iterdir()} == {"run.nc": "old"}
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvesim.errors import InputError, ValidityWarning
-from valvesim.simulation.scenario import load_scenario
+from valvesim.simulation.scenario_toml import load_scenario
 from valvesim.solver import codegen
 from valvesim.valve import flow_coefficients as flow
 from valvesim.valve.equations import (

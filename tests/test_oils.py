@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from valvesim.errors import InputError, ValidityWarning
-from valvesim.simulation.scenario import load_scenario
+from valvesim.simulation.scenario_toml import load_scenario
 from valvesim.units import quantities
 from valvesim.valve.fluid import MIL_PRF_5606, YH12_PAPER, LogLinear, Oil, WaltherViscosity
 from valvesim.valve.oils import JET_A, MIL_PRF_23699, OILS, RP_1, own_columns, property_table, read_oil

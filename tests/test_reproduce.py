@@ -11,7 +11,7 @@ from valvesim.errors import InputError, ValidityWarning
 from valvesim.inputs import evaluate
 from valvesim.paper import reproduction as reproduce
 from valvesim.reports import paper as report_paper
-from valvesim.simulation.scenario import load_scenario
+from valvesim.simulation.scenario_toml import load_scenario
 from valvesim.valve.coefficients import ROUTES, PartTemperatures
 from valvesim.valve.equations import drive_torque
 from valvesim.valve.equilibrium import _balance_factors, nozzle_pressures, static_solution

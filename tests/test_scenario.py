@@ -13,7 +13,7 @@ import valvesim as vs
 from valvesim.errors import InputError
 from valvesim.inputs import evaluate, largest
 from valvesim.simulation.run import simulate
-from valvesim.simulation.scenario import read_tables
+from valvesim.simulation.scenario_toml import read_tables
 from valvesim.units import quantities
 from valvesim.valve.thermal_network import ThermalNetwork
 

@@ -12,7 +12,8 @@ vs.diagnose("my_session").summary                                            # w
 from valvesim.errors import InputError, SolveError, ValidityWarning, ValvesimError
 from valvesim.inputs import Chirp, Constant, Pulse, Ramp, Sine, Staircase, Step, Sum, Table
 from valvesim.simulation.run import Result, simulate, simulate_batch
-from valvesim.simulation.scenario import Scenario, Thermal, load_scenario
+from valvesim.simulation.scenario import Scenario, Thermal
+from valvesim.simulation.scenario_toml import load_scenario, scenario_to_toml
 from valvesim.solver.codegen import compile_model, derivatives
 from valvesim.valve.catalogue import CATALOGUE, effect
 from valvesim.valve.coefficients import ROUTES, Coefficients, PartTemperatures
@@ -80,6 +81,7 @@ __all__ = [
     "load_scenario",
     "load_session",
     "reference_valve",
+    "scenario_to_toml",
     "simulate",
     "simulate_batch",
     "static_solution",

@@ -330,15 +330,18 @@ class Pulse:
     def __post_init__(self):
         check_bounds(self)
         if self.period <= self.width:
-            raise InputError(f"pulse.period = {self.period:g} s must be longer than pulse.width = {self.width:g} s")
+            raise InputError(
+                f"{self.period:g} s must be longer than pulse.width = {self.width:g} s",
+                key="pulse.period", joint=" = ", related=("pulse.width",),
+            )  # fmt: skip
 
     def pieces(self, end: float) -> np.ndarray:
         within = max(np.ceil((end - self.time) / self.period), 0.0) + 1.0
         if within > MOST_PIECES / 2:
             raise InputError(
-                f"pulse.period = {self.period:g} s makes {within:.7g} pulses within {end:g} s, more than "
-                f"{MOST_PIECES / 2:g}"
-            )
+                f"{self.period:g} s makes {within:.7g} pulses within {end:g} s, more than {MOST_PIECES / 2:g}",
+                key="pulse.period", joint=" = ",
+            )  # fmt: skip
         k = np.arange(int(within))
         starts = self.time + k * (self.period if np.isfinite(self.period) else 0.0)
         stops = np.minimum(starts + self.width, self.time + (k + 1) * self.period)  # rounding never mixes their order
@@ -360,14 +363,14 @@ class Staircase:
     def __post_init__(self):
         check_bounds(self)
         if self.steps != int(self.steps):
-            raise InputError(f"staircase.steps = {self.steps:g} must be a whole number in [1, 1e+06]")
+            raise InputError(f"{self.steps:g} must be a whole number in [1, 1e+06]", key="staircase.steps", joint=" = ")
 
     def pieces(self, end: float) -> np.ndarray:
         if min(self.steps, end / self.hold) > MOST_PIECES:
             raise InputError(
-                f"staircase.steps = {self.steps:g} of {self.hold:g} s make more than {MOST_PIECES:g} levels within "
-                f"{end:g} s"
-            )
+                f"{self.steps:g} of {self.hold:g} s make more than {MOST_PIECES:g} levels within {end:g} s",
+                key="staircase.steps", joint=" = ", related=("staircase.hold",),
+            )  # fmt: skip
         levels = np.linspace(self.start_value, self.end_value, int(self.steps) + 1)
         return np.column_stack([np.arange(len(levels)) * self.hold, levels, np.zeros(len(levels))])
 
@@ -381,23 +384,23 @@ class Table:
 
     times: tuple[float, ...]
     values: tuple[float, ...]
-    where: str = "table"
+    where: str = field(default="table", compare=False)  # what messages call it
 
     def __post_init__(self):
         t, y = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
         if t.shape != y.shape or t.ndim != 1 or len(t) < 2:
-            raise InputError(f"{self.where}: needs two or more points, with as many times as values")
+            raise InputError("needs two or more points, with as many times as values", key=self.where)
         if len(t) >= MOST_PIECES:
-            raise InputError(f"{self.where}: {len(t)} points are more than {MOST_PIECES - 1}")
+            raise InputError(f"{len(t)} points are more than {MOST_PIECES - 1}", key=self.where)
         bad = ~(np.isfinite(t) & np.isfinite(y))
         if bad.any():
-            raise InputError(f"{self.where}: row {int(np.argmax(bad)) + 1} of the data is not a number")
+            raise InputError(f"row {int(np.argmax(bad)) + 1} of the data is not a number", key=self.where)
         falls = np.diff(t) <= 0.0
         if falls.any():
             k = int(np.argmax(falls)) + 1
             what = "repeats" if t[k] == t[k - 1] else "is before"
             raise InputError(
-                f"{self.where}: times must rise, but row {k + 1} ({t[k]:.6g} s) {what} row {k} ({t[k - 1]:.6g} s)"
+                f"times must rise, but row {k + 1} ({t[k]:.6g} s) {what} row {k} ({t[k - 1]:.6g} s)", key=self.where
             )
 
     def pieces(self, end: float) -> np.ndarray:
@@ -460,12 +463,12 @@ def merge(commands: Sequence[Command], end: float) -> tuple[np.ndarray, Interval
     for command in commands:
         pieces.append(command.pieces(end))
         if sum(map(len, pieces)) > 2 * MOST_PIECES:
-            raise InputError(f"sum: the commands have more than {2 * MOST_PIECES} pieces together")
+            raise InputError(f"the commands have more than {2 * MOST_PIECES} pieces together", key="sum")
     starts = np.unique(np.concatenate([p[:, 0] for p in pieces]))
     starts = np.unique(np.concatenate([[0.0], starts[(starts > 0.0) & (starts < end)]]))
     width = max(p.shape[1] for p in pieces)
     if len(starts) * len(pieces) * width > 40 * MOST_PIECES:  # eight numbers for each of five commands
-        raise InputError(f"sum: {len(starts)} pieces of {len(pieces)} commands with waves are too many to hold")
+        raise InputError(f"{len(starts)} pieces of {len(pieces)} commands with waves are too many to hold", key="sum")
     rows = np.zeros((len(starts), len(pieces), width))
     for k, p in enumerate(pieces):
         which = np.clip(np.searchsorted(p[:, 0], starts, side="right") - 1, 0, None)

@@ -1,7 +1,8 @@
-"""Reading TOML and CSV columns with units within bounds, and writing files so that nothing is ever half-written."""
+"""Reading TOML and CSV columns with units within bounds, and writing CSV and any file so that none is half-written."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 import re
@@ -9,10 +10,13 @@ import stat
 import tempfile
 import tomllib
 from array import array
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import StringIO
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -32,14 +36,14 @@ def check_file(path: Path, most: int, expected: str = "") -> None:
     try:
         status = os.stat(path)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file{'; ' if expected else ''}{expected}") from None
+        raise InputError(f"no such file{'; ' if expected else ''}{expected}", file=path) from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
+        raise InputError(f"cannot be read ({_reason(error)})", file=path) from None
     if not stat.S_ISREG(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-        raise InputError(f"{path}: cannot be read (it is {kind}, not a file{'; ' if expected else ''}{expected})")
+        raise InputError(f"cannot be read (it is {kind}, not a file{'; ' if expected else ''}{expected})", file=path)
     if status.st_size > most:
-        raise InputError(f"{path}: {status.st_size / 1e6:.4g} MB are more than the {most / 1e6:g} MB that are read")
+        raise InputError(f"{status.st_size / 1e6:.4g} MB are more than the {most / 1e6:g} MB that are read", file=path)
 
 
 def read_toml(path: Path, expected: str = "") -> tuple[str, dict[str, Any]]:
@@ -52,18 +56,18 @@ def read_toml(path: Path, expected: str = "") -> tuple[str, dict[str, Any]]:
         text = path.read_text(encoding="utf-8-sig")
         if (long := _LONG_KEY.search(text)) is not None:
             line = text.count("\n", 0, long.start()) + 1
-            raise InputError(f"{path}, line {line}: a key of more than {DEEPEST} parts")
+            raise InputError(f"a key of more than {DEEPEST} parts", file=path, line=line)
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+        raise InputError(f"not valid TOML: {error}", file=path) from None
     except RecursionError:
-        raise InputError(f"{path}: not valid TOML: lists or tables nested more than {DEEPEST} deep") from None
+        raise InputError(f"not valid TOML: lists or tables nested more than {DEEPEST} deep", file=path) from None
     except InputError:
         raise
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
+        raise InputError(f"cannot be read ({_reason(error)})", file=path) from None
     except ValueError:
-        raise InputError(f"{path}: not valid TOML: a whole number of thousands of digits") from None
+        raise InputError("not valid TOML: a whole number of thousands of digits", file=path) from None
     _check_nesting(table, path)
     return text, table
 
@@ -79,55 +83,91 @@ def _check_nesting(table: dict[str, Any], path: Path) -> None:
             elif isinstance(value, list):
                 deeper += [(key, inner) for inner in value]
             elif isinstance(value, int) and abs(value) >= 2**63:
-                raise InputError(f"{path}: {key}: a whole number of {value.bit_length()} bits; 64 are read")
+                raise InputError(f"a whole number of {value.bit_length()} bits; 64 are read", file=path, key=key)
         if not deeper:
             return
         level = deeper
-    raise InputError(f"{path}: {level[0][0].partition('.')[0]}: nested more than {DEEPEST} deep")
+    raise InputError(f"nested more than {DEEPEST} deep", file=path, key=level[0][0].partition(".")[0])
 
 
 def check_printable(text: Any, where: str) -> None:
     """InputError unless `text` is text without control characters, which would reach a terminal or a document."""
     if not isinstance(text, str):
-        raise InputError(f"{where}: expected text, got {text!r}")
+        raise InputError(f"expected text, got {text!r}", key=where)
     if len(text) > 200:
-        raise InputError(f"{where}: {len(text)} characters are more than 200")
+        raise InputError(f"{len(text)} characters are more than 200", key=where)
     for character in text:
         if not character.isprintable():
-            raise InputError(f"{where}: holds the control character {character!r}; {text!r}")
+            raise InputError(f"holds the control character {character!r}; {text!r}", key=where)
 
 
-def keys_of(message: str) -> set[str]:
-    """Every dotted key that a message may speak of, and the tables that hold it; not what it suggests instead."""
-    words = re.findall(r"[\w.-]++", re.split(r"; (?:did you mean|valid names)", message, maxsplit=1)[0])
-    keys = set()
-    for parts in (word.strip(".").split(".") for word in words):
-        keys |= {".".join(parts[: k + 1]) for k in range(min(len(parts), DEEPEST))}
-    return keys
+@contextmanager
+def located(path: Path, text: str, *, document: str = "", settings: Sequence[str] = ()) -> Iterator[None]:
+    """An InputError from inside gets the file and line of the key that it speaks of, or the setting that it does.
+
+    `document` is the table in which errors name the top of the file, `settings` are `KEY=VALUE` texts that took the
+    place of what stands in it.
+    """
+    try:
+        yield
+    except InputError as error:
+        keys = [key.removeprefix(f"{document}.") for key in error.keys]
+        for setting in settings:
+            own = setting.partition("=")[0].strip()
+            if any(key == own or key.startswith(f"{own}.") for key in keys):
+                raise error.at(setting=setting) from None
+        line = line_of_key(text, keys)
+        if error.file:  # it speaks of another file, which this one names
+            raise InputError(str(error), file=path, line=line) from None
+        raise error.at(file=path, line=line) from None
 
 
-def line_of_key(text: str, spoken: set[str]) -> int | None:
-    """The first line of a TOML text that holds the longest of the keys `spoken` of; None without one."""
-    section, found, best = "", None, 0
-    for number, line in enumerate(text.splitlines(), start=1):
-        if header := re.match(r"\s*+\[++([^\]]+)\]", line):
-            section = header[1].strip()
-            keys = _with_tables(section)
-        elif match := re.match(r"\s*+([\w.-]+)\s*+=", line):
-            dotted = f"{section}.{match[1]}" if section else match[1]
-            inner = re.findall(r"(?<![\w-])([\w-]++)\s*+=", line.partition("=")[2])
-            keys = [*_with_tables(dotted), *(f"{dotted}.{name}" for name in inner)]
+def line_of_key(text: str, keys: Sequence[str]) -> int | None:
+    """The first line of a TOML text that holds one of the dotted `keys`, or of the tables that they stand in.
+
+    What lies deepest is taken; None where nothing of them stands there. An entry of a list of tables may be named by
+    its number, from 1: `records.2.file`.
+    """
+    spoken = {key for name in keys for key in _with_tables(name)}
+    sections, found, best = [""], None, 0
+    counts: Counter[str] = Counter()
+    for number, line in enumerate(text.split("\n"), start=1):
+        told = _keys_of_line(line)
+        if told and line.lstrip().startswith("["):
+            name = told[-1]
+            counts[name] += 1
+            sections = [f"{name}.{counts[name]}.", f"{name}."] if line.lstrip().startswith("[[") else [f"{name}."]
+            held = [*_with_tables(name), sections[0].rstrip(".")]
         else:
-            continue
-        for key in keys:
-            if len(key) > best and key in spoken:
-                found, best = number, len(key)
+            held = [f"{section}{key}" for section in sections for key in told]
+        for key in held:
+            if key in spoken and key.count(".") + 1 > best:
+                found, best = number, key.count(".") + 1
     return found
+
+
+def _keys_of_line(line: str) -> list[str]:
+    """Every dotted key that a line of TOML gives, the deepest of a heading last; of a value over lines only its own."""
+    for whole in (line, f"{line.partition('=')[0]}= 0"):
+        with contextlib.suppress(ValueError, RecursionError):
+            return list(_keys_of_table(tomllib.loads(whole)))
+    return []
+
+
+def _keys_of_table(table: dict[str, Any]) -> Iterator[str]:
+    for name, value in table.items():
+        yield name
+        for k, inner in enumerate(value if isinstance(value, list) else [value], start=1):
+            if isinstance(inner, dict):
+                for key in _keys_of_table(inner):
+                    yield f"{name}.{key}"
+                    if isinstance(value, list):
+                        yield f"{name}.{k}.{key}"
 
 
 def _with_tables(key: str) -> list[str]:
     """A dotted key and the tables that it stands in."""
-    parts = key.split(".")[:DEEPEST]
+    parts = key.split(".")[:DEEPEST] if key else []
     return [".".join(parts[: k + 1]) for k in range(len(parts))]
 
 
@@ -152,27 +192,32 @@ def read_columns(path: Path, wanted: dict[str, str], *, most_rows: int = MOST_RO
     top, names = next(lines, (0, []))
     first = next(lines, None)
     if first is None:
-        raise InputError(f"{path}: holds no data (a header line and rows of numbers are expected)")
+        raise InputError("holds no data (a header line and rows of numbers are expected)", file=path)
     header: dict[str, tuple[int, str]] = {}
     for k, text in enumerate(names):
         heading = split_heading(text)
         if heading is None:
-            raise InputError(f"{path}, line {top}: column {text.strip()!r} needs a name and a unit, such as 'time [s]'")
+            raise InputError(
+                f"column {text.strip()!r} needs a name and a unit, such as 'time [s]'", file=path, line=top
+            )
         if heading[0] in header:
-            raise InputError(f"{path}, line {top}: column {heading[0]!r} stands there twice")
+            raise InputError(f"column {heading[0]!r} stands there twice", file=path, line=top)
         header[heading[0]] = (k, heading[1])
     for name in wanted:
         if name not in header:
-            raise InputError(f"{path}, line {top}: no column {name!r}{nearest(name, header)}")
+            raise InputError(f"no column {name!r}{nearest(name, header)}", file=path, line=top)
     numbers = {name: array("d") for name in wanted}
     for line, row in chain([first], lines):
         if len(row) > len(names):
-            raise InputError(f"{path}, line {line}: {len(row)} cells under {len(names)} columns; is a comma a point?")
+            raise InputError(f"{len(row)} cells under {len(names)} columns; is a comma a point?", file=path, line=line)
         for name, column in numbers.items():
             column.append(_number(path, line, row, header[name][0], name))
     columns = {}
     for name, column in numbers.items():
-        converted = convert(np.array(column), header[name][1], wanted[name], f"{path}, column {name!r}")
+        try:
+            converted = convert(np.array(column), header[name][1], wanted[name], f"column {name!r}")
+        except InputError as error:
+            raise error.at(file=path, line=top) from None
         columns[name] = np.asarray(converted, dtype=float)
     return columns
 
@@ -183,9 +228,9 @@ def _check_rows(path: Path, most: int) -> None:
         with open(path, "rb") as file:
             rows = sum(part.count(b"\n") for part in iter(lambda: file.read(1 << 20), b""))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
+        raise InputError(f"cannot be read ({_reason(error)})", file=path) from None
     if rows > most + 1:
-        raise InputError(f"{path}: {rows - 1} rows are more than {most}")
+        raise InputError(f"{rows - 1} rows are more than {most}", file=path)
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -197,23 +242,58 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
                 if len(row) > 1 or "".join(row).strip():
                     yield reader.line_num, row
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
+        raise InputError("no such file", file=path) from None
     except InputError:
         raise
     except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
+        raise InputError(f"cannot be read ({_reason(error)})", file=path) from None
 
 
 def _number(path: Path, line: int, row: list[str], at: int, name: str) -> float:
     if at >= len(row) or not row[at].strip():
-        raise InputError(f"{path}, line {line}: gap in column {name!r}")
+        raise InputError(f"gap in column {name!r}", file=path, line=line)
     try:
         number = float(row[at])
     except ValueError:
-        raise InputError(f"{path}, line {line}: {row[at]!r} in column {name!r} is not a number") from None
+        raise InputError(f"{row[at]!r} in column {name!r} is not a number", file=path, line=line) from None
     if not np.isfinite(number):
-        raise InputError(f"{path}, line {line}: {row[at].strip()} in column {name!r} is not a finite number")
+        raise InputError(f"{row[at].strip()} in column {name!r} is not a finite number", file=path, line=line)
     return number
+
+
+def csv_text(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """A CSV: the header, and a line a row."""
+    text = StringIO()
+    _write_csv(text, header, rows)
+    return text.getvalue()
+
+
+def columns_rows(columns: Iterable[np.ndarray], digits: int = 9) -> Iterator[tuple[str, ...]]:
+    """The rows of columns (n,) of numbers, each as text of so many digits."""
+    return (tuple(f"{value:.{digits}g}" for value in row) for row in zip(*columns, strict=True))
+
+
+def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> Path:
+    """Write columns (n,) by their headings `name [unit]`, as `read_columns` reads them. Returns the path."""
+
+    def write(temporary: Path) -> None:
+        with open(temporary, "w", encoding="utf-8", newline="") as file:
+            _write_csv(file, columns, columns_rows(columns.values()))
+
+    return write_atomically(path, write)
+
+
+def _write_csv(file: TextIO, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+
+
+def _reason(error: Exception) -> str:
+    """Why something cannot be read or written, in the system's words without its number of the error."""
+    if not isinstance(error, OSError) or not error.strerror:
+        return str(error)
+    return f"{error.strerror}: {error.filename!r}" if error.filename else error.strerror
 
 
 def check_folder(folder: Path) -> None:
@@ -223,7 +303,7 @@ def check_folder(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (OSError, ValueError) as error:
-        raise InputError(f"{folder}: cannot be written ({error})") from None
+        raise InputError(f"cannot be written ({_reason(error)})", file=folder) from None
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
@@ -236,7 +316,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be written ({error})") from None
+        raise InputError(f"cannot be written ({_reason(error)})", file=path) from None
     os.close(handle)
     temporary = Path(name)
     try:
@@ -244,7 +324,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error})") from None
+        raise InputError(f"cannot be written ({_reason(error)})", file=path) from None
     finally:
         temporary.unlink(missing_ok=True)
     return path

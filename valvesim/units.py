@@ -30,6 +30,8 @@ DISPLAY = {
     "m^2": ("mm^2", 1e6), "m^3": ("cm^3", 1e6), "m/s": ("mm/s", 1e3), "degC": ("degC", 1.0),
 }  # fmt: skip
 
+_WRITTEN = DISPLAY | {"delta_degC": ("K", 1.0), "delta_degC/s": ("K/s", 1.0)}
+
 
 @functools.cache
 def _registry() -> Any:
@@ -76,25 +78,24 @@ def convert(value: Any, unit: str, to: str, where: str = "") -> Any:
     """
     import pint
 
-    prefix = f"{where}: " if where else ""
     try:
         if _UNIT.fullmatch(unit) is None:
             raise ValueError(unit)
         source = _unit(unit)
     except Exception as error:  # pint raises errors of many kinds on nonsense
-        told = f"{prefix}unknown unit {_shown(unit)}; expected one that converts to {to!r}{_advice(unit, to)}"
-        raise InputError(told) from error
+        told = f"unknown unit {_shown(unit)}; expected one that converts to {to!r}{_advice(unit, to)}"
+        raise InputError(told, key=where) from error
     try:
         with np.errstate(all="ignore"):
             converted = _registry().Quantity(value, source).to(_unit(to)).magnitude
     except (pint.errors.PintError, AssertionError, ArithmeticError) as error:
         raise InputError(
-            f"{prefix}{_shown(unit)} has the wrong dimension; expected a unit that converts to {to!r}"
-            f"{_advice(unit, to)}"
+            f"{_shown(unit)} has the wrong dimension; expected a unit that converts to {to!r}{_advice(unit, to)}",
+            key=where,
         ) from error
     lost = np.isfinite(value) & ~np.isfinite(converted)
     if lost.any():
-        raise InputError(f"{prefix}{np.asarray(value)[lost].flat[0]:.6g} {unit} is too large a number in {to!r}")
+        raise InputError(f"{np.asarray(value)[lost].flat[0]:.6g} {unit} is too large a number in {to!r}", key=where)
     return converted
 
 
@@ -103,24 +104,35 @@ def parse(text: Any, unit: str, where: str = "") -> float:
 
     Raises InputError (no number, unit missing, wrong dimension, not finite), naming `where`.
     """
-    prefix, example = f"{where}: " if where else "", "0.5" if unit == "1" else f"1 {unit}"
+    example = "0.5" if unit == "1" else f"1 {unit}"
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-        raise InputError(f"{prefix}expected a quantity such as '{example}', got {_shown(text)}")
+        raise InputError(f"expected a quantity such as '{example}', got {_shown(text)}", key=where)
     if isinstance(text, int) and abs(text) >= 2**63:
-        raise InputError(f"{prefix}a whole number of {text.bit_length()} bits is not a finite number")
+        raise InputError(f"a whole number of {text.bit_length()} bits is not a finite number", key=where)
     split = _split(str(text))
     if split is None:
-        raise InputError(f"{prefix}cannot read {_shown(text)} as a number with a unit, such as '{example}'")
+        raise InputError(f"cannot read {_shown(text)} as a number with a unit, such as '{example}'", key=where)
     number, source = float(split[0]), split[1]
     if not np.isfinite(number):
-        raise InputError(f"{prefix}{_shown(text)} is not a finite number")
+        raise InputError(f"{_shown(text)} is not a finite number", key=where)
     if not source:
         if unit != "1":
-            raise InputError(f"{prefix}{_shown(text)} has no unit; write it as text, such as '{text} {unit}'")
+            raise InputError(f"{_shown(text)} has no unit; write it as text, such as '{text} {unit}'", key=where)
         return number
     if re.match(r",\d", source):
-        raise InputError(f"{prefix}{_shown(text)} has a decimal comma; write a point, such as '{example}'")
+        meant = str(text).strip().replace(",", ".", 1)
+        raise InputError(f"{_shown(text)} has a decimal comma; write a point, such as {_shown(meant)}", key=where)
     return float(convert(number, _difference(source) if unit.startswith("delta_") else source, unit, where))
+
+
+def exact_text(value: float, unit: str) -> str:
+    """A number with its unit that `parse` reads back exactly: in the unit that people use where that does."""
+    value = float(value)
+    if unit == "1":
+        return repr(value)
+    shown, factor = _WRITTEN.get(unit, (unit, 1.0))
+    text = f"{value * factor:.12g} {shown}"
+    return text if np.isfinite(value * factor) and parse(text, unit) == value else f"{value!r} {unit}"
 
 
 def _split(text: str) -> tuple[str, str] | None:
@@ -220,10 +232,14 @@ def check_bounds(instance: Any) -> None:
         outside = ~((value >= low) & (value <= high)) | (np.isinf(value) & (value != field.default))  # NaN is outside
         if outside.any():
             worst = value[outside].flat[0]
-            raise InputError(
-                f"{type(instance).__name__.lower()}.{name} = {worst:.6g} {symbol(field.metadata['unit'])} is outside "
-                f"{range_text(field)} {symbol(field.metadata['unit'])} ({field.metadata['doc']})"
-            )
+            raise out_of_range(worst, field, key=f"{type(instance).__name__.lower()}.{name}")
+
+
+def out_of_range(value: float, field: dataclasses.Field, *, key: str, unit: str = "") -> InputError:
+    """The error for a value outside the bounds of a declared quantity, in its own unit or in `unit`."""
+    told = symbol(unit or field.metadata["unit"])
+    problem = f"{value:.6g} {told} is outside {range_text(field)} {told} ({field.metadata['doc']})"
+    return InputError(problem, key=key, joint=" = ")
 
 
 def change(instance: Any, values: dict[str, Any], where: str = "") -> Any:
@@ -238,7 +254,7 @@ def change(instance: Any, values: dict[str, Any], where: str = "") -> Any:
     try:
         return dataclasses.replace(instance, **new)
     except InputError as error:
-        raise InputError(f"{where}: {error}" if where and new else str(error)) from None
+        raise error.moved(type(instance).__name__.lower(), where) from None
 
 
 def symbol(unit: str) -> str:

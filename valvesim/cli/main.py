@@ -53,7 +53,7 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
     from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift, temperature_varies
     from valvesim.io import check_folder
     from valvesim.simulation.run import check_channels, simulate
-    from valvesim.simulation.scenario import load_scenario
+    from valvesim.simulation.scenario_toml import load_scenario
     from valvesim.solver.codegen import compile_model
 
     case = load_scenario(scenario, settings=settings)
@@ -153,7 +153,7 @@ def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
 @_settings_option
 def static(current: str, oil_temperature: str, routes: str | None, form: str, settings: tuple[str, ...]) -> None:
     """Where the reference valve rests, at every current and temperature (isothermal, the paper's TAD solution)."""
-    from valvesim.simulation.scenario import read_tables
+    from valvesim.simulation.scenario_toml import read_tables
     from valvesim.valve.coefficients import ROUTES
     from valvesim.valve.equilibrium import static_solution
 
@@ -203,7 +203,8 @@ def response(scenario: Path | None, output: Path, oil_temperature: str | None, s
     """
     from valvesim.characterisation.figure_of_merit import table
     from valvesim.reports.response import response_report
-    from valvesim.simulation.scenario import Scenario, Thermal, load_scenario, read_tables
+    from valvesim.simulation.scenario import Scenario, Thermal
+    from valvesim.simulation.scenario_toml import load_scenario, read_tables
 
     if scenario is None:
         valve, oil = read_tables(settings)
@@ -248,7 +249,7 @@ def bench(
     from valvesim.characterisation.figure_of_merit import table
     from valvesim.io import check_folder
     from valvesim.reports.acceptance import bench_measured, bench_simulated
-    from valvesim.simulation.scenario import read_tables
+    from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse
 
     headings = ("figure", "value", "± (1 sigma)", "unit", "meaning")
@@ -292,7 +293,7 @@ def bench(
 def datasheet(output: Path, oil_temperature: str, settings: tuple[str, ...]) -> None:
     """The datasheet of a valve at any oil temperatures: datasheet.html and datasheet.pdf, pictures inside."""
     from valvesim.reports.datasheet import datasheet_report
-    from valvesim.simulation.scenario import read_tables
+    from valvesim.simulation.scenario_toml import read_tables
 
     valve, oil = read_tables(settings)
     temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
@@ -519,7 +520,7 @@ def parameters(form: str) -> None:
 @click.option("--format", "form", type=click.Choice(["table", "json", "csv"]), default="table", show_default=True)
 def oils(name: str | None, file: Path | None, form: str) -> None:
     """The oils by name; with a NAME its figures and sources, and its properties over temperature."""
-    from valvesim.simulation.scenario import Reader
+    from valvesim.simulation.scenario_toml import Reader
     from valvesim.valve.oils import OILS, property_table, read_oil
 
     if name is not None and file is not None:

@@ -44,7 +44,7 @@ def check_command(path: Path, record: Record, valve: Valve, notes: list[str]) ->
     told = f"{record.command} of {command[k] * factor:.4g} {unit}"
     limit = f"the rated {rated * factor:.4g} {unit}"
     if abs(command[k]) > 2.0 * rated:
-        raise InputError(f"{path}, line {file_line(path, k)}: {told} is beyond twice {limit}")
+        raise InputError(f"{told} is beyond twice {limit}", file=path, line=file_line(path, k))
     if abs(command[k]) > rated * (1 + 1e-9):
         notes.append(f"{record.name}: {told} is beyond {limit}; spool and flapper may reach their stops")
 
@@ -60,7 +60,7 @@ def check_conditions(
         if wrong.any():
             k = int(np.argmax(wrong))
             value = value_text(record.values[name][k], UNITS[name])
-            raise InputError(f"{path}, line {file_line(path, k)}: {name} of {value} {why}")
+            raise InputError(f"{name} of {value} {why}", file=path, line=file_line(path, k))
 
     for name in record.inputs[1:]:
         (low, high), values = bounds[name], record.values[name]
@@ -127,7 +127,7 @@ def audited_sensors(
     for name in stated:
         if name not in measured_channels:
             raise InputError(
-                f"sensors.{name}: no record has this output channel; they have {', '.join(measured_channels)}"
+                f"no record has this output channel; they have {', '.join(measured_channels)}", key=f"sensors.{name}"
             )
     sensors = {}
     for name in measured_channels:

@@ -20,10 +20,11 @@ def read_values(path: Path, *, options: IdentificationOptions) -> dict[str, np.n
     line, header = _header(path)
     for name in header:
         if name not in UNITS:
-            raise unknown_name("column", name, UNITS, f"{path}, line {line}")
+            raise unknown_name("column", name, UNITS).at(file=path, line=line)
     for one in (("time",), ("current", "voltage")):
         if not any(name in header for name in one):
-            raise InputError(f"{path}, line {line}: no column {' or '.join(map(repr, one))}{nearest(one[0], header)}")
+            problem = f"no column {' or '.join(map(repr, one))}{nearest(one[0], header)}"
+            raise InputError(problem, file=path, line=line)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # no data: said below
@@ -35,12 +36,16 @@ def read_values(path: Path, *, options: IdentificationOptions) -> dict[str, np.n
     if table.shape[1] != len(header) or not np.isfinite(table).all():
         values = read_columns(path, {name: UNITS[name] for name in header})
     else:
-        values = {
-            name: convert(table[:, k], unit, UNITS[name], f"{path}, column {name!r}")
-            for k, (name, unit) in enumerate(header.items())
-        }
+        try:
+            values = {
+                name: convert(table[:, k], unit, UNITS[name], f"column {name!r}")
+                for k, (name, unit) in enumerate(header.items())
+            }
+        except InputError as error:
+            raise error.at(file=path, line=line) from None
     if len(values["time"]) < options.audit.least_samples:
-        raise InputError(f"{path}: {len(values['time'])} samples; a record needs {options.audit.least_samples} or more")
+        problem = f"{len(values['time'])} samples; a record needs {options.audit.least_samples} or more"
+        raise InputError(problem, file=path)
     return values
 
 
@@ -57,7 +62,7 @@ def _header(path: Path) -> tuple[int, dict[str, str]]:
     header = {cell[0]: cell[1] for cell in cells if cell is not None}
     if not cells or len(header) < len(cells):
         read_columns(path, {"time": "s"})
-        raise InputError(f"{path}, line {line}: the header must be one line, such as time [s],current [mA]")
+        raise InputError("the header must be one line, such as time [s],current [mA]", file=path, line=line)
     return line, header
 
 
@@ -74,7 +79,9 @@ def even_clock(path: Path, time: np.ndarray, *, options: IdentificationOptions) 
     if (steps <= 0.0).any():
         k = int(np.argmax(steps <= 0.0))
         raise InputError(
-            f"{path}, line {file_line(path, k + 1)}: times must rise, but {time[k + 1]:.9g} s follows {time[k]:.9g} s"
+            f"times must rise, but {time[k + 1]:.9g} s follows {time[k]:.9g} s",
+            file=path,
+            line=file_line(path, k + 1),
         )
     uneven = np.abs(steps - usual) > options.audit.clock_jitter * usual
     if uneven.any():
@@ -83,12 +90,14 @@ def even_clock(path: Path, time: np.ndarray, *, options: IdentificationOptions) 
         )  # the first gap before any lesser jitter
         what = "gap" if steps[k] > options.audit.gap * usual else "uneven clock: a step"
         raise InputError(
-            f"{path}, line {file_line(path, k + 1)}: {what} of {steps[k]:.4g} s at {time[k]:.6g} s, where samples come "
-            f"every {usual:.4g} s (to {options.audit.clock_jitter:.0%}; write the time with enough digits)"
+            f"{what} of {steps[k]:.4g} s at {time[k]:.6g} s, where samples come every {usual:.4g} s "
+            f"(to {options.audit.clock_jitter:.0%}; write the time with enough digits)",
+            file=path,
+            line=file_line(path, k + 1),
         )
     even = np.linspace(0.0, clock[-1], len(clock))
     off = np.abs(clock - even) / usual
     if (k := int(np.argmax(off))) and off[k] > 0.5:
         where = f"{time[k]:.6g} s is {off[k]:.3g} steps off an even one"
-        raise InputError(f"{path}, line {file_line(path, k)}: the clock drifts: {where}")
+        raise InputError(f"the clock drifts: {where}", file=path, line=file_line(path, k))
     return even

@@ -7,10 +7,8 @@ and `Session.notes` says so in words.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +29,9 @@ from valvesim.identification.record_audit import (
 )
 from valvesim.identification.record_csv import even_clock, read_values
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session
-from valvesim.io import check_printable, read_toml
-from valvesim.simulation.scenario import Reader, located, read_valve
+from valvesim.io import check_printable, located, read_toml
+from valvesim.simulation.command_toml import check_known
+from valvesim.simulation.scenario_toml import Reader, check_tables, read_names, read_valve
 from valvesim.units import parse, quantities
 from valvesim.valve.effect_files import load_effects_files
 from valvesim.valve.parameters import REFERENCE_TEMPERATURE, Valve
@@ -58,8 +57,7 @@ def load_session(
     folder = Path(folder)
     path = folder / "session.toml"
     text, table = read_toml(path, "a session is a folder with session.toml and CSV records")
-    text = _numbered(text)
-    with located(path, text):
+    with located(path, text, document="session"):
         session = _settings(folder, table, tuple(Path(file).absolute() for file in effects))
         if seed is not None:
             session = replace(session, seed=_seed(seed))
@@ -69,38 +67,33 @@ def load_session(
     records = [_read_record(folder, session, notes, *each, options=options) for each in listed]
     check_drive(records)
     check_replicates(records, session.valve, options=options)
-    with located(path, text):
+    with located(path, text, document="session"):
         sensors = audited_sensors(stated, records, notes, options=options)
     records = [
         usable for record in records if (usable := usable_record(record, sensors, notes, options=options)) is not None
     ]
     if not any(record.moves() for record in records):
-        raise InputError(f"{folder}: no record is left that moves and has a usable output channel: {'; '.join(notes)}")
+        raise InputError(
+            f"no record is left that moves and has a usable output channel: {'; '.join(notes)}", file=folder
+        )
     records = hold_out(records, session.seed, notes, options=options)
     if all(record.role == "test" for record in records):
-        raise InputError(f"{folder}: every record has role = 'test', so none is left to learn from")
+        raise InputError("every record has role = 'test', so none is left to learn from", file=folder)
     return replace(session, sensors=sensors, records=tuple(records), notes=tuple(notes))
-
-
-def _numbered(text: str) -> str:
-    """The text with each [[records]] numbered from 1, as the messages name them."""
-    numbers = count(1)
-    return re.sub(r"(?m)^[ \t]*\[\[\s*records\s*\]\]", lambda _: f"[records.{next(numbers)}]", text)
 
 
 def _settings(folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...]) -> Session:
     """Everything in `session.toml` but sensors and records, with more files of effects."""
     reader = Reader(folder)
-    reader.known(table, ("title", "seed", "effects_files", "records", *_TABLES), "session")
-    for name in _TABLES:
-        if not isinstance(table.get(name, {}), dict):
-            raise InputError(f"{name}: expected a table, got {table[name]!r}")
+    check_known(table, ("title", "seed", "effects_files", "records", *_TABLES), "session")
+    check_tables(table, _TABLES)
     title = table.get("title", folder.resolve().name)
     check_printable(title, "title")
     if "oil_temperature" in table.get("thermal", {}):
-        raise InputError("thermal.oil_temperature: comes from the records (column 'oil_temperature [degC]')")
+        problem = "comes from the records (column 'oil_temperature [degC]')"
+        raise InputError(problem, key="thermal.oil_temperature")
     valve = read_valve(table.get("valve", {}))
-    named = reader.names(table.get("effects_files", []), "effects_files", "file")
+    named = read_names(table.get("effects_files", []), "effects_files", "file")
     files: tuple[str | Path, ...] = (*named, *more_effects)
     own = load_effects_files(folder, files)
     return Session(
@@ -122,7 +115,7 @@ def _settings(folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...
 
 def _seed(given: Any) -> int:
     if isinstance(given, bool) or not isinstance(given, int) or given < 0:
-        raise InputError(f"seed: expected a whole number, 0 or more, got {given!r}")
+        raise InputError(f"expected a whole number, 0 or more, got {given!r}", key="seed")
     return given
 
 
@@ -135,12 +128,12 @@ def _tolerance(valve: Valve, name: str, text: Any) -> float:
         size = abs(getattr(valve, name))
         if size == 0.0:
             unit = declared[name].metadata["unit"]
-            raise InputError(f"{where}: {name} is zero, so a share of it is nothing; give an absolute one in {unit}")
+            raise InputError(f"{name} is zero, so a share of it is nothing; give an absolute one in {unit}", key=where)
         half_width = parse(text, "1", where) * size
     else:
         half_width = parse(text, declared[name].metadata["unit"], where)
     if half_width <= 0.0:
-        raise InputError(f"{where}: {text!r} must be positive")
+        raise InputError(f"{text!r} must be positive", key=where)
     return half_width
 
 
@@ -151,8 +144,8 @@ def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
         if name not in OUTPUTS:
             raise unknown_name("output channel", name, OUTPUTS, "sensors")
         if not isinstance(figures, dict):
-            raise InputError(f"{where}: expected a table, got {figures!r}")
-        Reader.known(figures, ("noise", "resolution", "lag", "range"), where)
+            raise InputError(f"expected a table, got {figures!r}", key=where)
+        check_known(figures, ("noise", "resolution", "lag", "range"), where)
         units = {"noise": UNITS[name], "resolution": UNITS[name], "lag": "s"}
         known: dict[str, Any] = {}
         for key in units:
@@ -161,7 +154,7 @@ def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
             known[key] = parse(figures[key], units[key], f"{where}.{key}")
             if known[key] < 0.0 or (key == "noise" and known[key] == 0.0):
                 least = "be positive" if key == "noise" else "not be negative"
-                raise InputError(f"{where}.{key}: {figures[key]!r} must {least}")
+                raise InputError(f"{figures[key]!r} must {least}", key=f"{where}.{key}")
         if "range" in figures:
             known["range"] = _range(figures["range"], UNITS[name], f"{where}.range")
         sensors[name] = Sensor(name, UNITS[name], **known)
@@ -170,10 +163,10 @@ def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
 
 def _range(given: Any, unit: str, where: str) -> tuple[float, float]:
     if not isinstance(given, list) or len(given) != 2:
-        raise InputError(f"{where}: expected [lowest, highest], such as ['-1 {unit}', '1 {unit}'], got {given!r}")
+        raise InputError(f"expected [lowest, highest], such as ['-1 {unit}', '1 {unit}'], got {given!r}", key=where)
     low, high = (parse(text, unit, where) for text in given)
     if low >= high:
-        raise InputError(f"{where}: {given[0]!r} must be below {given[1]!r}")
+        raise InputError(f"{given[0]!r} must be below {given[1]!r}", key=where)
     return low, high
 
 
@@ -185,26 +178,26 @@ def _listed(folder: Path, records: Any) -> list[tuple[str, str, str | None]]:
             raise InputError("no record: the folder holds no CSV file")
         return [(name, "train", None) for name in have]
     if not isinstance(records, list) or not all(isinstance(entry, dict) for entry in records):
-        raise InputError("records: expected [[records]], one for each file")
+        raise InputError("expected [[records]], one for each file", key="records")
     if not records:
-        raise InputError("records: the list is empty")
+        raise InputError("the list is empty", key="records")
     listed: list[tuple[str, str, str | None]] = []
     for k, entry in enumerate(records, start=1):
         where = f"records.{k}"
-        Reader.known(entry, ("file", "repeats", "role"), where)
+        check_known(entry, ("file", "repeats", "role"), where)
         file, role, repeats = entry.get("file"), entry.get("role", "train"), entry.get("repeats")
         if not isinstance(file, str):
-            raise InputError(f"{where}.file: expected the name of a CSV file, got {file!r}")
+            raise InputError(f"expected the name of a CSV file, got {file!r}", key=f"{where}.file")
         if not (folder / file).is_file():
-            raise InputError(f"{where}.file: {file!r} is not in the folder{nearest(file, have)}")
+            raise InputError(f"{file!r} is not in the folder{nearest(file, have)}", key=f"{where}.file")
         for other, _, _ in listed:
             if _called(file) == _called(other):
-                raise InputError(f"{where}.file: {file!r} is listed twice" if file == other else
-                                 f"{where}.file: {file!r} and {other!r} are both called {_called(file)!r}")  # fmt: skip
+                both = f"{file!r} and {other!r} are both called {_called(file)!r}"
+                raise InputError(f"{file!r} is listed twice" if file == other else both, key=f"{where}.file")
         if not isinstance(role, str) or role not in _ROLES:
             raise unknown_name("role", str(role), _ROLES, f"{where}.role")
         if repeats is not None and not isinstance(repeats, str):
-            raise InputError(f"{where}.repeats: expected a label in quotes, got {repeats!r}")
+            raise InputError(f"expected a label in quotes, got {repeats!r}", key=f"{where}.repeats")
         listed.append((file, role, repeats))
     return listed
 
@@ -233,7 +226,7 @@ def _read_record(
         notes.append(f"{name}: no oil temperature was measured; {REFERENCE_TEMPERATURE:g} °C is assumed")
     outputs = [n for n in OUTPUTS if n in values and (n != "current" or "voltage" in values)]
     if not outputs:
-        raise InputError(f"{path}: no output channel; expected one or more of {', '.join(OUTPUTS[:-1])}")
+        raise InputError(f"no output channel; expected one or more of {', '.join(OUTPUTS[:-1])}", file=path)
     if "body_temperature" in values:
         notes.append(f"{name}: body_temperature is not used: the parts follow the oil as [thermal] says")
     record = Record(name, time, values, {n: np.ones(len(time), dtype=bool) for n in outputs}, role, repeats, path)

@@ -262,10 +262,10 @@ _CLEARANCES: dict[str, tuple[str, ...]] = {  # what can close, and the parts who
 }
 
 
-def check_routes(routes: Iterable[str]) -> frozenset[str]:
-    """The set of route names; InputError for an unknown one."""
+def check_routes(routes: Iterable[str], where: str = "") -> frozenset[str]:
+    """The set of route names; InputError for an unknown one, with the key `where`."""
     chosen = (routes,) if isinstance(routes, str) else tuple(routes)
     for name in chosen:
         if name not in ROUTES:
-            raise unknown_name("temperature route", name, ROUTES)
+            raise unknown_name("temperature route", name, ROUTES, where)
     return frozenset(chosen)

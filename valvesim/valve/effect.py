@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import functools
 from collections import namedtuple
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -162,32 +163,50 @@ class Effect:
         known = {p.name: p for p in self.parameters}
         for name, value in numbers.items():
             if name not in known:
-                raise unknown_name(f"parameter of effect {self.name}", name, known)
+                raise unknown_name(
+                    f"parameter of effect {self.name}", name, known
+                )  # of Python alone: `read` has looked
             low, high = known[name].bounds
             if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
                 unit = symbol(known[name].unit)
                 raise InputError(
-                    f"effects.{self.name}.{name} = {value} {unit} is outside [{low:g}, {high:g}] {unit} "
-                    f"({known[name].doc})"
-                )
+                    f"{value} {unit} is outside [{low:g}, {high:g}] {unit} ({known[name].doc})",
+                    key=f"effects.{self.name}.{name}", joint=" = ",
+                )  # fmt: skip
         if self.amplitude.name not in numbers:
-            raise InputError(f"effects.{self.name} needs {self.amplitude.name} ({self.amplitude.doc})")
+            problem = f"needs {self.amplitude.name} ({self.amplitude.doc})"
+            raise InputError(problem, key=f"effects.{self.name}", joint=" ")
         return ActiveEffect(self, tuple(numbers.get(p.name, p.default) for p in self.parameters))
 
     def read(self, table: dict[str, Any], where: str = "") -> ActiveEffect:
-        """The effect from text with units, as in a scenario file; raises InputError."""
+        """The effect from text with units, as the table `where` of a scenario file has it; raises InputError."""
+        where = where or f"effects.{self.name}"
         if self.reading is not None and not self.channel and "channel" in table:
-            return self.on(str(table["channel"])).read({k: v for k, v in table.items() if k != "channel"}, where)
-        self._check_channel()
+            rest = {name: text for name, text in table.items() if name != "channel"}
+            with self._as(where):
+                bound = self.on(str(table["channel"]))
+            return bound.read(rest, where)
         known = {p.name: p for p in self.parameters}
+        with self._as(where):
+            self._check_channel()
         for name in table:
             if name not in known:
                 raise unknown_name(f"parameter of effect {self.name}", name, known, where)
-        return self(**{name: parse(text, known[name].unit, f"{where}.{name}") for name, text in table.items()})
+        numbers = {name: parse(text, known[name].unit, f"{where}.{name}") for name, text in table.items()}
+        with self._as(where):
+            return self(**numbers)
+
+    @contextmanager
+    def _as(self, where: str) -> Iterator[None]:
+        """An InputError from inside speaks of the table `where` in place of the effect's own name."""
+        try:
+            yield
+        except InputError as error:
+            raise error.moved(f"effects.{self.name}", where) from None
 
     def _check_channel(self) -> None:
         if self.reading is not None and not self.channel:
-            raise InputError(f"effects.{self.name} needs a channel, such as spool_position")
+            raise InputError("needs a channel, such as spool_position", key=f"effects.{self.name}", joint=" ")
 
 
 @dataclass(frozen=True)

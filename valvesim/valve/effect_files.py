@@ -35,18 +35,18 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     own = list({id(v): v for v in vars(module).values() if isinstance(v, Effect)}.values())
     own = [effect for effect in own if effect is not CATALOGUE.get(effect.name)]  # what it took from there to build on
     if not own:
-        raise InputError(f"{path}: declares no effect; expected `name = valvesim.Effect(...)` at its top level")
+        raise InputError("declares no effect; expected `name = valvesim.Effect(...)` at its top level", file=path)
     for k, effect in enumerate(own):
         if effect.name in CATALOGUE:
-            raise InputError(f"{path}: effect {effect.name!r} is in the catalogue already; give yours another name")
+            raise InputError(f"effect {effect.name!r} is in the catalogue already; give yours another name", file=path)
         if effect.name in (other.name for other in own[:k]):
-            raise InputError(f"{path}: two effects are called {effect.name!r}")
+            raise InputError(f"two effects are called {effect.name!r}", file=path)
         try:
             _ = effect.amplitude
             _check_words(effect)
             _check_balance(effect)
         except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+            raise InputError(str(error), file=path) from None
         except Exception as error:  # its balance may raise anything
             raise _failed(path, error) from error
     return tuple(own)
@@ -91,11 +91,11 @@ def load_effects_files(folder: Path, files: Sequence[str | Path]) -> tuple[Effec
         try:
             own = load_effects(folder / file)
         except InputError as error:
-            raise InputError(f"effects_files: {error}") from None
+            raise InputError(str(error), key="effects_files") from None
         for effect in own:
             if effect.name in effects:
-                where = f"effects_files: {str(file)!r}"
-                raise InputError(f"{where} declares {effect.name!r}, which another file did already")
+                problem = f"{str(file)!r} declares {effect.name!r}, which another file did already"
+                raise InputError(problem, key="effects_files")
             effects[effect.name] = effect
     return tuple(effects.values())
 
@@ -105,4 +105,5 @@ def _failed(path: Path, error: BaseException) -> InputError:
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     if isinstance(error, SyntaxError) and error.filename == str(path):
         lines.append(error.lineno)
-    return InputError(f"{path}{f', line {lines[-1]}' if lines else ''}: fails with {type(error).__name__}: {error}")
+    line = lines[-1] if lines else None
+    return InputError(f"fails with {type(error).__name__}: {error}", file=path, line=line)

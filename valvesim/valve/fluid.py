@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -110,16 +110,17 @@ class Oil:
 
     Arrays broadcast. Values outside the rated temperature range are computed, with one `ValidityWarning` by name.
     `density_law` and `bulk_modulus_law` (°C -> any unit) give the run over temperature where a table is known; the
-    figures at 20 °C give the size. `sources` says where this oil's figures come from where that is not the field's own.
+    figures at 20 °C give the size. `sources` says where this oil's figures come from where that is not the field's own;
+    words (title, scatter, sources) make no other oil.
     """
 
     name: str
     viscosity_law: Callable
     density_law: Callable | None = None
     bulk_modulus_law: Callable | None = None
-    title: str = ""
-    scatter: str = ""
-    sources: tuple[tuple[str, str], ...] = ()
+    title: str = field(default="", compare=False)
+    scatter: str = field(default="", compare=False)
+    sources: tuple[tuple[str, str], ...] = field(default=(), compare=False)
     rated_low: float = quantity(-54.0, "degC", "lowest rated temperature", (-100.0, 20.0), "specification")
     rated_high: float = quantity(135.0, "degC", "highest rated temperature", (20.0, 400.0), "specification")
     density_at_20: float = quantity(866.0, "kg/m^3", "density at 20 °C, 1 atm", (500.0, 2000.0), "field.md 3: SG 0.871")

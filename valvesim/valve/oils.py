@@ -253,14 +253,16 @@ def read_oil(table: dict[str, Any], where: str = "oil") -> Oil:
     name, like = figures.pop("name", None), figures.pop("like", None)
     for key, given in (("name", name), ("like", like)):
         if columns and given is not None and (not isinstance(given, str) or not given.strip()):
-            raise InputError(f"{dot}{key}: expected a name as text, got {given!r}")
+            raise InputError(f"expected a name as text, got {given!r}", key=f"{dot}{key}")
     known = {*quantities(Oil), *(UNITS if own else ()), "name", "like", "file"}
     for key in figures:
         if key not in quantities(Oil):
             raise unknown_name("parameter of Oil", key, known, where)
     if not columns:
         if like is not None:
-            raise InputError(f"{dot}like: goes with an oil of one's own (temperature and viscosity); give name alone")
+            raise InputError(
+                "goes with an oil of one's own (temperature and viscosity); give name alone", key=f"{dot}like"
+            )
         chosen = MIL_PRF_5606.name if name is None else name
         if not isinstance(chosen, str) or chosen not in OILS:
             raise unknown_name("oil", str(chosen), OILS, f"{dot}name")
@@ -269,9 +271,9 @@ def read_oil(table: dict[str, Any], where: str = "oil") -> Oil:
     if base not in OILS:
         raise unknown_name("oil", base, OILS, f"{dot}like")
     if name is None:
-        raise InputError(f"{dot}name is missing: an oil of one's own needs a name")
+        raise InputError("is missing: an oil of one's own needs a name", key=f"{dot}name", joint=" ")
     if name in OILS:
-        raise InputError(f"{dot}name: {name!r} is an oil of this package; give one's own another name")
+        raise InputError(f"{name!r} is an oil of this package; give one's own another name", key=f"{dot}name")
     return change(_own_oil(name, OILS[base], columns, dot), figures, where)
 
 
@@ -279,34 +281,39 @@ def _own_oil(name: str, base: Oil, columns: dict[str, Any], dot: str) -> Oil:
     """The oil of a table, with the rest of `base`."""
     for needed in ("temperature", "viscosity"):
         if needed not in columns:
-            raise InputError(f"{dot}{needed} is missing: an oil of one's own has temperature and viscosity, as lists")
+            problem = "is missing: an oil of one's own has temperature and viscosity, as lists"
+            raise InputError(problem, key=f"{dot}{needed}", joint=" ")
     rows: dict[str, np.ndarray] = {}
     for key, given in columns.items():
         if not isinstance(given, str):
-            raise InputError(f"{dot}{key}: expected a list as text, such as '-40, 40, 100 {UNITS[key]}', got {given!r}")
+            raise InputError(
+                f"expected a list as text, such as '-40, 40, 100 {UNITS[key]}', got {given!r}", key=f"{dot}{key}"
+            )
         rows[key] = parse_list(given, UNITS[key], f"{dot}{key}")
         if len(rows[key]) != len(rows["temperature"]):
             raise InputError(
-                f"{dot}{key}: {len(rows[key])} values for {len(rows['temperature'])} temperatures; each needs one"
+                f"{len(rows[key])} values for {len(rows['temperature'])} temperatures; each needs one",
+                key=f"{dot}{key}",
             )
     t = rows["temperature"]
     if len(t) < 2 or np.any(np.diff(t) <= 0.0):
-        raise InputError(f"{dot}temperature: two or more temperatures are needed, each above the one before")
+        raise InputError("two or more temperatures are needed, each above the one before", key=f"{dot}temperature")
     if t[0] < COMPUTED_RANGE[0] or t[-1] > COMPUTED_RANGE[1]:
         low, high = COMPUTED_RANGE
-        raise InputError(f"{dot}temperature: {t[0]:g} to {t[-1]:g} °C is not within {low:g} to {high:g} °C")
+        raise InputError(f"{t[0]:g} to {t[-1]:g} °C is not within {low:g} to {high:g} °C", key=f"{dot}temperature")
     nu = rows["viscosity"]
     if np.any(nu <= 0.2) or np.any(np.diff(nu) >= 0.0):
-        raise InputError(f"{dot}viscosity: must fall from row to row, and stay above 0.2 mm²/s")
+        raise InputError("must fall from row to row, and stay above 0.2 mm²/s", key=f"{dot}viscosity")
     steepest = WaltherViscosity(tuple(zip(t.tolist(), nu.tolist(), strict=True)), full=bool(nu[-1] < 2.0)).steepest
     if steepest > STEEPEST:
         raise InputError(
-            f"{dot}viscosity: falls too steeply, with a slope of {steepest:.3g} on the axes of ASTM D341, where oils "
-            f"have 2 to 5 (at most {STEEPEST:g} is taken); are the rows in the right units?"
+            f"falls too steeply, with a slope of {steepest:.3g} on the axes of ASTM D341, where oils "
+            f"have 2 to 5 (at most {STEEPEST:g} is taken); are the rows in the right units?",
+            key=f"{dot}viscosity",
         )
     for key in ("density", "bulk_modulus"):
         if key in rows and np.any(rows[key] <= 0.0):
-            raise InputError(f"{dot}{key}: every value must be positive")
+            raise InputError("every value must be positive", key=f"{dot}{key}")
 
     def table(key: str) -> tuple[tuple[float, float], ...]:
         return tuple((float(a), float(b)) for a, b in zip(t, rows[key], strict=True))
@@ -331,7 +338,7 @@ def _own_oil(name: str, base: Oil, columns: dict[str, Any], dot: str) -> Oil:
             **own,
         )  # fmt: skip
     except InputError as error:
-        raise InputError(f"{dot}{str(error).removeprefix('oil.')}") from None
+        raise error.moved("oil", dot.rstrip(".")) from None
 
 
 def own_columns(oil: Oil) -> list[tuple[str, str]]:
@@ -340,10 +347,12 @@ def own_columns(oil: Oil) -> list[tuple[str, str]]:
     others = [(name, getattr(oil, f"{name}_law")) for name in ("density", "bulk_modulus")]
     others = [(name, given) for name, given in others if given is not None]
     if oil.name in OILS or not isinstance(law, WaltherViscosity):
-        raise InputError(f"oil.name: {oil.name!r} is an oil of its own; a scenario knows {', '.join(OILS)}")
+        raise InputError(f"{oil.name!r} is an oil of its own; a scenario knows {', '.join(OILS)}", key="oil.name")
     at = [t for t, _ in law.table]
     if not all(isinstance(given, LogLinear) and [t for t, _ in given.table] == at for _, given in others):
-        raise InputError(f"oil.name: {oil.name!r} has laws that no table holds; a scenario knows {', '.join(OILS)}")
+        raise InputError(
+            f"{oil.name!r} has laws that no table holds; a scenario knows {', '.join(OILS)}", key="oil.name"
+        )
     columns = [("temperature", at), ("viscosity", [nu for _, nu in law.table])]
     columns += [(name, [value for _, value in given.table]) for name, given in others]
     return [(key, f"{', '.join(map(repr, values))} {UNITS[key]}") for key, values in columns]

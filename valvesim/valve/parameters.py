@@ -166,22 +166,22 @@ class Valve:
         """Dimensions that only make sense together."""
         for low, high in (("length_1", "length_2"), ("length_2", "length_3"), ("length_3", "length_4")):
             if np.any(np.asarray(getattr(self, low)) >= np.asarray(getattr(self, high))):
-                raise InputError(f"valve.{high} must be larger than valve.{low}: the torque motor has no air gap")
-        for difference, size, name in (
-            ("null_gap_difference", self.null_gap, "null_gap"),
-            ("nozzle_diameter_difference", self.nozzle_diameter, "nozzle_diameter"),
-            ("fixed_orifice_difference", self.fixed_orifice_diameter, "fixed_orifice_diameter"),
-            ("air_gap_difference", np.subtract(self.length_2, self.length_1), "length_2 - length_1"),
-            ("air_gap_difference", np.subtract(self.length_4, self.length_3), "length_4 - length_3"),
+                raise _refused(high, f"must be larger than valve.{low}: the torque motor has no air gap", low)
+        for difference, size, names in (
+            ("null_gap_difference", self.null_gap, ("null_gap",)),
+            ("nozzle_diameter_difference", self.nozzle_diameter, ("nozzle_diameter",)),
+            ("fixed_orifice_difference", self.fixed_orifice_diameter, ("fixed_orifice_diameter",)),
+            ("air_gap_difference", np.subtract(self.length_2, self.length_1), ("length_2", "length_1")),
+            ("air_gap_difference", np.subtract(self.length_4, self.length_3), ("length_4", "length_3")),
         ):
             if np.any(np.abs(getattr(self, difference)) >= 2.0 * np.asarray(size)):
-                raise InputError(f"valve.{difference} must be smaller than twice {name}: one side would be closed")
+                why = f"must be smaller than twice {' - '.join(names)}: one side would be closed"
+                raise _refused(difference, why, *names)
         if np.any(np.asarray(self.return_pressure) >= np.asarray(self.supply_pressure)):
-            raise InputError("valve.return_pressure must be below valve.supply_pressure")
+            raise _refused("return_pressure", "must be below valve.supply_pressure", "supply_pressure")
         if np.any(np.abs(self.load_pressure) > np.asarray(self.supply_pressure)):
-            raise InputError(
-                "valve.load_pressure must be within the supply pressure: |load_pressure| <= supply_pressure"
-            )
+            why = "must be within the supply pressure: |load_pressure| <= supply_pressure"
+            raise _refused("load_pressure", why, "supply_pressure")
 
     @property
     def is_symmetric(self) -> bool:
@@ -195,6 +195,11 @@ class Valve:
     def at(self, parts: PartTemperatures, *, oil: Oil = MIL_PRF_5606, routes: Iterable[str] = ROUTES) -> Coefficients:
         """`coefficients.coefficients_at` of this valve."""
         return coefficients_at(self, parts, oil=oil, routes=routes)
+
+
+def _refused(name: str, problem: str, *related: str) -> InputError:
+    """The error for a quantity that does not go with the `related` ones."""
+    return InputError(problem, key=f"valve.{name}", joint=" ", related=tuple(f"valve.{other}" for other in related))
 
 
 def reference_valve() -> Valve:
