@@ -35,7 +35,7 @@ from valvesim.errors import SolveError
 from valvesim.inputs import evaluate, merge
 from valvesim.valve.equilibrium import solve_rest
 
-RUN = import_module("valvesim.simulation.run")
+KNOTS = import_module("valvesim.simulation.temperature_knots")
 ROOT = Path(__file__).parents[1]
 TIGHT = 1e-7
 INDEPENDENT = 50
@@ -59,7 +59,7 @@ def with_idle_breaks(command: vs.Command, duration: float, seed: int) -> vs.Comm
 
 def reference_of(scenario: vs.Scenario, seed: int) -> vs.Result:
     """The same scenario, far tighter."""
-    with patch.object(RUN, "KNOT_ERROR", RUN.KNOT_ERROR / 100.0):
+    with patch.object(KNOTS, "KNOT_ERROR", KNOTS.KNOT_ERROR / 100.0):
         return vs.simulate(
             replace(scenario, tolerance=TIGHT, command=with_idle_breaks(scenario.command, scenario.duration, seed))
         )
@@ -99,7 +99,7 @@ def distance_from_rest(scenario: vs.Scenario, result: vs.Result) -> float | None
     thermal = scenario.thermal
     if held is None or scenario.effects or thermal.network is not None or scenario.duration - held < 1.0:
         return None
-    _, c = RUN.temperature_knots(scenario)
+    _, c = KNOTS.temperature_knots(scenario)
     c = type(c)(*(np.asarray(v).ravel()[-1] for v in c))
     current = float(result.values["current"][-1])
     rest = solve_rest(c, current, 0.0, *(float(evaluate(p, scenario.duration)) for p in scenario.pressures()))
@@ -123,7 +123,7 @@ def by_radau(scenario: vs.Scenario) -> float:
 
     model = scenario.model
     reference = vs.simulate(replace(scenario, tolerance=TIGHT))
-    path, c = RUN.temperature_knots(scenario)
+    path, c = KNOTS.temperature_knots(scenario)
     flat = model.flat_coefficients(c, scenario.effects, path.parts)
     knots = np.stack(np.broadcast_arrays(*flat), axis=-1).astype(float)
     knots = np.broadcast_to(np.atleast_2d(knots), (len(path.times), knots.shape[-1]))
@@ -193,7 +193,7 @@ def case(job: tuple[int, vs.Scenario, bool]) -> dict:
 def pieces(scenario: vs.Scenario) -> int:
     """Into how many pieces breaks and knots divide the run: each is a new start for Radau."""
     commands = (scenario.command, *scenario.pressures())
-    return len(merge(commands, scenario.duration)[0]) + len(RUN.temperature_knots(scenario)[0].times)
+    return len(merge(commands, scenario.duration)[0]) + len(KNOTS.temperature_knots(scenario)[0].times)
 
 
 def jobs(seed: int, count: int) -> list[tuple[int, vs.Scenario, bool]]:

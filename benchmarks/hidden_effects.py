@@ -74,7 +74,7 @@ from valvesim.identification.predictor import prepare_record  # noqa: E402
 from valvesim.identification.session import Session  # noqa: E402
 from valvesim.identification.session_toml import load_session  # noqa: E402
 from valvesim.identification.study import Study, prepare_study  # noqa: E402
-from valvesim.simulation.run import cores  # noqa: E402
+from valvesim.simulation.batch import cores  # noqa: E402
 from valvesim.units import quantities  # noqa: E402
 from valvesim.valve.catalogue import CATALOGUE  # noqa: E402
 

@@ -18,7 +18,7 @@ import numpy as np
 
 import valvesim as vs
 from valvesim.inputs import Table
-from valvesim.simulation.run import cores
+from valvesim.simulation.batch import cores
 from valvesim.units import parse
 from valvesim.valve.catalogue import CATALOGUE
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import valvesim as vs
 from valvesim.errors import InputError
-from valvesim.simulation.run import check_channels
+from valvesim.simulation.result import check_channels
 from valvesim.valve.effect import ActiveEffect, Effect
 
 SHAPES = ("constant", "step", "ramp", "sine", "chirp", "pulse", "staircase", "table", "sum")

@@ -189,7 +189,8 @@ def outcome(path: Path) -> tuple[str, str]:
     import numpy as np
 
     from valvesim.errors import InputError, SolveError
-    from valvesim.simulation.run import check_channels, simulate
+    from valvesim.simulation.result import check_channels
+    from valvesim.simulation.run import simulate
     from valvesim.simulation.scenario_toml import load_scenario
 
     try:

@@ -32,7 +32,7 @@ import numpy as np
 
 import valvesim as vs
 from valvesim import inputs as commands
-from valvesim.simulation.run import cores
+from valvesim.simulation.batch import cores
 from valvesim.solver import rodas5p as rosenbrock
 from valvesim.solver.codegen import trace
 from valvesim.valve.equilibrium import follow_branch
@@ -345,7 +345,7 @@ class Own(NamedTuple):
 
 def tight(scenario: vs.Scenario) -> np.ndarray:
     """Spool positions of the reference: tolerance 1e-7, coefficients at the closest knots that valvesim lays."""
-    with patch.object(import_module("valvesim.simulation.run"), "KNOT_ERROR", 1e-8):
+    with patch.object(import_module("valvesim.simulation.temperature_knots"), "KNOT_ERROR", 1e-8):
         return vs.simulate(replace(scenario, tolerance=1e-7)).values["spool_position"]
 
 

@@ -319,7 +319,7 @@ def test_an_interrupted_run_exits_with_130_and_leaves_no_file(call, case, tmp_pa
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(import_module("valvesim.simulation.run"), "write_atomically", interrupt)
+    monkeypatch.setattr(import_module("valvesim.simulation.result"), "write_atomically", interrupt)
     code, out, err = call("run", case, "-o", tmp_path / "out")
     assert (code, out, err.strip()) == (130, "", "error: interrupted; nothing half-written is left")
     assert not list((tmp_path / "out").iterdir())

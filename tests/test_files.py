@@ -104,7 +104,8 @@ HEAD = "time [s],current [mA]\n"
         (HEAD + "0,1e999\n", ", line 2: 1e999 in column 'current' is not a finite number"),
         ("time [s],current [bar]\n0,1\n",
          ", line 1: column 'current': 'bar' has the wrong dimension; expected a unit that converts to 'A'"),
-        ("time [s],current [ma/]\n0,1\n", ", line 1: column 'current': unknown unit 'ma/'; expected one that converts to 'A'"),
+        ("time [s],current [ma/]\n0,1\n",
+         ", line 1: column 'current': unknown unit 'ma/'; expected one that converts to 'A'"),
         ("time [s],current [kA]\n0,1e307\n", ", line 1: column 'current': 1e+307 kA is too large a number in 'A'"),
     ],
 )  # fmt: skip

@@ -58,7 +58,7 @@ def test_a_module_loads_no_heavy_library(module):
 
 
 @pytest.mark.parametrize(
-    "library, module", [("casadi", "solver/codegen.py"), ("pint", "units.py"), ("xarray", "simulation/run.py")]
+    "library, module", [("casadi", "solver/codegen.py"), ("pint", "units.py"), ("xarray", "simulation/result.py")]
 )
 def test_a_heavy_library_is_imported_where_it_is_needed(library, module):
     assert library in imported(module)  # so that the tests above see imports inside functions

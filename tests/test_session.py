@@ -293,7 +293,7 @@ def test_two_files_with_one_effect_are_refused(session, tmp_path):
         ({CURRENT: None}, ", line 1: no column 'current' or 'voltage'"),
         ({SPOOL: None}, ": no output channel; expected one or more of spool_position, "),
         ({SPOOL: None, "spool_position": WAVE}, ", line 1: column 'spool_position' needs a name and a unit"),
-        ({SPOOL: None, "spool_position [bar]": WAVE}, ", line 1: column 'spool_position': 'bar' has the wrong dimension"),
+        ({SPOOL: None, "spool_position [bar]": WAVE}, ", line 1: column 'spool_position': 'bar' has the wrong dim"),
         ({"current [A]": WAVE}, ", line 1: column 'current' stands there twice"),
         ({SPOOL: np.where(TIME == TIME[8], np.nan, WAVE)},
          ", line 10: nan in column 'spool_position' is not a finite number"),

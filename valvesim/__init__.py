@@ -11,7 +11,9 @@ vs.diagnose("my_session").summary                                            # w
 
 from valvesim.errors import InputError, SolveError, ValidityWarning, ValvesimError
 from valvesim.inputs import Chirp, Constant, Pulse, Ramp, Sine, Staircase, Step, Sum, Table
-from valvesim.simulation.run import Result, simulate, simulate_batch
+from valvesim.simulation.batch import simulate_batch
+from valvesim.simulation.result import Result
+from valvesim.simulation.run import simulate
 from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.simulation.scenario_toml import load_scenario, scenario_to_toml
 from valvesim.solver.codegen import compile_model, derivatives

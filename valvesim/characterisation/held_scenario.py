@@ -8,7 +8,7 @@ import numpy as np
 
 from valvesim.errors import InputError, unknown_name
 from valvesim.inputs import Command, Constant, evaluate
-from valvesim.simulation.run import Result, output_channels
+from valvesim.simulation.result import Result, output_channels
 from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.units import quantities
 from valvesim.valve.parameters import Valve

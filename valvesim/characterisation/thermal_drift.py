@@ -11,7 +11,7 @@ import numpy as np
 
 from valvesim.channels import STATE_CHANNELS
 from valvesim.inputs import Constant, largest
-from valvesim.simulation.run import Result
+from valvesim.simulation.result import Result
 from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.valve.coefficients import PART_NAMES, REFERENCE_TEMPERATURE, ROUTES, PartTemperatures
 from valvesim.valve.equilibrium import static_solution

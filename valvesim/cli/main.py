@@ -52,7 +52,8 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
     """Simulate a SCENARIO file: a table, result.nc and pictures."""
     from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift, temperature_varies
     from valvesim.io import check_folder
-    from valvesim.simulation.run import check_channels, simulate
+    from valvesim.simulation.result import check_channels
+    from valvesim.simulation.run import simulate
     from valvesim.simulation.scenario_toml import load_scenario
     from valvesim.solver.codegen import compile_model
 

@@ -19,8 +19,8 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
 from valvesim.identification.session import Record, Session
 from valvesim.inputs import evaluate, merge
-from valvesim.simulation.run import between, brackets, on_lines, temperature_knots
 from valvesim.simulation.scenario import Scenario
+from valvesim.simulation.temperature_knots import between, brackets, on_lines, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect, Reading

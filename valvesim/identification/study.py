@@ -14,7 +14,7 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION, Identificati
 from valvesim.identification.predictor import RecordPredictor, prepare_record
 from valvesim.identification.prior import NominalModel, nominal_model_of
 from valvesim.identification.session import Record, Session
-from valvesim.simulation.run import cores
+from valvesim.simulation.batch import cores
 from valvesim.valve.catalogue import CATALOGUE
 
 

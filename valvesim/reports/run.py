@@ -10,7 +10,7 @@ import numpy as np
 
 from valvesim.characterisation.thermal_drift import Drift, reference_current
 from valvesim.io import write_atomically
-from valvesim.simulation.run import Result
+from valvesim.simulation.result import Result
 from valvesim.units import symbol
 from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
 from valvesim.valve.equilibrium import static_solution

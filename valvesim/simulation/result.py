@@ -1,0 +1,113 @@
+"""What a run gave: every state, signal, input and temperature over time, and writing it as CSV and netCDF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, Channel
+from valvesim.errors import unknown_name
+from valvesim.io import write_atomically, write_columns
+from valvesim.simulation.scenario import Scenario
+from valvesim.units import DISPLAY
+from valvesim.valve.coefficients import PART_NAMES
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run gave: `result["spool_position"]` is an xarray.DataArray over time, with its unit in `attrs["units"]`.
+
+    Names: every state, every signal, the inputs, and `<part>_temperature` of oil and parts (°C). SI throughout.
+    `values[name]` is the bare array (n_t,), `time` the samples' times in s.
+    """
+
+    scenario: Scenario
+    time: np.ndarray
+    channels: tuple[Channel, ...]
+    values: dict[str, np.ndarray]
+    statistics: dict[str, float]
+
+    def __getitem__(self, name: str) -> Any:
+        return self.select((name,)).dataset[name]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All channels, in order."""
+        return tuple(channel.name for channel in self.channels)
+
+    @property
+    def dataset(self) -> Any:
+        """All channels as one xarray.Dataset with units."""
+        import xarray
+
+        return xarray.Dataset(
+            {
+                channel.name: ("time", self.values[channel.name], {"units": channel.unit, "long_name": channel.doc})
+                for channel in self.channels
+            },
+            coords={"time": ("time", self.time, {"units": "s", "long_name": "time"})},
+            attrs=self._attributes(),
+        )
+
+    def display(self, name: str) -> tuple[np.ndarray, str]:
+        """(values, unit) of a channel as people read it: mm, bar, mA, L/min."""
+        (channel,) = self.select((name,)).channels
+        unit, factor = DISPLAY.get(channel.unit, (channel.unit, 1.0))
+        return self.values[name] * factor, unit
+
+    def select(self, names: Sequence[str]) -> Result:
+        """The result with these channels alone; all of them if none is named. InputError for an unknown name."""
+        for name in names:
+            if name not in self.values:
+                raise unknown_name("channel", name, self.names)
+        return replace(self, channels=tuple(c for c in self.channels if c.name in names)) if names else self
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write all channels, one column each with its unit in the header (mm, bar, mA, L/min). Returns the path."""
+        columns = {"time [s]": self.time}
+        for name in self.names:
+            values, unit = self.display(name)
+            columns[f"{name} [{unit}]"] = values
+        return write_columns(Path(path), columns)
+
+    def to_netcdf(self, path: str | Path) -> Path:
+        """Write all channels as netCDF-4 (HDF5): labelled arrays with units that Python, MATLAB and others open."""
+
+        def write(temporary: Path) -> None:
+            from netCDF4 import Dataset
+
+            with Dataset(temporary, "w") as file:
+                file.setncatts(self._attributes())
+                file.createDimension("time", len(self.time))
+                for channel in (Channel("time", "s", "time"), *self.channels):
+                    variable = file.createVariable(channel.name, "f8", ("time",))
+                    variable.setncatts({"units": channel.unit, "long_name": channel.doc})
+                    variable[:] = self.time if channel.name == "time" else self.values[channel.name]
+
+        return write_atomically(Path(path), write)
+
+    def _attributes(self) -> dict[str, str]:
+        return {"title": self.scenario.title, "source": "valvesim", "oil": self.scenario.oil.name}
+
+
+def output_channels(scenario: Scenario) -> tuple[Channel, ...]:
+    """The channels of a result, in order."""
+    return (
+        *scenario.drive.command_channels,
+        *(Channel(f"{name}_temperature", "degC", name.replace("_", " ")) for name in PART_NAMES),
+        *INPUT_CHANNELS[2:],
+        *scenario.model.state_channels,
+        *SIGNAL_CHANNELS,
+    )
+
+
+def check_channels(scenario: Scenario) -> None:
+    """InputError for a name in `scenario.channels` that no result has."""
+    names = [channel.name for channel in output_channels(scenario)]
+    for name in scenario.channels:
+        if name not in names:
+            raise unknown_name("channel", name, names, "outputs.channels")
