@@ -27,7 +27,7 @@ rate = "10 kHz"
 # model.md 5: at 20 °C and 1 mA; at 270 °C -1.429 % and +2.296 %
 ANGLE, SPOOL = 5.0416154e-5, 3.9378931e-5
 KEYS = [
-    "current_A", "oil_temperature_degC", "armature_angle_rad", "spool_position_m", "load_differential_pressure_Pa",
+    "current_A", "oil_temperature_degC", "armature_angle_rad", "spool_position_m", "pilot_differential_pressure_Pa",
 ]  # fmt: skip
 
 
@@ -76,7 +76,7 @@ def test_static_drifts_as_published_at_270_degrees(call):
     assert hot["spool_position_m"] / cold["spool_position_m"] - 1 == pytest.approx(0.02296, abs=6e-6)
     rest = vs.static_solution(vs.Valve(), current=1e-3, temperature=100.0)
     assert warm["spool_position_m"] == pytest.approx(float(rest.spool_position), rel=1e-12)
-    assert warm["load_differential_pressure_Pa"] == pytest.approx(float(rest.load_differential_pressure), rel=1e-12)
+    assert warm["pilot_differential_pressure_Pa"] == pytest.approx(float(rest.pilot_differential_pressure), rel=1e-12)
 
 
 def test_static_gives_every_current_at_every_temperature(call):

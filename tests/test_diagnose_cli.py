@@ -11,7 +11,7 @@ import pytest
 from test_answer import answer
 
 import valvesim as vs
-from valvesim.cli import main as cli
+from valvesim.cli.diagnose import ANSWER_FILES
 from valvesim.diagnosis import diagnose as diagnosis
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, NO_TEST, UNKNOWN
 from valvesim.io import read_columns
@@ -78,7 +78,7 @@ def test_the_answer_is_written_and_said(call, found, session, tmp_path):
     assert (code, err) == (0, "")
     folder = tmp_path / "deep" / "out"
     names = set(os.listdir(folder))
-    assert names >= ALWAYS and names <= set(cli._ANSWER) and not names & {"next_test.csv", "recovered_term.py"}
+    assert names >= ALWAYS and names <= set(ANSWER_FILES) and not names & {"next_test.csv", "recovered_term.py"}
     assert json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))["verdict"] == "cause"
     assert (folder / "extended.toml").read_text(encoding="utf-8") == PLAIN.extended_scenario
     assert out.startswith("cause: Reibung: 2 N ± 0.1 N\n") and "where: spool force balance" in out

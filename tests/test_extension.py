@@ -200,7 +200,7 @@ def test_two_effects_of_one_name_are_both_there(tmp_path):
 
 TERMS = {
     "none": term_effect("spool_force", "spool_position", [-3e-4, 0.0, 3e-4], [2.5, 0.0, -1 / 3]),
-    "lag": term_effect("armature_torque", "load_differential_pressure", [-1e6, 1e6], [0.01, -0.01], memory=LAG,
+    "lag": term_effect("armature_torque", "pilot_differential_pressure", [-1e6, 1e6], [0.01, -0.01], memory=LAG,
                        time_constant=3e-3),
     "path": term_effect("pilot_flow", "armature_angle", [-4e-4, 0.0, 4e-4, 5e-4], [1e-7, 0.0, 1e-7, 3e-7], memory=PATH,
                         width=4e-5),

@@ -153,7 +153,7 @@ def test_the_gain_at_rest_is_the_slope_of_the_static_solution(current, temperatu
     step = 1e-6
     above, below = (vs.static_solution(VALVE, current=current + d, temperature=temperature) for d in (step, -step))
     at_rest = np.asarray(system(current, temperature)(0.0)).real[:, 0]
-    for name in ("spool_position", "armature_angle", "load_differential_pressure", "nozzle_pressure_1"):
+    for name in ("spool_position", "armature_angle", "pilot_differential_pressure", "nozzle_pressure_1"):
         slope = float(getattr(above, name) - getattr(below, name)) / (2.0 * step)
         assert at_rest[linear.OUTPUTS.index(name)] == pytest.approx(slope, rel=1e-6)
 
@@ -269,7 +269,7 @@ def test_the_linear_response_is_that_of_a_small_sine(frequency, temperature):
     result = vs.simulate(scenario)
     late = slice(-cycles * samples, None)
     turn = np.exp(-2j * np.pi * frequency * result.time[late])
-    for name in ("spool_position", "armature_angle", "load_flow", "load_differential_pressure", "internal_leakage"):
+    for name in ("spool_position", "armature_angle", "load_flow", "pilot_differential_pressure", "internal_leakage"):
         y = result.values[name][late]
         ratio = 2j * np.mean((y - y.mean()) * turn) / 5e-5
         ratio /= complex(system(1e-3, temperature)[name, "current"](2j * np.pi * frequency))

@@ -505,7 +505,7 @@ UNITS = {
     "armature_angle": "rad", "armature_rate": "rad/s", "nozzle_pressure_1": "Pa", "nozzle_pressure_2": "Pa",
     "spool_position": "m", "spool_velocity": "m/s",
     "current": "A", "drive_torque": "N*m", "flapper_position": "m", "feedback_force": "N", "flow_force": "N",
-    "load_differential_pressure": "Pa", "pilot_flow": "m^3/s", "nozzle_flow_1": "m^3/s", "nozzle_flow_2": "m^3/s",
+    "pilot_differential_pressure": "Pa", "pilot_flow": "m^3/s", "nozzle_flow_1": "m^3/s", "nozzle_flow_2": "m^3/s",
     "load_flow": "m^3/s", "internal_leakage": "m^3/s",
 }  # fmt: skip
 
@@ -531,7 +531,7 @@ def test_the_memory_of_effects_and_the_voltage_are_channels_too():
 
 def test_the_signals_obey_the_equations_at_every_sample(result):
     v = result.values
-    assert v["load_differential_pressure"] == pytest.approx(v["nozzle_pressure_1"] - v["nozzle_pressure_2"], abs=1.0)
+    assert v["pilot_differential_pressure"] == pytest.approx(v["nozzle_pressure_1"] - v["nozzle_pressure_2"], abs=1.0)
     assert v["flapper_position"] == pytest.approx(8.9e-3 * v["armature_angle"], rel=1e-9)  # r, model.md 5
     assert v["flow_force"] == pytest.approx(-0.43 * 12.1e-3 * 21e6 * v["spool_position"], rel=1e-9)  # Eq. 34
     assert np.array_equal(v["current"], np.where(result.time < 1e-3, 0.0, 5e-3))

@@ -100,7 +100,7 @@ def test_rest_matches_the_oracle(temperature):
         assert rest.spool_position[k] == pytest.approx(theirs["x_v"], rel=1e-9)
         assert rest.nozzle_pressure_1[k] == pytest.approx(theirs["p1"], rel=1e-9)
         assert rest.nozzle_pressure_2[k] == pytest.approx(theirs["p2"], rel=1e-9)
-        assert rest.load_differential_pressure[k] == pytest.approx(theirs["p1"] - theirs["p2"], rel=1e-6)
+        assert rest.pilot_differential_pressure[k] == pytest.approx(theirs["p1"] - theirs["p2"], rel=1e-6)
 
 
 temperature = st.floats(-40.0, 270.0)
@@ -198,7 +198,7 @@ def test_real_roots_solve_the_polynomial():
 @given(st.floats(1e-6, 10e-3), temperature)
 def test_opposite_current_rests_at_the_mirrored_point(current, temperature):
     rest = static_solution(valve, current=np.array([current, -current]), temperature=temperature)
-    for name in ("armature_angle", "spool_position", "load_differential_pressure"):
+    for name in ("armature_angle", "spool_position", "pilot_differential_pressure"):
         here, there = getattr(rest, name)
         assert there == pytest.approx(-here, rel=1e-9)
     assert rest.nozzle_pressure_1 == pytest.approx(rest.nozzle_pressure_2[::-1], rel=1e-12)
@@ -365,7 +365,7 @@ def test_nozzle_pressures_divide_the_flow_equally():
 def test_load_pressure_weakens_the_flow_force_on_the_open_side(current, load):
     rest = static_solution(dataclasses.replace(sharp, load_pressure=load), current=current)
     # Eq. 34 with K_f' = 0.43 w (p_s - p_L), model.md section 3
-    force = 16.8e-6 * rest.load_differential_pressure - 2780.0 * 22.2e-3 * rest.armature_angle
+    force = 16.8e-6 * rest.pilot_differential_pressure - 2780.0 * 22.2e-3 * rest.armature_angle
     assume(abs(rest.spool_position) < 0.999 * valve.spool_stroke)  # on its stop the stop carries a share
     assert rest.spool_position == pytest.approx(force / (2780.0 + 0.43 * 12.1e-3 * (21e6 - load)), rel=1e-9)
 

@@ -53,7 +53,7 @@ def where_it_is(variable, u):
     """A situation in which a variable has this value."""
     if variable == "current":
         return situation(current=u)
-    if variable == "load_differential_pressure":
+    if variable == "pilot_differential_pressure":
         return situation(nozzle_pressure_1=7e6 + u, nozzle_pressure_2=np.full(np.shape(u), 7e6))
     return situation(**{variable: u})
 

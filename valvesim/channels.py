@@ -45,7 +45,7 @@ class Signals(NamedTuple):
     flapper_position: Annotated[Any, "m", "flapper at the nozzles, positive towards nozzle 1", 1e-5]
     feedback_force: Annotated[Any, "N", "of the feedback rod on the spool, against positive position", 1.0]
     flow_force: Annotated[Any, "N", "steady flow force on the spool", 10.0]
-    load_differential_pressure: Annotated[Any, "Pa", "nozzle pressure 1 minus 2, across the spool", 1e6]
+    pilot_differential_pressure: Annotated[Any, "Pa", "nozzle pressure 1 minus 2, across the spool", 1e6]
     pilot_flow: Annotated[Any, "m^3/s", "through both fixed orifices", 1e-5]
     nozzle_flow_1: Annotated[Any, "m^3/s", "out of nozzle 1", 5e-6]
     nozzle_flow_2: Annotated[Any, "m^3/s", "out of nozzle 2", 5e-6]

@@ -38,7 +38,7 @@ def check_file(path: Path, most: int, expected: str = "") -> None:
     except FileNotFoundError:
         raise InputError(f"no such file{'; ' if expected else ''}{expected}", file=path) from None
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read ({_reason(error)})", file=path) from None
+        raise InputError(f"cannot be read ({reason(error)})", file=path) from None
     if not stat.S_ISREG(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
         raise InputError(f"cannot be read (it is {kind}, not a file{'; ' if expected else ''}{expected})", file=path)
@@ -65,7 +65,7 @@ def read_toml(path: Path, expected: str = "") -> tuple[str, dict[str, Any]]:
     except InputError:
         raise
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read ({_reason(error)})", file=path) from None
+        raise InputError(f"cannot be read ({reason(error)})", file=path) from None
     except ValueError:
         raise InputError("not valid TOML: a whole number of thousands of digits", file=path) from None
     _check_nesting(table, path)
@@ -228,7 +228,7 @@ def _check_rows(path: Path, most: int) -> None:
         with open(path, "rb") as file:
             rows = sum(part.count(b"\n") for part in iter(lambda: file.read(1 << 20), b""))
     except OSError as error:
-        raise InputError(f"cannot be read ({_reason(error)})", file=path) from None
+        raise InputError(f"cannot be read ({reason(error)})", file=path) from None
     if rows > most + 1:
         raise InputError(f"{rows - 1} rows are more than {most}", file=path)
 
@@ -246,7 +246,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     except InputError:
         raise
     except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"cannot be read ({_reason(error)})", file=path) from None
+        raise InputError(f"cannot be read ({reason(error)})", file=path) from None
 
 
 def _number(path: Path, line: int, row: list[str], at: int, name: str) -> float:
@@ -289,7 +289,7 @@ def _write_csv(file: TextIO, header: Iterable[str], rows: Iterable[Iterable[Any]
     writer.writerows(rows)
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
     """Why something cannot be read or written, in the system's words without its number of the error."""
     if not isinstance(error, OSError) or not error.strerror:
         return str(error)
@@ -303,7 +303,7 @@ def check_folder(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be written ({_reason(error)})", file=folder) from None
+        raise InputError(f"cannot be written ({reason(error)})", file=folder) from None
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
@@ -316,7 +316,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be written ({_reason(error)})", file=path) from None
+        raise InputError(f"cannot be written ({reason(error)})", file=path) from None
     os.close(handle)
     temporary = Path(name)
     try:
@@ -324,7 +324,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except OSError as error:
-        raise InputError(f"cannot be written ({_reason(error)})", file=path) from None
+        raise InputError(f"cannot be written ({reason(error)})", file=path) from None
     finally:
         temporary.unlink(missing_ok=True)
     return path

@@ -70,7 +70,7 @@ def _row(point: OperatingPoint) -> GainRow:
         flow_gain=float(flow),
         flow_pressure_coefficient=float(leak),
         pressure_gain=float(flow / leak) if leak else float("nan"),
-        pilot_pressure_gain=float(gain["load_differential_pressure"]["current"]),
+        pilot_pressure_gain=float(gain["pilot_differential_pressure"]["current"]),
         gain_frequency=band.gain_frequency,
         phase_frequency=band.phase_frequency,
         dominant_pole=complex(nearest.real, abs(nearest.imag)),

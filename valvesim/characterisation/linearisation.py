@@ -29,7 +29,7 @@ from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 
 OUTPUTS = (
-    "spool_position", "armature_angle", "load_flow", "load_differential_pressure", "nozzle_pressure_1",
+    "spool_position", "armature_angle", "load_flow", "pilot_differential_pressure", "nozzle_pressure_1",
     "nozzle_pressure_2", "internal_leakage",
 )  # fmt: skip
 """Outputs of the linear and the nonlinear system: rad, m, m^3/s and Pa, as `channels` says."""

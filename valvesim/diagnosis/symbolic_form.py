@@ -20,7 +20,7 @@ from valvesim.identification.projection import inverse_of
 from valvesim.valve.additive_term import LAG, NONE, PATH
 
 SYMBOLS = {
-    "current": "i", "armature_angle": "theta", "load_differential_pressure": "p", "spool_position": "x",
+    "current": "i", "armature_angle": "theta", "pilot_differential_pressure": "p", "spool_position": "x",
     "spool_velocity": "v",
 }  # fmt: skip
 

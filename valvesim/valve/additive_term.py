@@ -52,7 +52,7 @@ class Variable:
 
     def of(self, state: State, current: Any) -> Any:
         """Its value, in SI."""
-        if self.name == "load_differential_pressure":
+        if self.name == "pilot_differential_pressure":
             return state.nozzle_pressure_1 - state.nozzle_pressure_2
         return current if self.name == "current" else getattr(state, self.name)
 
@@ -65,7 +65,7 @@ PORTS = {
             "pilot_flow",
             "m^3/s",
             "volume balances of the two chambers, into one and out of the other",
-            ("load_differential_pressure",),
+            ("pilot_differential_pressure",),
         ),
         Port("spool_force", "N", "spool force balance", ("spool_position", "spool_velocity")),
         Port("load_flow", "m^3/s", "load flow of the main stage", ("spool_position",)),
@@ -77,7 +77,7 @@ VARIABLES = {
     for variable in (
         Variable("current", "A", 1e-2),
         Variable("armature_angle", "rad", 4e-4, rate="armature_rate"),
-        Variable("load_differential_pressure", "Pa", 1e6),
+        Variable("pilot_differential_pressure", "Pa", 1e6),
         Variable("spool_position", "m", 4e-4, rate="spool_velocity"),
         Variable("spool_velocity", "m/s", 0.1),
     )
@@ -119,7 +119,7 @@ def term_hypotheses() -> tuple[TermHypothesis, ...]:
     for port in PORTS.values():
         for variable in VARIABLES.values():
             found.append(TermHypothesis(port, variable))
-            if variable.name in ("current", "spool_position", "load_differential_pressure"):
+            if variable.name in ("current", "spool_position", "pilot_differential_pressure"):
                 found += [TermHypothesis(port, variable, LAG, time) for time in LAG_TIMES]
             if variable.rate:
                 found.append(TermHypothesis(port, variable, PATH, width=0.1 * variable.scale))

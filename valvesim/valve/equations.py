@@ -245,7 +245,7 @@ class Model:
             flapper_position=x_f,
             feedback_force=F_rod,
             flow_force=F_flow,
-            load_differential_pressure=p1 - p2,
+            pilot_differential_pressure=p1 - p2,
             pilot_flow=q_01 + q_02,
             nozzle_flow_1=q_n1,
             nozzle_flow_2=q_n2,

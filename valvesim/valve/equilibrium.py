@@ -40,7 +40,7 @@ class StaticSolution:
     spool_position: np.ndarray
     nozzle_pressure_1: np.ndarray
     nozzle_pressure_2: np.ndarray
-    load_differential_pressure: np.ndarray
+    pilot_differential_pressure: np.ndarray
     real_roots: np.ndarray | None
     """All real angles that solve the TAD polynomial, rad, (..., 9) ascending, padded with NaN; None without one."""
     branch: str = "first rest on the way from zero angle at zero current, stops included"
@@ -236,7 +236,7 @@ def solve_rest(
         spool_position=position,
         nozzle_pressure_1=pressure_1,
         nozzle_pressure_2=pressure_2,
-        load_differential_pressure=difference,
+        pilot_differential_pressure=difference,
         real_roots=real_roots,
     )
 

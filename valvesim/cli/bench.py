@@ -1,0 +1,70 @@
+"""`valvesim bench`: static figures of merit of the model, or of measured records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from valvesim.cli.display import print_table, print_written, progress_bar
+from valvesim.cli.options import output_option, settings_option, temperatures_option
+
+
+@click.command()
+@output_option("results/bench")
+@click.option("--measured", multiple=True, type=click.Path(path_type=Path), help="A CSV record, or several.")
+@click.option("--test", "kind", help="What was measured: flow, pressure-gain, leakage or flow-load.")
+@click.option("--lag", help="Lag of the meter, such as '1 s' [estimated where the record allows it].")
+@click.option("--dead-zone", help="Dead zone of the meter, such as '0.2 L/min' [estimated].")
+@click.option("--rated-current", help="Rated current of the measured valve [the largest in the record].")
+@temperatures_option
+@settings_option
+def bench(
+    output: Path, measured: tuple[Path, ...], kind: str | None, lag: str | None, dead_zone: str | None,
+    rated_current: str | None, oil_temperature: str, settings: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of measured records.
+
+    Several leakage records of different periods also give the hysteresis that they have in common, and the meter's lag.
+    """
+    from valvesim.characterisation.acceptance.leakage import common_hysteresis
+    from valvesim.characterisation.acceptance.record import read_record
+    from valvesim.characterisation.figure_of_merit import table
+    from valvesim.errors import InputError
+    from valvesim.io import check_folder
+    from valvesim.reports.acceptance import bench_measured, bench_simulated
+    from valvesim.simulation.scenario_toml import read_tables
+    from valvesim.units import parse, parse_list
+
+    headings = ("figure", "value", "± (1 sigma)", "unit", "meaning")
+    check_folder(output)
+    if measured:
+        if kind is None:
+            raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
+        for file in measured:
+            figures, path = bench_measured(
+                file, kind, output / f"{file.stem}.png",
+                lag=None if lag is None else parse(lag, "s", "--lag"),
+                dead_zone=None if dead_zone is None else parse(dead_zone, "m^3/s", "--dead-zone"),
+                rated_current=None if rated_current is None else parse(rated_current, "A", "--rated-current"),
+            )  # fmt: skip
+            print_table(f"{kind} of {file}", headings, table(figures))
+            print_written([path])
+        if kind == "leakage" and len(measured) > 1:
+            common = common_hysteresis([read_record(file) for file in measured])
+            print_table("what the records have in common", headings, table(common))
+        return
+    if given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]:
+        raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
+    valve, oil = read_tables(settings)
+    paths = []
+    for temperature in parse_list(oil_temperature, "degC", "--oil-temperature"):
+        with progress_bar() as bar:
+            stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
+            figures, path = bench_simulated(
+                valve, output / f"bench_{temperature:g}_degC.png", oil_temperature=float(temperature), oil=oil,
+                progress=lambda share: bar.update(stage, completed=share),  # noqa: B023 - called within this turn
+            )  # fmt: skip
+        print_table(f"bench, oil at {temperature:g} °C", headings, table(figures))
+        paths.append(path)
+    print_written(paths)

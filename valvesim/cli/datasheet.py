@@ -1,0 +1,31 @@
+"""`valvesim datasheet`: the datasheet of a valve as a page and a PDF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from valvesim.cli.display import print_written, progress_bar
+from valvesim.cli.options import output_option, settings_option, temperatures_option
+
+
+@click.command()
+@output_option("results/datasheet")
+@temperatures_option
+@settings_option
+def datasheet(output: Path, oil_temperature: str, settings: tuple[str, ...]) -> None:
+    """The datasheet of a valve at any oil temperatures: datasheet.html and datasheet.pdf, pictures inside."""
+    from valvesim.reports.datasheet import datasheet_report
+    from valvesim.simulation.scenario_toml import read_tables
+    from valvesim.units import parse_list
+
+    valve, oil = read_tables(settings)
+    temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
+    with progress_bar() as bar:
+        stage = bar.add_task("testing the valve", total=1.0)
+        written = datasheet_report(
+            valve, oil, output, oil_temperatures=temperatures,
+            progress=lambda share: bar.update(stage, completed=share),
+        )  # fmt: skip
+    print_written(written)

@@ -1,0 +1,103 @@
+"""`valvesim diagnose`: what the simulation gets wrong in a measured session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from valvesim.cli.display import console, print_written, progress_bar
+from valvesim.cli.options import output_option
+from valvesim.cli.output_folder import all_or_nothing
+
+
+@click.command()
+@click.argument("session", type=click.Path(path_type=Path))
+@output_option("results/diagnosis")
+@click.option("--seed", type=click.IntRange(min=0), help="Of all draws, in place of the session's own [0].")
+@click.option(
+    "--effects", "own", multiple=True, type=click.Path(path_type=Path), help="A Python file of your own effects."
+)
+def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...]) -> None:
+    """What the simulation gets wrong in a measured SESSION: cause, extended model, gain on locked records.
+
+    Writes diagnosis.json, report.html with its pictures, extended.toml (a scenario for `valvesim run`) and, where one
+    helps, the next test as next_test.csv: all of them, or nothing.
+    """
+    with all_or_nothing(output, ANSWER_FILES) as folder, progress_bar() as bar:
+        stage = bar.add_task("reading", total=1.0)
+        from valvesim.diagnosis.diagnose import diagnose as find
+        from valvesim.identification.session_toml import load_session
+
+        found = find(
+            load_session(session, seed=seed, effects=own),
+            progress=lambda text, share: bar.update(stage, description=text, completed=share),
+        )
+        bar.update(stage, description="drawing", total=None)
+        names = [path.name for path in _write_diagnosis(found, folder)]
+    _print_diagnosis(found)
+    print_written([output / name for name in names])
+
+
+ANSWER_FILES = (
+    "diagnosis.json", "report.html", "extended.toml", "recovered_term.py", "next_test.csv", "errors.png", "traces.png",
+    "scores.png", "gain.png", "term.png",
+)  # fmt: skip
+"""All that a diagnosis may write; what an earlier one left in the folder goes with the answer that it belonged to."""
+
+
+def _write_diagnosis(found: Any, folder: Path) -> list[Path]:
+    from valvesim.reports.diagnosis import write_report
+
+    texts = {"extended.toml": found.extended_scenario, **found.extended_effects}
+    if found.next_test is not None and found.next_test.inputs:
+        texts["next_test.csv"] = _columns_text(found.next_test.inputs)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    written = [found.to_json(folder / "diagnosis.json"), *(folder / name for name in texts)]
+    return [*written, *write_report(found, folder)]
+
+
+def _columns_text(columns: dict[str, Any]) -> str:
+    """A CSV of inputs over time, as a session reads it: `name [unit]` over figures as people read them."""
+    import numpy as np
+
+    from valvesim.identification.session import UNITS
+    from valvesim.io import columns_rows, csv_text
+    from valvesim.units import DISPLAY
+
+    shown = {name: DISPLAY.get(UNITS[name], (UNITS[name], 1.0)) for name in columns}
+    scaled = [np.asarray(values) * shown[name][1] for name, values in columns.items()]
+    return csv_text((f"{name} [{unit}]" for name, (unit, _) in shown.items()), columns_rows(scaled))
+
+
+def _print_diagnosis(found: Any) -> None:
+    """Verdict, causes with their figures, next test and gain, a line each."""
+    from rich.markup import escape
+
+    from valvesim.units import DISPLAY, symbol
+
+    screen = console()
+    screen.print(f"[bold]{found.verdict.replace('_', ' ')}[/bold]: {escape(found.summary)}")
+    if found.location:
+        screen.print(escape(f"where: {found.location}"))
+    for e in found.parameters:
+        unit, factor = DISPLAY.get(e.unit, (e.unit, 1.0))
+        value, low, high = (f"{figure * factor:.4g}" for figure in (e.value, e.low, e.high))
+        screen.print(escape(f"  {e.cause}: {e.name} = {value} {symbol(unit)} (95 %: {low} to {high})"))
+    if found.term is not None:
+        term = f"{found.term.port} as a function of {found.term.variable}".replace("_", " ")
+        formula = f": {found.term.formula}" if found.term.formula else ""
+        screen.print(escape(f"missing term: {term}{formula}"))
+    if len(found.candidates) > 1 and found.verdict in ("ambiguous", "unknown"):
+        ranked = ", ".join(f"{c.label} {c.probability:.0%}" for c in found.candidates[:4])
+        screen.print(escape(f"candidates: {ranked}"))
+    if (test := found.next_test) is not None:
+        power = f"tells {' from '.join(test.separates)} apart with {test.power:.0%}"
+        screen.print(escape(f"next test, {test.duration:g} s: {test.description}; {power}"))
+    elif found.no_test:
+        screen.print(found.no_test)
+    for g in found.gain:
+        told = "" if g.claimed else ", not claimed"
+        screen.print(escape(f"gain on {g.record}: error {g.before:.3g} -> {g.after:.3g} (noise {g.floor:.3g}){told}"))

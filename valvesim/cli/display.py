@@ -1,0 +1,69 @@
+"""What commands show: tables and rows on standard output, progress on standard error."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+    from rich.table import Table
+
+
+def console() -> Console:
+    """Standard output; as wide as the terminal, or wide enough for the tables where there is none."""
+    from rich.console import Console
+
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+
+
+def progress_bar() -> Progress:
+    """A bar on standard error, which goes when it is done; nothing where nobody watches."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+
+
+def titled_table(title: str) -> Table:
+    """A table without columns yet."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    return Table(title=escape(title), title_justify="left", title_style="bold")
+
+
+def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table of text, figures to the right."""
+    from rich.markup import escape
+
+    table = titled_table(title)
+    for heading in headings:
+        table.add_column(escape(heading), justify="right" if heading.startswith(("value", "±")) else "left")
+    for row in rows:
+        table.add_row(*(escape(cell) for cell in row))
+    console().print(table)
+
+
+def print_rows(rows: Sequence[Mapping[str, Any]], form: str) -> None:
+    """Rows of the same keys as "json" or "csv"."""
+    import json
+
+    from valvesim.io import csv_text
+
+    if form == "json":
+        click.echo(json.dumps(rows, indent=1))
+    else:
+        click.echo(csv_text(rows[0], (row.values() for row in rows)), nl=False)
+
+
+def print_written(paths: Sequence[Path]) -> None:
+    """A line for each file that was written."""
+    for path in paths:
+        console().print(f"wrote {path}", markup=False)

@@ -1,0 +1,48 @@
+"""`valvesim response`: step and frequency response."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from valvesim.cli.display import print_table, print_written, progress_bar
+from valvesim.cli.options import output_option, settings_option
+
+
+@click.command()
+@click.argument("scenario", type=click.Path(path_type=Path), required=False)
+@output_option("results/response")
+@click.option("--oil-temperature", help="One or more: '20,100,200 degC' [the scenario's own at its start, or 20 degC].")
+@settings_option
+def response(scenario: Path | None, output: Path, oil_temperature: str | None, settings: tuple[str, ...]) -> None:
+    """Step and frequency response at 25, 40 and 100 % of rated current: figures and pictures.
+
+    Of the reference valve, or of the valve, oil, drive and effects of a SCENARIO.
+    """
+    from valvesim.characterisation.figure_of_merit import table
+    from valvesim.reports.response import response_report
+    from valvesim.simulation.scenario import Scenario, Thermal
+    from valvesim.simulation.scenario_toml import load_scenario, read_tables
+    from valvesim.units import parse_list
+
+    if scenario is None:
+        valve, oil = read_tables(settings)
+        source = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None))
+    else:
+        source = load_scenario(scenario, settings=settings)
+    given = oil_temperature
+    temperatures = None if given is None else parse_list(given, "degC", "--oil-temperature").tolist()
+    with progress_bar() as bar:
+        stage = bar.add_task("stepping and sweeping", total=1.0)
+        sets, paths = response_report(
+            source, output, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
+        )
+    for one in sets:
+        tests: tuple[Any, ...] = (*one.steps, *one.sweeps)
+        for test in tests:
+            what = "step" if test in one.steps else "sines"
+            title = f"{what} of {100 * test.share:.0f} % of rated, oil at {one.oil_temperature:g} °C"
+            print_table(title, ("figure", "value", "± (1 sigma)", "unit", "meaning"), table(test.figures))
+    print_written(paths)

@@ -1,0 +1,122 @@
+"""`valvesim run`: a scenario simulated, with its table, netCDF or CSV, and pictures."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import pickle
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import click
+
+from valvesim.cli.display import console, print_written, progress_bar, titled_table
+from valvesim.cli.options import settings_option
+
+
+@click.command()
+@click.argument("scenario", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder of the results [results/SCENARIO].")
+@settings_option
+@click.option("--csv", "with_csv", is_flag=True, help="Write result.csv beside result.nc.")
+@click.option("--no-pictures", is_flag=True, help="Leave the pictures out.")
+def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv: bool, no_pictures: bool) -> None:
+    """Simulate a SCENARIO file: a table, result.nc and pictures."""
+    from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift, temperature_varies
+    from valvesim.io import check_folder
+    from valvesim.simulation.result import check_channels
+    from valvesim.simulation.run import simulate
+    from valvesim.simulation.scenario_toml import load_scenario
+    from valvesim.solver.codegen import compile_model
+
+    case = load_scenario(scenario, settings=settings)
+    check_channels(case)
+    folder = output or Path("results") / scenario.stem
+    check_folder(folder)
+    with _artist(wanted=not no_pictures) as draw, progress_bar() as bar:
+        stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
+        compile_model(case.model)
+        bar.update(stage, description="integrating", total=1.0)
+        result = simulate(case, progress=lambda share: bar.update(stage, completed=share))
+        bar.update(stage, description="writing result.nc", total=None)
+        written = [result.select(case.channels).to_netcdf(folder / "result.nc")]
+        varies = temperature_varies(case)
+        pictures = [draw("picture_run", result, folder / "run.png")]
+        if not varies:
+            pictures.append(draw("picture_characteristic", result, folder / "characteristic.png"))
+        if with_csv:
+            bar.update(stage, description="writing result.csv")
+            written.append(result.select(case.channels).to_csv(folder / "result.csv"))
+        drift = None
+        if varies:
+            bar.update(stage, description="drift against 20 °C")
+            drift = static_drift(result)
+            observed = observed_drift(result, simulate(nominal(case), signals=False))
+            pictures.append(draw("picture_drift", drift, observed, case.title, folder / "drift.png"))
+        bar.update(stage, description="drawing")
+        written += [path for picture in pictures if (path := picture()) is not None]
+    _print_run(result, drift, written)
+
+
+_TABLE = (
+    "current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle", "nozzle_pressure_1",
+    "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage",
+)  # fmt: skip
+
+
+@contextlib.contextmanager
+def _artist(*, wanted: bool) -> Iterator[Callable[..., Callable[[], Path | None]]]:
+    """Draws in a process of its own, which loads matplotlib (half a second) while this one integrates.
+
+    `draw(name, *arguments)` begins a picture of `report` and returns what waits for its path. Where the arguments
+    cannot travel (an effect made of lambdas), the picture is drawn here when it is waited for.
+    """
+    if not wanted:
+        yield lambda name, *arguments: lambda: None
+        return
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        pool.submit(_draw)
+
+        def draw(name: str, *arguments: Any) -> Callable[[], Path | None]:
+            begun = pool.submit(_draw, name, *arguments)
+
+            def wait() -> Path | None:
+                try:
+                    return begun.result()
+                except (pickle.PicklingError, AttributeError, TypeError):
+                    return _draw(name, *arguments)
+
+            return wait
+
+        yield draw
+
+
+def _draw(name: str | None = None, *arguments: Any) -> Path | None:
+    """One picture of `report`, or none: then the module is only loaded."""
+    from valvesim.reports import run as report
+
+    return None if name is None else getattr(report, name)(*arguments)
+
+
+def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
+    from valvesim.units import symbol
+
+    table = titled_table(result.scenario.title)
+    for heading in ("channel", "unit", "least", "greatest", "at the end"):
+        table.add_column(heading, justify="left" if heading in ("channel", "unit") else "right")
+    for name in _TABLE:
+        values, unit = result.display(name)
+        figures = (f"{v:.5g}" for v in (values.min(), values.max(), values[-1]))
+        table.add_row(name.replace("_", " "), symbol(unit), *figures)
+    screen = console()
+    screen.print(table)
+    if drift is not None:
+        total = ", ".join(f"{n.replace('_', ' ')} {100 * v[-1]:+.2f} %" for n, v in drift.total.items())
+        screen.print(f"static drift at the end, against 20 °C, at {drift.current * 1e3:.3g} mA: {total}")
+    s = result.statistics
+    screen.print(
+        f"{s['accepted_steps']:.0f} steps ({s['rejected_steps']:.0f} rejected) in {s['solver_seconds']:.3f} s of solver"
+    )
+    print_written(written)
