@@ -498,7 +498,7 @@ def test_a_table_is_read_from_a_file(tmp_path):
         ("time [s],oil [degC]\n0,1\n", ": needs two or more points, with as many times as values"),
         ("t [s],oil [degC]\n0,1\n1,2\n", ", line 1: no column 'time'; valid names: oil, t"),
         ("time [s],oil [bar]\n0,1\n1,2\n",
-         ", column 'oil': 'bar' has the wrong dimension; expected a unit that converts to 'degC'"),
+         ", line 1: column 'oil': 'bar' has the wrong dimension; expected a unit that converts to 'degC'"),
         ("time [s],oil [degC]\n0,1\n1,\n", ", line 3: gap in column 'oil'"),
     ],
 )  # fmt: skip

@@ -259,7 +259,7 @@ def test_what_explains_too_little_stands_beside_noise_alone():
         in_set = [lap, *null_hypothesis_beside(nominal, [lap], level, options=DIAGNOSIS)]
         answers = candidate_answers(nominal, [lap], in_set, level, options=DIAGNOSIS)
         members = {a.label: a.probability for a in answers if a.in_set}
-        return verdict_of(True, in_set), members, summary_text(verdict_of(True, in_set), in_set, None, ())
+        return verdict_of(True, in_set), members, summary_text(verdict_of(True, in_set), in_set, None)
 
     verdict, members, summary = answer(level**2 + DIAGNOSIS.selection.answer_ratio + 0.1)
     assert verdict == CAUSE and list(members) == ["spool_lap"] and summary == "The cause is spool lap."
@@ -319,7 +319,7 @@ def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_cause
     answers = candidate_answers(nominal, [lap], [lap], 4.0, reason, options=DIAGNOSIS)
     assert [(a.label, a.in_set) for a in answers][:2] == [("spool_lap", True), ("none of the known causes", True)]
     assert answers[0].probability > answers[1].probability > 0.2
-    said = summary_text(AMBIGUOUS, [lap], None, (), reason)
+    said = summary_text(AMBIGUOUS, [lap], None, unknown_reason=reason)
     assert said == f"Something is wrong, perhaps spool lap, or none of the known causes: {reason}."
 
 

@@ -62,6 +62,9 @@ def diagnose(
     return _answer(isolation)
 
 
+INADEQUATE = "the base model cannot come near these records: are they of this valve, with these units and signs?"
+
+
 def _answer(isolation: Isolation) -> Diagnosis:
     nominal, scores, level = isolation.nominal, isolation.scores, isolation.level
     found, answer_set = isolation.found, isolation.answer_set
@@ -88,9 +91,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         )
     if inadequate:
         verdict, in_set = UNKNOWN, []
-        notes.insert(
-            0, "the base model cannot come near these records: are they of this valve, with these units and signs?"
-        )
+        notes.insert(0, INADEQUATE)
     named = best if verdict in (CAUSE, AMBIGUOUS) else None
     unextended = nominal.fit.variant(study.nominal)
     variant, readings, point = unextended, nominal.fit.readings, nominal.fit.point
@@ -117,7 +118,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         title=session.title,
         verdict=verdict,
         causes=causes,
-        summary=summary_text(verdict, in_set, term, notes, unknown_reason),
+        summary=summary_text(verdict, in_set, term, INADEQUATE if inadequate else "", unknown_reason),
         location=location_text(verdict, in_set),
         candidates=tuple(answers),
         parameters=estimates,

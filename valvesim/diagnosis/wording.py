@@ -9,8 +9,9 @@ from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term
 
 
 def summary_text(
-    verdict: str, in_set: Sequence[FittedHypothesis], term: Term | None, notes: Sequence[str], unknown_reason: str = ""
+    verdict: str, in_set: Sequence[FittedHypothesis], term: Term | None, inadequate: str = "", unknown_reason: str = ""
 ) -> str:
+    """The answer in one sentence; `inadequate` and `unknown_reason` say why nothing, or not all, is named."""
     if verdict == NO_DISCREPANCY:
         return "No discrepancy: the model explains the records within their noise and its own tolerances."
     if verdict == CAUSE:
@@ -22,8 +23,8 @@ def summary_text(
         if in_set[-1].candidates:
             return f"Something is wrong, and these cannot be told apart: {'; '.join(causes)}."
         return f"Something may be wrong, or noise alone shows it; it would be {' or '.join(causes)}."
-    if notes and notes[0].startswith("the base model cannot"):
-        return f"Nothing is named: {notes[0]}"
+    if inadequate:
+        return f"Nothing is named: {inadequate}"
     if term is None:
         return "Something is wrong that none of the known causes explains."
     return (

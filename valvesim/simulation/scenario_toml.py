@@ -419,8 +419,8 @@ def _add_effects(document: Any, effects: Sequence[ActiveEffect], own: Sequence[E
 
     known = CATALOGUE | {effect.name: effect for effect in own}
     for active in effects:
-        effect = known.get(active.effect.name)
-        if effect is None:
+        effect, channel = known.get(active.effect.name), active.effect.channel
+        if effect is None or (effect.on(channel) if channel and effect.reading else effect) != active.effect:
             problem = "comes from no file that a scenario could name (effects_files)"
             raise InputError(problem, key=f"effects.{active.effect.name}")
     names = [active.effect.name for active in effects]
