@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import valvesim as vs
+from valvesim.cli import main as cli
 from valvesim.units import quantities
 from valvesim.valve.thermal_network import ThermalNetwork
 
@@ -374,11 +375,33 @@ def test_the_parameter_table_names_every_figure(call):
 # --- the program -----------------------------------------------------------------------------------------------------
 
 
+def test_the_program_alone_shows_its_help_with_every_command(call):
+    code, out, err = call()
+    assert (code, err) == (0, "") and out == call("--help")[1]
+    assert [line.split()[0] for line in out.partition("Commands:")[2].splitlines() if line] == list(cli.COMMANDS)
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        (("run", "."), ".: cannot be read (it is a folder, not a file)"),
+        (("static", "--current", "1 mA", "--oil-temperature", "20 C"), "did you mean 'degC'?"),
+        (("bench", "--set", "valve.null_gap=0,03 mm"), "has a decimal comma; write a point, such as '0.03 mm'"),
+        (("datasheet", "--set", "valve.supply_pressure=3000 psig"), "pressures are absolute: add 14.696 psi"),
+        (("diagnose", __file__), "(Not a directory: "),
+    ],
+)
+def test_what_people_write_wrong_is_answered_with_advice(refused, words, told, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    message = refused(*words)
+    assert told in message and "Errno" not in message
+
+
 def test_an_unknown_command_is_refused_in_one_line(refused):
     assert "No such command 'rum'" in refused("rum")
 
 
-@pytest.mark.parametrize("words", [("--help",), ("run", "-h"), ("static", "--help"), ("--version",)])
+@pytest.mark.parametrize("words", [(), ("--help",), ("run", "-h"), ("static", "--help"), ("--version",)])
 def test_help_and_version_are_shown(call, words):
     code, out, err = call(*words)
     assert (code, err) == (0, "") and ("Usage" in out or "version" in out)

@@ -1,5 +1,6 @@
 """Names of errors, the hint at the nearest valid name, and warnings that are given once."""
 
+import pickle
 import warnings
 
 import pytest
@@ -102,3 +103,46 @@ def test_a_valid_name_is_nearest_to_itself(name, valid):
 def test_an_unknown_name_says_what_where_and_the_nearest(where, message):
     error = unknown_name("key", "suply_pressure", NAMES, where)
     assert type(error) is InputError and str(error) == message
+
+
+# --- fields ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "fields, text",
+    [
+        ({}, "is wrong"),
+        ({"key": "valve.null_gap"}, "valve.null_gap: is wrong"),
+        ({"key": "valve.null_gap", "joint": " "}, "valve.null_gap is wrong"),
+        ({"file": "a.toml"}, "a.toml: is wrong"),
+        ({"file": "a.toml", "line": 3, "key": "valve"}, "a.toml, line 3: valve: is wrong"),
+        ({"setting": "valve.x=1", "key": "valve.x"}, "--set 'valve.x=1': valve.x: is wrong"),
+    ],
+)
+def test_the_text_of_an_error_is_made_of_its_fields(fields, text):
+    error = InputError("is wrong", **fields)
+    assert str(error) == text and str(error.at()) == text
+    assert str(pickle.loads(pickle.dumps(error))) == text  # it may come from another process
+
+
+def test_the_keys_of_an_error_hold_the_unknown_name_and_what_is_related():
+    assert unknown_name("key", "gpa", NAMES, "valve").keys == ("valve.gpa",)
+    assert unknown_name("key", "vlave", NAMES).keys == ("vlave",)
+    assert InputError("too long", key="pulse.width", related=("pulse.period",)).keys == ("pulse.width", "pulse.period")
+    assert InputError("no record").keys == ()
+
+
+@pytest.mark.parametrize(
+    "key, old, new, moved",
+    [
+        ("pulse.width", "pulse", "command.current.pulse", "command.current.pulse.width"),
+        ("pulse", "pulse", "command.current.pulse", "command.current.pulse"),
+        ("pulse.width", "", "command.current", "command.current.pulse.width"),
+        ("oil.rated_low", "oil", "", "rated_low"),
+        ("oils.rated_low", "oil", "", "oils.rated_low"),  # another table
+        ("", "", "command.current", ""),
+    ],
+)
+def test_keys_move_from_table_to_table(key, old, new, moved):
+    error = InputError("is wrong", key=key, related=(key,)).moved(old, new)
+    assert (error.key, error.related) == (moved, (moved,))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvesim.errors import InputError
-from valvesim.io import check_folder, read_columns, write_atomically
+from valvesim.io import check_folder, line_of_key, read_columns, write_atomically, write_columns
 
 WANTED = {"time": "s", "current": "A"}
 
@@ -265,3 +265,61 @@ def test_a_folder_for_results_that_cannot_be_made_is_refused(tmp_path, below, re
     message = refusal(check_folder, file / below)
     assert message.startswith(f"{file / below}: cannot be written (".replace("\0", "\\x00")) and reason in message
     assert list(tmp_path.iterdir()) == [file] and file.read_text(encoding="utf-8") == "old"
+
+
+# --- lines of keys ---------------------------------------------------------------------------------------------------
+
+TEXT = '''title = "null_gap = 3"   # duration
+duration = "1 s"
+
+[ valve ]
+"null_gap" = "1 mm"
+thermal.x = 1
+  [[records]]
+file = "a.csv"
+[[records]]
+  file = "b.csv"   # records.1
+more = { file = "c.csv", list = [{ deep = 1 }] }
+[command.current]
+table = { times = """
+0, 1 s""", values = "0, 1 mA" }
+names = [
+  "a",
+]
+last.one = 3
+'''
+
+
+@pytest.mark.parametrize(
+    "keys, line",
+    [
+        (("duration",), 2), (("title",), 1), (("valve",), 4), (("valve.null_gap",), 5), (("valve.thermal.x",), 6),
+        (("valve.thermal",), 6), (("records",), 7), (("records.1",), 7), (("records.1.file",), 8),
+        (("records.2",), 9), (("records.2.file",), 10), (("records.2.more.list.1.deep",), 11), (("command",), 12),
+        (("command.current.names",), 15), (("command.current.last.one",), 18), (("command.current.none",), 12),
+        (("valve.none",), 4), (("none.null_gap",), None), (("none", "valve.null_gap"), 5), ((), None),
+        (("file",), None),
+    ],
+)  # fmt: skip
+def test_the_line_of_a_key_is_where_it_stands_or_else_its_table(keys, line):
+    assert line_of_key(TEXT, keys) == line
+
+
+@given(st.lists(st.text("ab.[]{}=\"'# 1\\\n\r\u2028", max_size=20), max_size=8), st.text("ab.", max_size=6))
+def test_no_text_breaks_the_search_for_a_line(lines, key):
+    found = line_of_key("\n".join(lines), (key,))
+    assert found is None or 1 <= found <= "\n".join(lines).count("\n") + 1
+
+
+# --- columns there and back ------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=5))
+def test_columns_that_are_written_are_read_back_to_nine_digits(tmp_path_factory, values):
+    path = write_columns(
+        tmp_path_factory.getbasetemp() / "columns.csv",
+        {"time [s]": np.arange(len(values)), "current [mA]": np.array(values)},
+    )
+    assert path.read_text(encoding="utf-8").splitlines()[0] == "time [s],current [mA]"
+    read = read_columns(path, {"time": "s", "current": "mA"})["current"]
+    assert read == pytest.approx(values, rel=1e-8)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import valvesim
+from valvesim.cli.main import COMMANDS
 
 PACKAGE = Path(valvesim.__file__).parent
 MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
@@ -64,10 +65,34 @@ def test_a_heavy_library_is_imported_where_it_is_needed(library, module):
     assert library in imported(module)  # so that the tests above see imports inside functions
 
 
-def test_importing_the_package_loads_no_heavy_library():
-    code = "import sys, valvesim, valvesim.cli.main; print(*sorted(sys.modules))"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert "valvesim.simulation.run" in shown.split() and not HEAVY & set(shown.split())
+def loaded(code):
+    """The modules that a new process has loaded after some code."""
+    words = [sys.executable, "-c", f"{code}; import sys; print('loaded:', *sorted(sys.modules))"]
+    shown = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    return set(shown.rpartition("loaded:")[2].split())
+
+
+def test_importing_all_names_of_the_package_loads_no_heavy_library():
+    names = loaded("from valvesim import *")
+    assert "valvesim.simulation.run" in names and not names & HEAVY
+
+
+def test_help_loads_every_command_and_no_library_of_numbers():
+    code = "from valvesim.cli.main import cli; cli.main(['--help'], standalone_mode=False)"
+    names = loaded(code)
+    assert {f"valvesim.cli.{name}" for name in COMMANDS} <= names and not names & {*HEAVY, "numpy", "scipy", "rich"}
+
+
+def test_a_command_is_loaded_without_the_others():
+    names = loaded("from valvesim.cli.main import cli; cli.main(['effects'], standalone_mode=False)")
+    assert {name for name in COMMANDS if f"valvesim.cli.{name}" in names} == {"effects"}
+
+
+def test_every_name_of_the_package_is_there_and_no_other():
+    assert all(getattr(valvesim, name) is not None for name in valvesim.__all__)
+    assert set(valvesim.__all__) <= set(dir(valvesim))
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = valvesim.nonsense
 
 
 def test_the_table_of_modules_in_the_documents_names_each_of_them():

@@ -9,84 +9,44 @@ result["spool_position"]                                                     # o
 vs.diagnose("my_session").summary                                            # what measured records show of its errors
 """
 
-from valvesim.errors import InputError, SolveError, ValidityWarning, ValvesimError
-from valvesim.inputs import Chirp, Constant, Pulse, Ramp, Sine, Staircase, Step, Sum, Table
-from valvesim.simulation.batch import simulate_batch
-from valvesim.simulation.result import Result
-from valvesim.simulation.run import simulate
-from valvesim.simulation.scenario import Scenario, Thermal
-from valvesim.simulation.scenario_toml import load_scenario, scenario_to_toml
-from valvesim.solver.codegen import compile_model, derivatives
-from valvesim.valve.catalogue import CATALOGUE, effect
-from valvesim.valve.coefficients import ROUTES, Coefficients, PartTemperatures
-from valvesim.valve.effect import ActiveEffect, Effect, Parameter, Ports
-from valvesim.valve.equations import CurrentDrive, Model, VoltageDrive
-from valvesim.valve.equilibrium import StaticSolution, static_solution, tad_polynomial
-from valvesim.valve.fluid import MIL_PRF_5606, YH12_PAPER, Oil
-from valvesim.valve.oils import OILS
-from valvesim.valve.parameters import Valve, reference_valve
-from valvesim.valve.thermal_network import ThermalNetwork, temperature_path
+from importlib import import_module
+from typing import Any
 
-_DIAGNOSIS = ("Diagnosis", "diagnose", "load_session")
+_HOMES = {
+    "diagnosis.diagnose": "diagnose",
+    "diagnosis.result": "Diagnosis",
+    "errors": "InputError SolveError ValidityWarning ValvesimError",
+    "identification.session_toml": "load_session",
+    "inputs": "Chirp Constant Pulse Ramp Sine Staircase Step Sum Table",
+    "simulation.batch": "simulate_batch",
+    "simulation.result": "Result",
+    "simulation.run": "simulate",
+    "simulation.scenario": "Scenario Thermal",
+    "simulation.scenario_toml": "load_scenario scenario_to_toml",
+    "solver.codegen": "compile_model derivatives",
+    "valve.catalogue": "CATALOGUE effect",
+    "valve.coefficients": "ROUTES Coefficients PartTemperatures",
+    "valve.effect": "ActiveEffect Effect Parameter Ports",
+    "valve.equations": "CurrentDrive Model VoltageDrive",
+    "valve.equilibrium": "StaticSolution static_solution tad_polynomial",
+    "valve.fluid": "MIL_PRF_5606 YH12_PAPER Oil",
+    "valve.oils": "OILS",
+    "valve.parameters": "Valve reference_valve",
+    "valve.thermal_network": "ThermalNetwork temperature_path",
+}
+"""Modules with the names that this package gives; each is loaded when one of its names is asked for."""
+_HOME = {name: module for module, names in _HOMES.items() for name in names.split()}
+
+__all__ = sorted(_HOME)
 
 
-def __getattr__(name: str):
-    """What a diagnosis needs is loaded when it is asked for: a simulation starts without it."""
-    if name not in _DIAGNOSIS:
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from valvesim.diagnosis import diagnose, result
-    from valvesim.identification import session_toml
+    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value  # found at once from now on
+    return value
 
-    return getattr({"Diagnosis": result, "diagnose": diagnose, "load_session": session_toml}[name], name)
 
-
-__all__ = [
-    "ActiveEffect",
-    "CATALOGUE",
-    "Chirp",
-    "Coefficients",
-    "Constant",
-    "CurrentDrive",
-    "Diagnosis",
-    "Effect",
-    "InputError",
-    "MIL_PRF_5606",
-    "Model",
-    "OILS",
-    "Oil",
-    "Parameter",
-    "PartTemperatures",
-    "Ports",
-    "Pulse",
-    "ROUTES",
-    "Ramp",
-    "Result",
-    "Scenario",
-    "Sine",
-    "SolveError",
-    "Staircase",
-    "StaticSolution",
-    "Step",
-    "Sum",
-    "Table",
-    "Thermal",
-    "ThermalNetwork",
-    "ValidityWarning",
-    "Valve",
-    "ValvesimError",
-    "VoltageDrive",
-    "YH12_PAPER",
-    "compile_model",
-    "derivatives",
-    "diagnose",
-    "effect",
-    "load_scenario",
-    "load_session",
-    "reference_valve",
-    "scenario_to_toml",
-    "simulate",
-    "simulate_batch",
-    "static_solution",
-    "tad_polynomial",
-    "temperature_path",
-]
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from valvesim.errors import InputError
-from valvesim.io import reason
 
 
 @contextlib.contextmanager
@@ -20,6 +19,8 @@ def all_or_nothing(folder: Path, names: Sequence[str]) -> Iterator[Path]:
     Whatever happens before, `folder` is as it was, and no folder is left that was made for it. Raises InputError where
     that cannot be.
     """
+    from valvesim.io import reason
+
     folder = folder.absolute()
     missing = [parent for parent in folder.parents if not parent.exists()]
     try:
