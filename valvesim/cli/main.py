@@ -8,6 +8,7 @@ runs.
 from __future__ import annotations
 
 import gc
+import os
 import sys
 import warnings
 from importlib import import_module
@@ -54,6 +55,7 @@ def _show_warning(message: Any, category: type[Warning], *details: Any, **more: 
 def main() -> None:
     """Run the command line; every expected failure is one line on standard error and an exit code."""
     warnings.showwarning = _show_warning
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: on a busy machine its threads only wait
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)  # imports make many objects and no garbage: a tenth of a second of searching less
     try:
