@@ -80,7 +80,8 @@ def isolate(
         nominal, reduced_hypotheses(nominal, distinct(found, options=options), options=options), level, options=options
     )
     progress("checking", 0.75)
-    nominal, found, final = _verified(nominal, scores, level, found)
+    nominal, scores, found, final = _verified(nominal, scores, level, found)
+    level = scores.level(options.detection.false_alarm)
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
     left, bearable = unexplained_share(nominal, final), max(options.detection.doubtful_share, found[0].law_error)
@@ -98,8 +99,8 @@ def isolate(
 
 def _verified(
     nominal: NominalFit, scores: ScoreTest, level: float, found: list[FittedHypothesis]
-) -> tuple[NominalFit, list[FittedHypothesis], ScoreTest]:
-    """The nominal fit in the end, hypotheses best first, and the score test of the best."""
+) -> tuple[NominalFit, ScoreTest, list[FittedHypothesis], ScoreTest]:
+    """The nominal fit in the end and its score test, hypotheses best first, and the score test of the best."""
     final = scores
     if found:
         found, final = with_second_cause(nominal, score_test(nominal, found[0].fit, options=scores.options), found)
@@ -109,12 +110,14 @@ def _verified(
             nominal.study.weights
             and nominal.fit.chi_square > scores.options.identification.fit.inadequate_ratio * nominal.fit.rows
         ):
-            nominal, found, final = at_full_weight(nominal, found, final)
+            full, found, final = at_full_weight(nominal, found, final)
+            if full is not nominal:  # what is told of scores, limits and terms is of the fit that stands
+                nominal, scores = full, score_test(full, full.fit, options=scores.options)
     if largest_shift(nominal.fit) > scores.options.isolation.shifted and (
         not found or unexplained_share(nominal, final) > scores.options.detection.doubtful_share
     ):
         found, final = with_singles_from_prior(nominal, scores, level, found, final)
-    return nominal, found, final
+    return nominal, scores, found, final
 
 
 def unknown_reason_of(best: FittedHypothesis, left: float) -> str:
