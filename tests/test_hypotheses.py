@@ -110,6 +110,24 @@ def test_every_sensor_may_be_off_a_little(nominal):
     assert all(p.nominal == 0.0 and isinstance(p.sensor, ToleratedSensorError) for p in sensors.values())
 
 
+def test_what_is_locked_away_moves_neither_tolerances_nor_candidates(nominal, candidates):
+    session = small_session()
+    first = session.records[0]
+    wild = replace(
+        first,
+        name="wild",
+        role="test",
+        time=np.linspace(0.0, 600.0, len(first.time)),
+        values={**first.values, **{name: 10.0 * first.values[name] for name in first.outputs}},
+    )
+    with_locked = replace(session, records=(*session.records, wild))
+    again = nominal_model_of(with_locked, options=OPTIONS)
+    assert [(p.name, p.deviation) for p in again.parameters] == [(p.name, p.deviation) for p in nominal.parameters]
+    assert [(c.key, c.typical) for c in candidates_of(with_locked, again)] == [(c.key, c.typical) for c in candidates]
+    only_locked = replace(session, records=(replace(first, role="test"), *session.records[1:]))
+    assert set(measured_channels(only_locked)) == {name for record in only_locked.training for name in record.outputs}
+
+
 def test_the_nominal_point_is_the_sessions_valve(nominal):
     assert nominal.at(np.zeros(len(nominal.parameters))) == nominal.variant
 

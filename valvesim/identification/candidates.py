@@ -234,14 +234,14 @@ def _with_equivalent(candidate: Candidate, nominal: NominalModel) -> Candidate:
 def _paced(effect: Effect, session: Session, *, options: IdentificationOptions) -> tuple[Effect, ...]:
     """An effect whose amplitude is a time: looked for at one that the records can tell from none and from endless.
 
-    That is no shorter than a sample of the slowest record, and no longer than a quarter of the longest. Where it is
-    usually longer than that record, it is looked for beyond its end as well: there it shows something else.
+    That is no shorter than a sample of the slowest training record, and no longer than a quarter of the longest.
+    Where it is usually longer than that record, it is looked for beyond its end as well: there it shows something else.
     """
     amplitude = effect.amplitude
     if amplitude.unit != "s" or amplitude.typical is None:
         return (effect,)
-    slowest = max(1.0 / record.rate for record in session.records)
-    longest = max(float(record.time[-1] - record.time[0]) for record in session.records)
+    slowest = max(1.0 / record.rate for record in session.training)
+    longest = max(float(record.time[-1] - record.time[0]) for record in session.training)
     times = [min(max(amplitude.typical, slowest), max(0.25 * longest, slowest))]
     if amplitude.typical > longest:
         times.append(options.prior.beyond_records * longest)

@@ -95,10 +95,10 @@ def _either_way(effect: Effect) -> Effect:
 
 
 def measured_channels(session: Session) -> tuple[str, ...]:
-    """The output channels of the session, in order of appearance."""
-    return tuple(dict.fromkeys(name for record in session.records for name in record.outputs))
+    """The output channels of the training records, in order of appearance; nothing is asked of a hold-out record."""
+    return tuple(dict.fromkeys(name for record in session.training for name in record.outputs))
 
 
 def _span(session: Session, channel: str) -> float:
-    values = [record.values[channel] for record in session.records if channel in record.outputs]
+    values = [record.values[channel] for record in session.training if channel in record.outputs]
     return float(max(np.ptp(v) for v in values))
