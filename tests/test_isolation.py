@@ -3,12 +3,15 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from valvesim.diagnosis import isolation
+from valvesim.diagnosis.detection import exceeds_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.noise_model import NoiseModel
 from valvesim.valve.catalogue import CATALOGUE
 
 
@@ -48,3 +51,50 @@ def test_where_the_nominal_fit_is_exchanged_its_own_score_test_takes_the_place_o
     monkeypatch.setattr(isolation, "at_full_weight", lambda nominal, found, final: (nominal, found, final))
     ended, scores, found, _ = isolation._verified(weighted, before, 4.0, [best])
     assert ended is weighted and scores is before
+
+
+ROWS, CHANNELS = 400, ("spool_position", "load_flow")
+
+
+def white_study(verified, excess, seed=0):
+    """A study of one record of white noise of unit size, and a fit that leaves (1 + excess) times it."""
+    rng = np.random.default_rng(seed)
+    values = {name: rng.normal(size=ROWS) * np.sqrt(1.0 + by) for name, by in zip(CHANNELS, excess, strict=True)}
+    record = SimpleNamespace(name="one", outputs=CHANNELS, pace=1e3, values=values)
+    noise = {
+        (name, 1e3): NoiseModel(1.0, (), known, "repeats" if known else "residual")
+        for name, known in zip(CHANNELS, verified, strict=True)
+    }
+    study = SimpleNamespace(
+        predictors=[SimpleNamespace(record=record)],
+        noise=noise,
+        weights={},
+        whiten=lambda predictor, left: [left[name] for name in CHANNELS],
+    )
+    residual, zero = np.concatenate(list(values.values())), {name: np.zeros(ROWS) for name in CHANNELS}
+    return study, Fit(np.ones(2), (), float(residual @ residual) + 2.0, (zero,), residual, 2.0 * ROWS)
+
+
+@pytest.mark.parametrize(
+    "verified, excess, exceeds",
+    [
+        ((True, True), (0.0, 0.0), False),
+        ((True, True), (1.0, 0.0), True),
+        ((True, False), (1.0, 0.0), True),  # the other channel's noise says nothing of this one
+        ((False, True), (1.0, 0.0), False),  # what it leaves is its noise
+        ((False, True), (0.0, 1.0), True),
+        ((False, False), (5.0, 5.0), False),
+    ],
+)
+def test_more_than_the_noise_is_looked_for_in_every_channel_whose_noise_is_verified(verified, excess, exceeds):
+    study, fit = white_study(verified, excess)
+    assert exceeds_noise(fit, study, options=DIAGNOSIS) is exceeds
+
+
+def test_the_parts_of_channels_add_up_to_the_chi_square():
+    whole, first, second, none = (
+        np.array(verified_chi_square(*reversed(white_study(verified, (0.3, 0.0)))))
+        for verified in ((True, True), (True, False), (False, True), (False, False))
+    )
+    assert first + second == pytest.approx(whole) and not none.any()
+    assert whole[1] == 2 * ROWS

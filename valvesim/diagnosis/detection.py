@@ -9,7 +9,7 @@ from valvesim.diagnosis.refits import largest_shift
 from valvesim.diagnosis.score_test import ScoreTest
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit
-from valvesim.identification.study import Study
+from valvesim.identification.study import Study, residual_of
 
 
 def detect(scores: ScoreTest) -> tuple[bool, float]:
@@ -21,11 +21,30 @@ def detect(scores: ScoreTest) -> tuple[bool, float]:
 
 
 def exceeds_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> bool:
-    """Whether a fit leaves more than the noise, beyond what the noise's own estimate may be off."""
-    if not all(noise.verified for noise in study.noise.values()):
-        return False  # there the noise is what a fit leaves
-    rows = fit.rows
-    return bool(fit.chi_square - rows > options.detection.noise_error * rows + 5.0 * np.sqrt(2.0 * rows))
+    """Whether a fit leaves more than the noise where that is verified, beyond what the noise's own estimate may be
+    off.
+    """
+    chi_square, rows = verified_chi_square(fit, study)
+    return bool(chi_square - rows > options.detection.noise_error * rows + 5.0 * np.sqrt(2.0 * rows))
+
+
+def verified_chi_square(fit: Fit, study: Study) -> tuple[float, float]:
+    """(chi-square, what noise alone would leave) of the channels whose noise is verified, and of the prior's part their
+    share of the rows.
+
+    Any other noise is what a fit leaves, so that nothing shows beyond it.
+    """
+    if all(noise.verified for noise in study.noise.values()):
+        return fit.chi_square, fit.rows
+    left, rows = 0.0, 0.0
+    for predictor, read in zip(study.predictors, fit.readings, strict=True):
+        record = predictor.record
+        for name, white in zip(record.outputs, study.whiten(predictor, residual_of(record, read)), strict=True):
+            if study.noise[name, record.pace].verified:
+                weights = study.weights.get((record.name, name), np.ones(len(white)))
+                left, rows = left + float(np.sum(white**2)), rows + float(np.sum(weights**2))
+    prior = fit.chi_square - float(fit.residual @ fit.residual)
+    return left + prior * rows / fit.rows, rows
 
 
 def _term_p_value(scores: ScoreTest) -> float:
