@@ -79,8 +79,8 @@ def _answer(isolation: Isolation) -> Diagnosis:
     recovered: RecoveredTerm | None = None
     if isolation.alarm and not inadequate and (unknown_reason or not in_set):
         recovered = recover_term(nominal, scores)
-        if recovered is not None and in_set and _term_explains_more(recovered, found, options=isolation.scores.options):
-            in_set, unknown_reason = [], ""
+    if _none_stands(in_set, found, recovered, inadequate, options=isolation.scores.options):
+        in_set, unknown_reason = [], ""
     answers = candidate_answers(nominal, found, in_set, level, unknown_reason, options=isolation.scores.options)
     verdict = verdict_of(isolation.alarm, in_set, unknown_reason)
     term: Term | None = None
@@ -90,7 +90,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
             "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
         )
     if inadequate:
-        verdict, in_set = UNKNOWN, []
+        verdict = UNKNOWN
         notes.insert(0, INADEQUATE)
     named = best if verdict in (CAUSE, AMBIGUOUS) else None
     unextended = nominal.fit.variant(study.nominal)
@@ -165,6 +165,22 @@ def is_inadequate(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -
             if signal > 5.0 * noise:
                 shares.append(float(np.sqrt(np.mean((measured_channels - column) ** 2))) / signal)
     return bool(shares) and float(np.median(shares)) > options.selection.inadequate_share
+
+
+def _none_stands(
+    in_set: Sequence[FittedHypothesis],
+    found: Sequence[FittedHypothesis],
+    recovered: RecoveredTerm | None,
+    inadequate: bool,
+    *,
+    options: DiagnosisOptions,
+) -> bool:
+    """Whether none of an answer set stands: no fit comes near the records, or a term that nobody has listed explains
+    more.
+    """
+    return inadequate or (
+        recovered is not None and bool(in_set) and _term_explains_more(recovered, found, options=options)
+    )
 
 
 def _term_explains_more(
