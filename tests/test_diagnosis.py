@@ -354,10 +354,17 @@ def test_a_lag_that_any_amplifier_has_is_not_named_for_sure():
         )
 
     sensor = "sensor_lag@load_flow"
-    assert unknown_reason_of(lagging(sensor, 0.9 * OPTIONS.prior.ordinary_lag), 0.0)
-    assert not unknown_reason_of(lagging(sensor, 1.1 * OPTIONS.prior.ordinary_lag), 0.0)
-    assert not unknown_reason_of(lagging("thermal_lag", 0.9 * OPTIONS.prior.ordinary_lag), 0.0)  # of no sensor
+    ordinary = _entry(sensor).amplitude.ordinary
+    assert 0.0 < ordinary < _entry(sensor).amplitude.typical
+    assert unknown_reason_of(lagging(sensor, 0.9 * ordinary), 0.0)
+    assert not unknown_reason_of(lagging(sensor, 1.1 * ordinary), 0.0)
+    assert not unknown_reason_of(lagging("thermal_lag", 0.9 * ordinary), 0.0)  # of no sensor
     assert not unknown_reason_of(explained(1.0, "spool_lap"), 0.0)  # of still less, in metres
+    own = replace(_entry("spool_lap").amplitude, ordinary=1e-6)  # as its entry declares
+    lap = Candidate("lap", replace(CATALOGUE["spool_lap"], parameters=(own,)))
+    for overlap, reason in ((0.9e-6, True), (-0.9e-6, True), (1.1e-6, False)):
+        fit = replace(explained(1.0, "spool_lap").fit, fitted=(FittedCandidate(lap, overlap),))
+        assert bool(unknown_reason_of(FittedHypothesis(fit, options=DIAGNOSIS), 0.0)) is reason
 
 
 def test_pairs_are_tried_that_fall_far_enough_together_and_are_not_all_but_one():

@@ -127,11 +127,8 @@ def unknown_reason_of(best: FittedHypothesis, left: float) -> str:
     faults = [c.effect.name for c in best.candidates if c.effect is not None and c.effect.reading is not None]
     if len(set(faults)) < len(faults):
         return "sensors that err alike may show one thing that reaches them all"
-    if any(
-        member.candidate.is_ordinary(member.above_neutral, best.options.identification.prior.ordinary_lag)
-        for member in best.fit.fitted
-    ):
-        return "a sensor may be so late without a fault"
+    if any(member.candidate.is_ordinary(member.above_neutral) for member in best.fit.fitted):
+        return "there may be so little of it without a fault"
     return ""
 
 

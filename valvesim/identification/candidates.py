@@ -107,9 +107,9 @@ class Candidate:
             raise InputError(f"candidate {self.name} is neither an effect nor a parameter")
         return self.parameter
 
-    def is_ordinary(self, above_neutral: float, lag: float) -> bool:
-        """Whether a sensor that nobody would call faulty may have so little of this fault."""
-        return self.effect is not None and bool(self.effect.channel) and self.unit == "s" and above_neutral < lag
+    def is_ordinary(self, above_neutral: float) -> bool:
+        """Whether what nobody would call faulty may have so little of this effect."""
+        return self.effect is not None and abs(above_neutral) < self.effect.amplitude.ordinary
 
     def location(self) -> str:
         """The balance or sensor where it acts."""

@@ -128,7 +128,6 @@ class PriorOptions:
     beyond_records: float = option(
         5.0, "1", "times the longest record: a time constant of what hardly moves in it", JUDGEMENT
     )
-    ordinary_lag: float = option(5e-5, "s", "a shorter lag of a sensor is hardly a fault", "an amplifier of 3 kHz")
 
 
 @dataclass(frozen=True, kw_only=True)

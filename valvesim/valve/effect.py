@@ -73,7 +73,7 @@ class Parameter:
     """A figure of an effect. The amplitude has a `neutral` value; a shape parameter (neutral None) has none.
 
     `typical` is an amplitude seen in service, in the same unit and within the bounds; every amplitude of the catalogue
-    has one.
+    has one. An amplitude nearer to neutral than `ordinary` nobody would call a fault.
     """
 
     name: str
@@ -83,6 +83,7 @@ class Parameter:
     bounds: tuple[float, float]
     neutral: float | None = None
     typical: float | None = None
+    ordinary: float = 0.0
 
 
 @functools.cache
@@ -137,6 +138,7 @@ class Effect:
                 default=p.default * target.scale,
                 bounds=(low * target.scale, high * target.scale),
                 typical=None if p.typical is None else p.typical * target.scale,
+                ordinary=p.ordinary * target.scale,
             )
 
         return replace(self, channel=channel, parameters=tuple(bound(p) for p in self.parameters))

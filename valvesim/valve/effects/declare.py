@@ -7,11 +7,18 @@ from valvesim.valve.effect import Parameter
 
 
 def amplitude_parameter(
-    name: str, unit: str, doc: str, bounds: tuple[float, float], typical: float, neutral: float = 0.0
+    name: str,
+    unit: str,
+    doc: str,
+    bounds: tuple[float, float],
+    typical: float,
+    neutral: float = 0.0,
+    ordinary: float = 0.0,
 ) -> Parameter:
     """What switches an effect: its default is the neutral value."""
     return Parameter(
-        name=name, unit=unit, doc=doc, default=neutral, bounds=bounds, neutral=neutral, typical=typical
+        name=name, unit=unit, doc=doc, default=neutral, bounds=bounds, neutral=neutral, typical=typical,
+        ordinary=ordinary,
     )  # fmt: skip
 
 

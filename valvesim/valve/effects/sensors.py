@@ -12,6 +12,8 @@ from valvesim.valve.effect import CHANNEL, Effect, Parameter, Reading
 from valvesim.valve.effects.declare import amplitude_parameter
 from valvesim.valve.laws import lagged
 
+AMPLIFIER_LAG = 5e-5  # s, of an amplifier of 3 kHz: a sensor that is late by less has no fault
+
 
 def _bias(r: Reading, p):
     return r.values + p.bias
@@ -59,14 +61,14 @@ SENSORS = (
         "sensor_lag",
         "the sensor follows with a first-order lag tau",
         "one channel late and smaller at high frequency, right at rest",
-        amplitude_parameter("time_constant", "s", "tau", (0.0, 10.0), 1e-3),
+        amplitude_parameter("time_constant", "s", "tau", (0.0, 10.0), 1e-3, ordinary=AMPLIFIER_LAG),
         _lag,
     ),
     _sensor(
         "sensor_delay",
         "the sensor reads the value of a time T ago",
         "one channel late by the same time at every frequency, of full size",
-        amplitude_parameter("delay", "s", "T", (0.0, 0.1), 1e-3),
+        amplitude_parameter("delay", "s", "T", (0.0, 0.1), 1e-3, ordinary=AMPLIFIER_LAG),
         _delay,
     ),
     _sensor(
