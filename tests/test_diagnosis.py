@@ -184,7 +184,14 @@ def _candidate(name):
     valve, declared = Valve(), quantities(Valve)[figure].metadata
     return Candidate(
         name,
-        parameter=NuisanceParameter(figure, declared["unit"], getattr(valve, figure), 1e-9, declared["bounds"]),
+        parameter=NuisanceParameter(
+            figure,
+            declared["unit"],
+            getattr(valve, figure),
+            1e-9,
+            declared["bounds"],
+            of_material=declared["of_material"],
+        ),  # fmt: skip
     )
 
 
@@ -581,6 +588,11 @@ def test_a_figure_of_the_material_is_rarer_than_one_of_the_part():
     assert [part - effect, material - effect] == pytest.approx(
         [DIAGNOSIS.selection.parameter_penalty, DIAGNOSIS.selection.material_penalty]
     )
+    (given,) = explained(100.0, names[0]).fit.fitted  # declared, and not read off a unit
+    parameter = replace(given.candidate.parameter, unit="m^2/K")
+    slope = replace(given, candidate=replace(given.candidate, parameter=parameter))
+    fit = replace(explained(100.0, names[0]).fit, fitted=(slope,))
+    assert FittedHypothesis(fit, options=DIAGNOSIS).prior_penalty == part
 
 
 def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypatch):

@@ -261,7 +261,8 @@ def test_a_declaration_is_kept_whole():
     field = quantities(Pump)["pressure"]
     assert field.default == 2e7
     assert dict(field.metadata) == {
-        "unit": "Pa", "doc": "delivery pressure", "bounds": (0.0, 3.5e7), "source": "data sheet", "tolerance": 0.05
+        "unit": "Pa", "doc": "delivery pressure", "bounds": (0.0, 3.5e7), "source": "data sheet", "tolerance": 0.05,
+        "of_material": False,
     }  # fmt: skip
 
 

@@ -182,16 +182,25 @@ def _is_number(word: str) -> bool:
 
 
 def quantity(
-    default: Any, unit: str, doc: str, bounds: tuple[float, float], source: str, *, tolerance: float = 0.0
+    default: Any,
+    unit: str,
+    doc: str,
+    bounds: tuple[float, float],
+    source: str,
+    *,
+    tolerance: float = 0.0,
+    of_material: bool = False,
 ) -> Any:
     """A dataclass field that declares a quantity once: default, unit, doc, bounds, source and tolerance.
 
     `tolerance` is how far a unit in service may be from the default (unit-to-unit spread, or the doubt in an estimate):
     relative to the default, or in `unit` where the default is 0. Zero: known, or not a matter of spread.
+    `of_material` is true of what the material has, however the part was made: seldom off in one unit alone.
     A lower bound of 0 includes zero; use `POSITIVE` for strictly positive quantities.
     Loader, parameter table, documentation and fits all read this declaration.
     """
-    metadata = {"unit": unit, "doc": doc, "bounds": bounds, "source": source, "tolerance": tolerance}
+    metadata = {"unit": unit, "doc": doc, "bounds": bounds, "source": source, "tolerance": tolerance,
+                "of_material": of_material}  # fmt: skip
     return dataclasses.field(default=default, metadata=metadata)
 
 

@@ -73,10 +73,10 @@ class FittedHypothesis:
 
 def _rarity_penalty(candidate: Candidate, *, options: DiagnosisOptions) -> float:
     """Twice the log prior odds against what is rarer than an effect of the catalogue."""
-    if candidate.effect is None:
-        return (
-            options.selection.material_penalty if candidate.unit.endswith("/K") else options.selection.parameter_penalty
-        )
+    if candidate.parameter is not None:
+        of_material = candidate.parameter.of_material
+        return options.selection.material_penalty if of_material else options.selection.parameter_penalty
+    assert candidate.effect is not None  # noqa: S101 - a candidate is either
     return options.selection.refined_penalty if candidate.effect.plainer else 0.0
 
 

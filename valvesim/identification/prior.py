@@ -23,7 +23,10 @@ from valvesim.valve.parameters import Valve
 
 @dataclass(frozen=True)
 class NuisanceParameter:
-    """A quantity that is uncertain within a tolerance: of the valve, or the offset or gain of a sensor."""
+    """A quantity that is uncertain within a tolerance: of the valve, or the offset or gain of a sensor.
+
+    `of_material` as `units.quantity` declares it.
+    """
 
     name: str
     unit: str
@@ -31,6 +34,7 @@ class NuisanceParameter:
     deviation: float
     bounds: tuple[float, float]
     sensor: Effect | None = None
+    of_material: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,16 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
         width = session.tolerances.get(name, tolerance * abs(nominal) if declared.default != 0.0 else tolerance)
         if width > 0.0:
             low, high = declared.metadata["bounds"]
-            parameters.append(NuisanceParameter(name, declared.metadata["unit"], nominal, width / 2.0, (low, high)))
+            parameters.append(
+                NuisanceParameter(
+                    name,
+                    declared.metadata["unit"],
+                    nominal,
+                    width / 2.0,
+                    (low, high),
+                    of_material=declared.metadata["of_material"],
+                )  # fmt: skip
+            )
     for channel in measured_channels(session):
         span = _span(session, channel)
         for name, tolerance in (

@@ -44,14 +44,20 @@ class Valve:
     length_4: float = quantity(8.85e-3, "m", "L4, bottom of the upper pole", (POSITIVE, 0.1), _PAPER + ", Table 2")
     length_5: float = quantity(2.83e-3, "m", "L5, foot of the magnet", (POSITIVE, 0.1), _PAPER + ", Table 2")
     length_6: float = quantity(10.24e-3, "m", "L6, magnet", (POSITIVE, 0.1), _PAPER + ", Table 2")
-    magnet_expansion: float = quantity(11e-6, "1/K", "a_m, AlNiCo", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05)
-    pole_expansion: float = quantity(9.2e-6, "1/K", "a_c, 1J50", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05)
-    armature_expansion: float = quantity(9.2e-6, "1/K", "a_x, 1J50", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05)
+    magnet_expansion: float = quantity(
+        11e-6, "1/K", "a_m, AlNiCo", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05, of_material=True
+    )
+    pole_expansion: float = quantity(
+        9.2e-6, "1/K", "a_c, 1J50", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05, of_material=True
+    )
+    armature_expansion: float = quantity(
+        9.2e-6, "1/K", "a_x, 1J50", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05, of_material=True
+    )
     feedback_rod_expansion: float = quantity(
-        12.14e-6, "1/K", "a_f, 3J1", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05
+        12.14e-6, "1/K", "a_f, 3J1", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05, of_material=True
     )
     spring_tube_expansion: float = quantity(
-        17.6e-6, "1/K", "a_s, QBe1.9", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05
+        17.6e-6, "1/K", "a_s, QBe1.9", (0.0, 1e-4), _PAPER + ", Table 1", tolerance=0.05, of_material=True
     )
     air_gap_area: float = quantity(10e-6, "m^2", "A_g, one air gap", (POSITIVE, 1e-3), _FITTED, tolerance=0.02)
     air_gap_difference: float = quantity(
@@ -64,7 +70,7 @@ class Valve:
         2980.0, "A", "M0 of one magnet", (POSITIVE, 1e5), _PAPER + ", Eq. 5", tolerance=0.02
     )
     polarization_mmf_slope: float = quantity(
-        -0.596, "A/K", "dM0/dT, reversible", (-10.0, 10.0), _PAPER + ", Eq. 5", tolerance=0.05
+        -0.596, "A/K", "dM0/dT, reversible", (-10.0, 10.0), _PAPER + ", Eq. 5", tolerance=0.05, of_material=True
     )
     magnet_reluctance: float = quantity(1.76e8, "A/Wb", "R0 of one magnet", (POSITIVE, 1e11), _FITTED, tolerance=0.02)
     coil_turns: float = quantity(4780.0, "1", "N_c, both coils", (POSITIVE, 1e5), _FITTED, tolerance=0.02)
@@ -72,7 +78,9 @@ class Valve:
         600.0, "ohm", "coils and amplifier at 20 °C", (POSITIVE, 1e5), _NASA, tolerance=0.02
     )
     coil_inductance: float = quantity(0.57, "H", "coils", (POSITIVE, 100.0), _NASA, tolerance=0.1)
-    copper_resistance_slope: float = quantity(3.93e-3, "1/K", "of copper at 20 °C", (0.0, 0.02), "handbook")
+    copper_resistance_slope: float = quantity(
+        3.93e-3, "1/K", "of copper at 20 °C", (0.0, 0.02), "handbook", of_material=True
+    )
     rated_current: float = quantity(10e-3, "A", "rated current", (POSITIVE, 1.0), "model.md 5")
     armature_arm: float = quantity(14.5e-3, "m", "a, arm of the gap forces", (POSITIVE, 0.2), _TEXTBOOK, tolerance=0.02)
     armature_inertia: float = quantity(
@@ -117,7 +125,9 @@ class Valve:
     flapper_length: float = quantity(
         0.6e-3, "m", "l_x, metal that closes the null gap", (0.0, 0.05), _ESTIMATE, tolerance=0.2
     )
-    pilot_expansion: float = quantity(11e-6, "1/K", "a_p, pilot metal", (0.0, 1e-4), _ESTIMATE, tolerance=0.05)
+    pilot_expansion: float = quantity(
+        11e-6, "1/K", "a_p, pilot metal", (0.0, 1e-4), _ESTIMATE, tolerance=0.05, of_material=True
+    )
     chamber_volume: float = quantity(
         0.1e-6, "m^3", "V_1 = V_2, spool end chamber", (POSITIVE, 1e-3), _ESTIMATE, tolerance=0.2
     )
@@ -150,8 +160,12 @@ class Valve:
         3e-6, "m", "spool in sleeve", (POSITIVE, 1e-4), "field.md 4: 0.6-8 um", tolerance=0.2
     )
     land_length: float = quantity(1e-3, "m", "leakage length of a land", (POSITIVE, 0.1), _ESTIMATE, tolerance=0.2)
-    spool_expansion: float = quantity(12e-6, "1/K", "spool steel", (0.0, 1e-4), _ESTIMATE, tolerance=0.05)
-    sleeve_expansion: float = quantity(12e-6, "1/K", "sleeve steel", (0.0, 1e-4), _ESTIMATE, tolerance=0.05)
+    spool_expansion: float = quantity(
+        12e-6, "1/K", "spool steel", (0.0, 1e-4), _ESTIMATE, tolerance=0.05, of_material=True
+    )
+    sleeve_expansion: float = quantity(
+        12e-6, "1/K", "sleeve steel", (0.0, 1e-4), _ESTIMATE, tolerance=0.05, of_material=True
+    )
     # pressures
     supply_pressure: float = quantity(21e6, "Pa", "p_s", (POSITIVE, 1e8), "model.md 5")
     return_pressure: float = quantity(0.5e6, "Pa", "p_0 behind the nozzles", (0.0, 1e8), "model.md 5")
