@@ -27,7 +27,12 @@ from valvesim.diagnosis.model_selection import (
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.refits import _from_best_point, _pairs_from_members, _restarted_within_tolerance, fit_starts
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
-from valvesim.diagnosis.second_cause import effects_for_parameters, with_other_pairs, with_singles_from_prior
+from valvesim.diagnosis.second_cause import (
+    effects_for_parameters,
+    start_keys,
+    with_other_pairs,
+    with_singles_from_prior,
+)
 from valvesim.diagnosis.starts import _joint_reductions
 from valvesim.diagnosis.wording import summary_text
 from valvesim.identification.candidates import Candidate
@@ -568,18 +573,19 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     monkeypatch.setattr(
         second_cause, "score_test", lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit)
     )
-    found, final = effects_for_parameters(None, scores, [figure], BEFORE)
+    found, final, keys = effects_for_parameters(None, scores, [figure], BEFORE)
     one_sided = {name for name, c in zip(names, candidates, strict=True) if c.one_sided}
     linear, fault = "spool_silting", "sensor_lag@load_flow"  # the one has the right sign, the other reads and acts not
     assert {other, "thermal_lag"} <= {name for (name,) in tried} == one_sided - {linear, fault}
     assert found[0].label == other and final.fit is found[0].fit and figure in found
-    found, final = effects_for_parameters(None, scores, [pair], BEFORE)
+    assert len(keys) == DIAGNOSIS.isolation.seconds and start_keys([found[0].fit.fitted]) <= keys
+    found, final, _ = effects_for_parameters(None, scores, [pair], BEFORE)
     assert (beside, other) in tried and (beside, beside) not in tried and found[0].label == f"{beside} + {other}"
     chi_squares[other] = 95.0
     assert effects_for_parameters(None, scores, [pair], BEFORE)[1] == BEFORE  # nothing is better: nothing to look at
     tried.clear()
     without = explained(90.0, beside)
-    assert effects_for_parameters(None, scores, [without], BEFORE) == ([without], BEFORE) and not tried
+    assert effects_for_parameters(None, scores, [without], BEFORE) == ([without], BEFORE, frozenset()) and not tried
 
 
 def test_a_figure_of_the_material_is_rarer_than_one_of_the_part():
@@ -619,6 +625,10 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
     assert tried == ["spool_lap", "entrained_air"] and found[0].label == "spool_lap" and final.fit is found[0].fit
     found, final = with_singles_from_prior(nominal, scores, 4.0, [], BEFORE)
     assert [one.label for one in found] == ["spool_lap"] and final.fit is found[0].fit
+    tried.clear()  # what was fitted from there in the place of a parameter is not fitted again
+    keys = start_keys([old.fit.fitted, (replace(new.fit.fitted[0], above_neutral=1e-9),)])
+    assert with_singles_from_prior(nominal, scores, 4.0, [old], BEFORE, keys)[0][0].label == "spool_lap"
+    assert tried == ["spool_lap"]
     chi_squares["spool_lap"] = 950.0
     assert with_singles_from_prior(nominal, scores, 4.0, [old], BEFORE) == ([old], BEFORE)
     chi_squares["spool_lap"] = 990.0

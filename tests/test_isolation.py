@@ -44,7 +44,10 @@ def test_where_the_nominal_fit_is_exchanged_its_own_score_test_takes_the_place_o
     monkeypatch.setattr(isolation, "score_test", score_test)
     monkeypatch.setattr(isolation, "with_second_cause", lambda nominal, final, found: (found, final))
     monkeypatch.setattr(isolation, "with_other_pairs", lambda nominal, found, final: (found, final))
-    monkeypatch.setattr(isolation, "effects_for_parameters", lambda nominal, scores, found, final: (found, final))
+    no_starts = frozenset()
+    monkeypatch.setattr(
+        isolation, "effects_for_parameters", lambda nominal, scores, found, final: (found, final, no_starts)
+    )
     monkeypatch.setattr(isolation, "at_full_weight", lambda nominal, found, final: (full, found, final))
     before = score_test(weighted, weighted.fit, options=DIAGNOSIS)
     ended, scores, found, _ = isolation._verified(weighted, before, 4.0, [best])

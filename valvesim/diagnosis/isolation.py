@@ -101,10 +101,10 @@ def _verified(
     nominal: NominalFit, scores: ScoreTest, level: float, found: list[FittedHypothesis]
 ) -> tuple[NominalFit, ScoreTest, list[FittedHypothesis], ScoreTest]:
     """The nominal fit in the end and its score test, hypotheses best first, and the score test of the best."""
-    final = scores
+    final, tried = scores, frozenset[tuple]()
     if found:
         found, final = with_second_cause(nominal, score_test(nominal, found[0].fit, options=scores.options), found)
-        found, final = effects_for_parameters(nominal, scores, found, final)
+        found, final, tried = effects_for_parameters(nominal, scores, found, final)
         found, final = with_other_pairs(nominal, found, final)
         if (
             nominal.study.weights
@@ -113,10 +113,11 @@ def _verified(
             full, found, final = at_full_weight(nominal, found, final)
             if full is not nominal:  # what is told of scores, limits and terms is of the fit that stands
                 nominal, scores = full, score_test(full, full.fit, options=scores.options)
+                tried = frozenset()
     if largest_shift(nominal.fit) > scores.options.isolation.shifted and (
         not found or unexplained_share(nominal, final) > scores.options.detection.doubtful_share
     ):
-        found, final = with_singles_from_prior(nominal, scores, level, found, final)
+        found, final = with_singles_from_prior(nominal, scores, level, found, final, tried)
     return nominal, scores, found, final
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence, Set
+
 import numpy as np
 
 from valvesim.diagnosis.detection import exceeds_noise
@@ -69,10 +71,18 @@ def with_other_pairs(
 
 
 def with_singles_from_prior(
-    nominal: NominalFit, scores: ScoreTest, level: float, found: list[FittedHypothesis], final: ScoreTest
+    nominal: NominalFit,
+    scores: ScoreTest,
+    level: float,
+    found: list[FittedHypothesis],
+    final: ScoreTest,
+    tried: Set[tuple] = frozenset(),
 ) -> tuple[list[FittedHypothesis], ScoreTest]:
     """The found with single candidates fitted from where no nuisance parameter is far from nominal, if one of these
     is better.
+
+    Starts that were `tried` from there under the same nominal fit (`start_keys`) are not fitted again: what they have
+    come to is among the found.
     """
     starts: dict[str, tuple[FittedCandidate, ...]] = {}
     for start in [
@@ -80,10 +90,11 @@ def with_singles_from_prior(
         *single_starts(scores, scores.z() ** 2, 0.5 * scores.options.isolation.single_share),
     ]:
         starts.setdefault(start[0].candidate.label, start)
+    chosen = list(starts.values())[: scores.options.isolation.singles]
     fits = [
         fit
-        for start in list(starts.values())[: scores.options.isolation.singles]
-        if did_run(fit := fit_from_prior(nominal, start))
+        for start in chosen
+        if not start_keys([start]) <= tried and did_run(fit := fit_from_prior(nominal, start))
     ]
     merged = distinct(
         [
@@ -97,6 +108,11 @@ def with_singles_from_prior(
     if merged[:1] == found[:1]:
         return found, final
     return with_second_cause(nominal, score_test(nominal, merged[0].fit, options=scores.options), merged)
+
+
+def start_keys(starts: Sequence[tuple[FittedCandidate, ...]]) -> frozenset[tuple]:
+    """What tells starts from each other: of each start its candidates, amplitudes and shapes."""
+    return frozenset(tuple((one.candidate.key, one.above_neutral, one.shapes) for one in start) for start in starts)
 
 
 def _typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
@@ -115,8 +131,9 @@ def _typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[Fitted
 
 def effects_for_parameters(
     nominal: NominalFit, scores: ScoreTest, found: list[FittedHypothesis], final: ScoreTest
-) -> tuple[list[FittedHypothesis], ScoreTest]:
-    """The found where the best has a figure beyond its tolerance, with effects in the place of that.
+) -> tuple[list[FittedHypothesis], ScoreTest, frozenset[tuple]]:
+    """The found where the best has a figure beyond its tolerance, with effects in the place of that; and the
+    `start_keys` of what was fitted.
 
     They are those of one sign whose linearised predictions have the other one: what such an effect shows at its typical
     amplitude may be something else, and a figure that many others follow may have taken its place.
@@ -124,7 +141,7 @@ def effects_for_parameters(
     best = found[0].fit
     rest = tuple(member for member in best.fitted if member.candidate.effect is not None)
     if len(rest) == len(best.fitted):
-        return found, final
+        return found, final, frozenset()
     z = scores.z()
     beside = [
         k
@@ -133,12 +150,14 @@ def effects_for_parameters(
         and not any(c.excludes(member.candidate) for member in rest)
     ]  # fmt: skip
     starts = [(*rest, at_typical(scores, k)) for k in beside]
-    likeliest = np.argsort(-reductions_from_prior(nominal, starts), kind="stable")[: scores.options.isolation.seconds]
-    fits = [fit for k in likeliest if did_run(fit := fit_from_prior(nominal, starts[k]))]
+    order = np.argsort(-reductions_from_prior(nominal, starts), kind="stable")
+    likeliest = [starts[k] for k in order[: scores.options.isolation.seconds]]
+    fits = [fit for start in likeliest if did_run(fit := fit_from_prior(nominal, start))]
     merged = distinct(
         [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits]], options=scores.options
     )
-    return merged, final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=scores.options)
+    final = final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=scores.options)
+    return merged, final, start_keys(likeliest)
 
 
 def at_full_weight(
