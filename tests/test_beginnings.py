@@ -92,6 +92,17 @@ def test_beginnings_read_what_the_whole_reads_there(session):
             np.testing.assert_allclose(read, own[name][:most], atol=1e-4 * np.ptp(own[name]))
 
 
+def test_the_beginnings_of_a_long_session_are_long_only_where_they_are_so_themselves(session):
+    points = sum(len(predictor.times) for predictor in prepare_study(session).predictors)
+    options = replace(OPTIONS, fit=replace(OPTIONS.fit, long_session=points - 1))
+    whole = prepare_study(session, options=options)
+    assert whole.is_long
+    records = [predictor.record for predictor in whole.predictors]
+    for most, is_long in ((100, False), (None, True)):
+        parts = [leading_segments._part(record, slice(0, most)) for record in records]
+        assert restricted_study(whole, parts).is_long is is_long
+
+
 def test_a_short_session_is_searched_as_a_whole(session):
     nominal, known = fit_coarse_to_fine(prepare_study(session), lambda stage, share: None, options=DIAGNOSIS)
     assert known == ()

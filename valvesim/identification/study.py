@@ -99,7 +99,6 @@ def prepare_study(
     nominal = nominal_model_of(session, options=options)
     universe = (*CATALOGUE.values(), *session.user_effects, *more)
     predictors = tuple(prepare_record(session, record, universe, options=options) for record in session.training)
-    is_long = sum(len(predictor.times) for predictor in predictors) > options.fit.long_session
     return Study(
         session,
         nominal,
@@ -107,8 +106,12 @@ def prepare_study(
         predictors,
         _representatives(predictors),
         options,
-        is_long=is_long,
+        is_long=_is_long(predictors, options=options),
     )
+
+
+def _is_long(predictors: Sequence[RecordPredictor], *, options: IdentificationOptions) -> bool:
+    return sum(len(predictor.times) for predictor in predictors) > options.fit.long_session
 
 
 def _representatives(predictors: Sequence[RecordPredictor]) -> tuple[int, ...]:
@@ -129,6 +132,7 @@ def restricted_study(study: Study, records: Sequence[Record]) -> Study:
         representatives=_representatives(predictors),
         noise={},
         weights={},
+        is_long=_is_long(predictors, options=study.options),
     )
 
 
