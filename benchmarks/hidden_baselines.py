@@ -53,7 +53,7 @@ def largest_residual(found: Diagnosis) -> str:
 
 def refit_all(nominal: NominalFit, scores: ScoreTest, fits: Sequence[Fit]) -> list[Fit]:
     """One fit a family for the best by score; those that the diagnosis has refitted are taken from it."""
-    done = {fit.fitted[0].candidate.label: fit for fit in fits if len(fit.fitted) == 1 and np.isfinite(fit.chi_square)}
+    done = {fit.fitted[0].candidate.label: fit for fit in fits if len(fit.fitted) == 1}
     z, projected, chosen = scores.z(), scores.projected, {}
     for k in np.argsort(-z, kind="stable"):
         hypothesis = scores.candidates[k].label
@@ -61,7 +61,7 @@ def refit_all(nominal: NominalFit, scores: ScoreTest, fits: Sequence[Fit]) -> li
             chosen[hypothesis] = done.get(hypothesis) or fit_hypothesis(
                 nominal, (_start(scores, int(k), projected),), linearisations=LOOKS
             )
-    return [fit for fit in chosen.values() if np.isfinite(fit.chi_square)]
+    return [fit for fit in chosen.values() if fit is not None]
 
 
 def _start(scores: ScoreTest, k: int, projected: Any) -> FittedCandidate:

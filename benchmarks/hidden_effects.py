@@ -73,7 +73,7 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION  # noqa: E402
 from valvesim.identification.predictor import prepare_record  # noqa: E402
 from valvesim.identification.session import Session  # noqa: E402
 from valvesim.identification.session_toml import load_session  # noqa: E402
-from valvesim.identification.study import Study, prepare_study  # noqa: E402
+from valvesim.identification.study import Study, prepare_session  # noqa: E402
 from valvesim.simulation.batch import cores  # noqa: E402
 from valvesim.units import quantities  # noqa: E402
 from valvesim.valve.catalogue import CATALOGUE  # noqa: E402
@@ -276,8 +276,10 @@ class Ruler:
             on_bench = evaluate_fit(study, np.zeros(self.J.shape[1]), fitted)
         except (vs.SolveError, vs.InputError):  # the model cannot follow so strong an effect
             return 0.0
-        fitted = fit_hypothesis(nominal, fitted, on_bench.point, linearisations=ORACLE_LOOKS)
-        return min(on_bench.chi_square, evaluate_fit(study, fitted.point, fitted.fitted).chi_square)
+        refitted = fit_hypothesis(nominal, fitted, on_bench.point, linearisations=ORACLE_LOOKS)
+        if refitted is None:
+            return on_bench.chi_square
+        return min(on_bench.chi_square, evaluate_fit(study, refitted.point, refitted.fitted).chi_square)
 
     def moved_candidates(self, linearised: Sequence[LinearisedRecord]) -> np.ndarray:
         """Whitened readings (rows,) of other views less those at rest."""
@@ -305,10 +307,10 @@ class Ruler:
 def ruler(case: Case, quiet: Records, folder: Path) -> Ruler:
     """The ruler of a case; `quiet` are its noise-free records with nothing hidden."""
     write(case, quiet, folder)
-    study = prepare_study(replace(load_session(folder), valve=case.valve))
+    study = prepare_session(replace(load_session(folder), valve=case.valve))
     meters = {meter.channel: meter for meter in case.meters}
     noise = {(c, b.record.pace): _true_noise(meters[c]) for b in study.predictors for c in b.record.outputs}
-    study = replace(study, noise=noise)
+    study = study.with_noise(noise)
     return Ruler(study, quiet, *_linearised_at(study, np.zeros(len(study.nominal.parameters))))
 
 
@@ -563,9 +565,10 @@ def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, fl
         caught.scores = scores if fit is nominal.fit and caught.scores is None else caught.scores
         return scores
 
-    def catching_refit(*arguments, **named) -> Fit:
-        caught.fits.append(fit_hypothesis(*arguments, **named))
-        return caught.fits[-1]
+    def catching_refit(*arguments, **named) -> Fit | None:
+        fit = fit_hypothesis(*arguments, **named)
+        caught.fits += [fit] if fit is not None else []
+        return fit
 
     with ExitStack() as stack:
         stack.enter_context(patch.object(leading_segments, "fit_nominal", catching_base))
@@ -711,7 +714,8 @@ def _oracle(case: Case, nominal: NominalFit, fitted: tuple[FittedCandidate, ...]
     own = sorted(member.candidate.label for member in fitted)
     tried = [nominal.fit, *(f for f in fits if sorted(e.candidate.label for e in f.fitted) == own)]
     point = [(case.unit.get(p.name, p.nominal) - p.nominal) / p.deviation for p in nominal.study.nominal.parameters]
-    tried.append(fit_hypothesis(nominal, fitted, np.array(point), linearisations=ORACLE_LOOKS))
+    again = fit_hypothesis(nominal, fitted, np.array(point), linearisations=ORACLE_LOOKS)
+    tried += [again] if again is not None else []
     return min(tried, key=lambda fit: fit.chi_square)
 
 

@@ -19,7 +19,7 @@ from valvesim.identification.nominal_fit import fit_nominal, fit_nominal_near
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.options import FitOptions, IdentificationOptions
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_study, restricted_study
+from valvesim.identification.study import prepare_session, restricted_session
 
 
 @pytest.fixture(scope="module")
@@ -80,10 +80,10 @@ def test_repeats_keep_in_step(session):
 
 
 def test_beginnings_read_what_the_whole_reads_there(session):
-    whole = prepare_study(session)
+    whole = prepare_session(session)
     most = 400
     parts = [leading_segments._part(predictor.record, slice(0, most)) for predictor in whole.predictors]
-    short = restricted_study(whole, parts)
+    short = restricted_session(whole, parts)
     assert short.nominal is whole.nominal
     assert short.candidates is whole.candidates
     variant = whole.nominal.at(np.zeros(len(whole.nominal.parameters)))
@@ -93,18 +93,18 @@ def test_beginnings_read_what_the_whole_reads_there(session):
 
 
 def test_the_beginnings_of_a_long_session_are_long_only_where_they_are_so_themselves(session):
-    points = sum(len(predictor.times) for predictor in prepare_study(session).predictors)
+    points = sum(len(predictor.times) for predictor in prepare_session(session).predictors)
     options = replace(OPTIONS, fit=replace(OPTIONS.fit, long_session=points - 1))
-    whole = prepare_study(session, options=options)
+    whole = prepare_session(session, options=options)
     assert whole.is_long
     records = [predictor.record for predictor in whole.predictors]
     for most, is_long in ((100, False), (None, True)):
         parts = [leading_segments._part(record, slice(0, most)) for record in records]
-        assert restricted_study(whole, parts).is_long is is_long
+        assert restricted_session(whole, parts).is_long is is_long
 
 
 def test_a_short_session_is_searched_as_a_whole(session):
-    nominal, known = fit_coarse_to_fine(prepare_study(session), lambda stage, share: None, options=DIAGNOSIS)
+    nominal, known = fit_coarse_to_fine(prepare_session(session), lambda stage, share: None, options=DIAGNOSIS)
     assert known == ()
     assert len(nominal.fit.readings[0]["load_flow"]) == len(session.training[0].time)
 
@@ -133,22 +133,22 @@ def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkey
 
     monkeypatch.setattr(leading_segments, "_isolate_in_segments", not_run)
     monkeypatch.setattr(leading_segments, "fit_nominal", lambda study, tell: study)
-    whole = prepare_study(session, options=LONG.identification)
+    whole = prepare_session(session, options=LONG.identification)
     assert fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG) == (whole, ())
 
 
 def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(session):
-    afar = fit_nominal(prepare_study(session))
+    afar = fit_nominal(prepare_session(session))
     assert not afar.study.weights
     for full_weight in (True, False):
-        near = fit_nominal_near(prepare_study(session), afar.fit.point, full_weight=full_weight)
+        near = fit_nominal_near(prepare_session(session), afar.fit.point, full_weight=full_weight)
         assert bool(near.study.weights) is not full_weight
         if full_weight:
             assert near.fit.chi_square < afar.fit.chi_square + 2.0 * OPTIONS.fit.nominal_ftol
 
 
 def test_what_hardly_helps_is_left_in_a_long_session_alone(session):
-    whole = prepare_study(session)
+    whole = prepare_session(session)
     assert whole.negligible_reduction(1e6, 1e3) == 0.0
     long_session = replace(whole, is_long=True)
     assert long_session.negligible_reduction(1e6, 1e3) == pytest.approx(

@@ -42,7 +42,7 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.prior import NuisanceParameter
 from valvesim.identification.projection import ProjectedScores
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_study
+from valvesim.identification.study import prepare_session
 from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.parameters import Valve
@@ -142,7 +142,7 @@ def test_the_same_session_gives_the_same_answer(tmp_path):
 
 def test_a_locked_record_that_cannot_be_simulated_costs_its_gain_and_nothing_else(tmp_path, monkeypatch):
     write_session(draw(0, "none"), tmp_path)
-    nominal = fit_nominal(prepare_study(load_session(tmp_path)))
+    nominal = fit_nominal(prepare_session(load_session(tmp_path)))
     (locked, *_) = nominal.study.session.locked
 
     def prepare_record(session, record, universe, *, options):
@@ -446,9 +446,10 @@ def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypa
     did_run = lambda study, point, fitted: Fit(point, fitted, 1.0, (), np.zeros(1), 1.0)  # noqa: E731
     monkeypatch.setattr(isolation, "evaluate_fit", did_run)
     monkeypatch.setattr(isolation, "answer_set_width", lambda nominal, best: 0.0)
-    ends = {"spool_lap": np.inf, "entrained_air": 0.5}
     monkeypatch.setattr(
-        isolation, "continue_from", lambda nominal, fit: replace(fit, chi_square=ends[fit.fitted[0].candidate.label])
+        isolation,
+        "continue_from",
+        lambda nominal, fit: None if fit.fitted == lap.fitted else replace(fit, chi_square=0.5),
     )
     found = _known_hypotheses(SimpleNamespace(study=None), [lap, air], lambda share: None, options=DIAGNOSIS)
     assert [(one.label, one.fit.chi_square) for one in found] == [("entrained_air", 0.5)]
@@ -545,7 +546,7 @@ def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeyp
 
     monkeypatch.setattr(refits, "clipped_to_tolerance", lambda nominal: "within")
     monkeypatch.setattr(refits, "fit_hypothesis", fit_hypothesis)
-    monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, fitted: unsettled(np.inf, 0.0))  # no valve runs there
+    monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, fitted: None)  # no valve runs there
     assert _restarted_within_tolerance(None, unsettled(100.0, 0.0), options=DIAGNOSIS) == [] and not asked
     again = _restarted_within_tolerance(None, unsettled(100.0, OPTIONS.fit.unconverged + 1.0), options=DIAGNOSIS)
     assert asked == ["within"] * 2 and [one.fit.chi_square for one in again] == [90.0, 80.0]
@@ -558,7 +559,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     candidates = [explained(0.0, name).candidates[0] for name in names]
     z = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
     scores = SimpleNamespace(options=DIAGNOSIS, candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
-    tried, chi_squares = [], {other: 50.0, "thermal_lag": np.inf}
+    tried, chi_squares = [], {other: 50.0, "thermal_lag": None}
 
     def falls(nominal, starts):
         tried[:] = [tuple(member.candidate.name for member in start) for start in starts]
@@ -566,7 +567,8 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
         return np.array([{other: 9.0, "thermal_lag": 8.0}.get(start[-1].candidate.name, -1.0) for start in starts])
 
     def afresh(nominal, start):
-        return replace(pair.fit, fitted=start, chi_square=chi_squares.get(start[-1].candidate.name, 95.0))
+        chi_square = chi_squares.get(start[-1].candidate.name, 95.0)
+        return replace(pair.fit, fitted=start, chi_square=chi_square) if chi_square is not None else None
 
     monkeypatch.setattr(second_cause, "reductions_from_prior", falls)
     monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
@@ -607,12 +609,13 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
         SimpleNamespace(options=DIAGNOSIS, z=lambda: np.zeros(2)),
         SimpleNamespace(fit=SimpleNamespace(chi_square=1000.0)),
     )
-    chi_squares, tried = {"entrained_air": np.inf, "spool_lap": 100.0}, []
+    chi_squares, tried = {"entrained_air": None, "spool_lap": 100.0}, []
 
     def afresh(nominal, start):
         (member,) = start
         tried.append(member.candidate.name)
-        return replace(new.fit, fitted=tuple(start), chi_square=chi_squares[member.candidate.name])
+        chi_square = chi_squares[member.candidate.name]
+        return replace(new.fit, fitted=tuple(start), chi_square=chi_square) if chi_square is not None else None
 
     monkeypatch.setattr(second_cause, "single_starts", lambda scores, fall, share: [old.fit.fitted])
     monkeypatch.setattr(second_cause, "_typical_starts", lambda nominal, scores: [new.fit.fitted])

@@ -17,7 +17,7 @@ from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session import Record, Sensor, Session
-from valvesim.identification.study import prepare_study
+from valvesim.identification.study import prepare_session
 from valvesim.simulation.scenario import Thermal
 from valvesim.valve.fluid import MIL_PRF_5606
 from valvesim.valve.parameters import Valve
@@ -48,8 +48,8 @@ def session_of(voltage=False, oil=40.0, network=None, duration=0.1):
 
 
 def nominal_model_of(session):
-    study = prepare_study(session)
-    study = replace(study, noise=initial_noise(study))
+    study = prepare_session(session)
+    study = study.with_noise(initial_noise(study))
     fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
     linearised, columns = linearise_study(study, fit.variant(study.nominal))
     return NominalFit(study, fit, tuple(linearised), tuple(columns), study.stack(columns))

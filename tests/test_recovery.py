@@ -16,7 +16,7 @@ from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session import Record, Sensor, Session
-from valvesim.identification.study import prepare_study, residual_of
+from valvesim.identification.study import prepare_session, residual_of
 from valvesim.simulation.scenario import Thermal
 from valvesim.valve.additive_term import LAG, NONE, PATH, PORTS, VARIABLES, TermHypothesis, term_effect, term_hypotheses
 from valvesim.valve.equations import Model
@@ -63,7 +63,7 @@ def cubic(size=1.0):
 
 @pytest.fixture(scope="module")
 def nominal():
-    return fit_nominal(prepare_study(session_of(cubic())))
+    return fit_nominal(prepare_session(session_of(cubic())))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
     u = np.linspace(-3e-4, 3e-4, 121)
     pull = -2.0 * np.sin(2 * np.pi * u / 75e-6)  # N
     detent = term_effect("spool_force", "spool_position", u, pull, name="hidden")(share=1.0)
-    with_detent = fit_nominal(prepare_study(session_of(detent)))
+    with_detent = fit_nominal(prepare_session(session_of(detent)))
     term = recover_term(with_detent, score_test(with_detent, with_detent.fit, options=DIAGNOSIS)).term
     assert (term.port, term.variable, term.memory) == ("spool_force", "spool_position", NONE)
     period = float(term.formula.partition("sin(2 pi x/")[2].split(" ")[0])
@@ -116,7 +116,7 @@ def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
 
 
 def test_a_slight_term_gets_few_knots():
-    nominal = fit_nominal(prepare_study(session_of(cubic(0.2))))
+    nominal = fit_nominal(prepare_session(session_of(cubic(0.2))))
     found = recover_term(nominal, score_test(nominal, nominal.fit, options=DIAGNOSIS))
     assert (found.term.port, found.term.variable) == ("spool_force", "spool_position")
     assert len(found.term.at) == DIAGNOSIS.missing_term.few_knots
@@ -132,7 +132,7 @@ def test_where_else_a_term_would_do_is_said_in_words(found):
 
 
 def test_nothing_is_recovered_where_nothing_is_hidden():
-    plain = fit_nominal(prepare_study(session_of()))
+    plain = fit_nominal(prepare_session(session_of()))
     assert recover_term(plain, score_test(plain, plain.fit, options=DIAGNOSIS)) is None
 
 

@@ -15,14 +15,14 @@ from valvesim.identification import study as studies
 from valvesim.identification.fit import Fit, FittedCandidate, moved_candidates, predict_readings, step_limits
 from valvesim.identification.fit import evaluate_fit as evaluated
 from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
-from valvesim.identification.hypothesis_fit import continue_fit, fit_hypothesis, reductions_from_prior
+from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.least_squares import bounded_step, predict_reduction
 from valvesim.identification.noise_estimation import identify_noise
 from valvesim.identification.nominal_fit import fit_nominal, refit_nominal, within_tolerance
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import RecordPredictor
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_study
+from valvesim.identification.study import PreparedSession, Study, prepare_session, restricted_session
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def biased(tmp_path_factory):
     folder = tmp_path_factory.mktemp("biased")
     case = draw(9, "sensor", name="sensor_bias")
     write_session(case, folder)
-    return fit_nominal(prepare_study(load_session(folder))), dict(case.hidden)["sensor_bias"]["bias"]
+    return fit_nominal(prepare_session(load_session(folder))), dict(case.hidden)["sensor_bias"]["bias"]
 
 
 def at(nominal, name):
@@ -87,6 +87,33 @@ def test_a_refit_takes_the_stretched_parameter_back_and_finds_the_bias(biased):
     assert abs(fit.point[at(nominal, "sensor_bias@load_flow")]) < 0.5
     assert fit.fitted[0].above_neutral == pytest.approx(bias, rel=0.1)
     assert fit.chi_square < nominal.fit.chi_square - 100.0
+
+
+def test_a_hypothesis_that_no_valve_can_have_is_no_fit(biased, monkeypatch):
+    nominal, bias = biased
+    (candidate,) = [c for c in nominal.study.candidates if c.label == "sensor_bias@load_flow"]
+    start = (FittedCandidate(candidate, bias),)
+    absent = nominal.fit.with_fitted((FittedCandidate(candidate, 0.0),))
+
+    def cannot(study, point, fitted):
+        raise SolveError("no valve")
+
+    monkeypatch.setattr(hypothesis_fit, "evaluate_fit", cannot)
+    for fit in (fit_hypothesis(nominal, start), fit_from_prior(nominal, start), continue_fit(nominal, absent)):
+        assert fit is None
+
+
+def test_a_prepared_session_becomes_a_study_by_its_noise(biased):
+    study = biased[0].study
+    prepared = prepare_session(study.session)
+    assert not isinstance(prepared, Study) and not hasattr(prepared, "noise")
+    under = prepared.with_noise(study.noise)
+    assert type(under) is Study and under.noise is study.noise and under.weights == {}
+    assert under.candidates is prepared.candidates and under.predictors is prepared.predictors
+    weighted = replace(under, weights={("record_1", "load_flow"): np.ones(3)})
+    assert weighted.with_noise({}).weights is weighted.weights and weighted.unweighted().weights == {}
+    assert type(weighted.without_oversampling()) is Study
+    assert type(restricted_session(weighted, study.session.training)) is PreparedSession
 
 
 def test_a_refit_begun_where_a_nozzle_would_be_closed_shrinks_its_start(biased):
@@ -237,7 +264,7 @@ def test_what_a_saturated_sensor_lost_is_no_part_of_its_noise(tmp_path):
     """Repeats agree where both stand at the sensor's end: as noise that would make all other samples an alarm."""
     case = draw(0, "none")
     write_session(case, tmp_path)
-    study = prepare_study(load_session(tmp_path))
+    study = prepare_session(load_session(tmp_path))
     nothing = [dict.fromkeys(predictor.record.outputs, 0.0) for predictor in study.predictors]
     name = study.predictors[0].record.outputs[0]
     records = []
@@ -245,7 +272,7 @@ def test_what_a_saturated_sensor_lost_is_no_part_of_its_noise(tmp_path):
         values, top = record.values[name], np.quantile(record.values[name], 0.6)
         clipped = {**record.values, name: np.minimum(values, top)}
         records.append(replace(record, values=clipped, usable={**record.usable, name: values < top}))
-    lossy = prepare_study(replace(study.session, records=tuple(records)))
+    lossy = prepare_session(replace(study.session, records=tuple(records)))
     rate = study.predictors[0].record.pace
     whole, rest = (identify_noise(each, nothing)[name, rate] for each in (study, lossy))
     assert whole.verified and rest.verified
@@ -262,7 +289,7 @@ def test_repeats_of_one_record_do_not_keep_the_noise_of_others_at_what_the_nomin
         last, time=last.time[::2], values={name: column[::2] for name, column in last.values.items()},
         usable={name: column[::2] for name, column in last.usable.items()}, repeats=None,
     )  # fmt: skip
-    nominal = fit_nominal(prepare_study(replace(session, records=(*others, slow))))
+    nominal = fit_nominal(prepare_session(replace(session, records=(*others, slow))))
     rates = {noise.verified: rate for (_, rate), noise in nominal.study.noise.items()}
     assert rates == {True: others[0].pace, False: slow.pace}
     unfitted = identify_noise(

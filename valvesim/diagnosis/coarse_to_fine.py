@@ -18,11 +18,11 @@ from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near
 from valvesim.identification.session import Record
-from valvesim.identification.study import Study, restricted_study
+from valvesim.identification.study import PreparedSession, restricted_session
 
 
 def fit_coarse_to_fine(
-    study: Study, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+    prepared: PreparedSession, progress: Callable[[str, float], None], *, options: DiagnosisOptions
 ) -> tuple[NominalFit, Sequence[Fit]]:
     """The nominal fit of a session, and of a long one the hypotheses (fitted to beginnings) that are to be fitted to
     it.
@@ -32,27 +32,27 @@ def fit_coarse_to_fine(
     """
     stage = "fitting the nominal model"
     progress(stage, 0.0)
-    if study.is_long:
+    if prepared.is_long:
         with suppress(SolveError, InputError):  # a record's beginning need not hold what makes it a record
             isolation = _isolate_in_segments(
-                study, lambda what, share: progress(f"{what}, in the first seconds", 0.5 * share), options=options
+                prepared, lambda what, share: progress(f"{what}, in the first seconds", 0.5 * share), options=options
             )
             progress(stage, 0.5)
             nominal = fit_nominal_near(
-                study, isolation.nominal.fit.point, full_weight=not isolation.nominal.study.weights
+                prepared, isolation.nominal.fit.point, full_weight=not isolation.nominal.study.weights
             )
             known = isolation.answer_set or isolation.found[: options.coarse_to_fine.taken_along]
             return nominal, [one.fit for one in known if one.fit.fitted]
-    return fit_nominal(study, lambda share: progress(stage, share)), ()
+    return fit_nominal(prepared, lambda share: progress(stage, share)), ()
 
 
 def _isolate_in_segments(
-    study: Study, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+    prepared: PreparedSession, progress: Callable[[str, float], None], *, options: DiagnosisOptions
 ) -> Isolation:
-    short = restricted_study(
-        study,
+    short = restricted_session(
+        prepared,
         leading_segments(
-            [predictor.record for predictor in study.predictors], len(set(study.representatives)), options=options
+            [predictor.record for predictor in prepared.predictors], len(set(prepared.representatives)), options=options
         ),
     )
     progress("fitting the nominal model", 0.0)

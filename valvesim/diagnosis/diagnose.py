@@ -36,7 +36,7 @@ from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit, within_tolerance
 from valvesim.identification.session import Session
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_study
+from valvesim.identification.study import prepare_session
 
 
 def diagnose(
@@ -53,9 +53,9 @@ def diagnose(
     progress = progress or (lambda stage, share: None)
     progress("reading", 0.0)
     session = session if isinstance(session, Session) else load_session(session, options=options.identification)
-    study = prepare_study(session, options=options.identification)
+    prepared = prepare_session(session, options=options.identification)
     nominal, known = fit_coarse_to_fine(
-        study, lambda stage, share: progress(stage, 0.05 + 0.25 * share), options=options
+        prepared, lambda stage, share: progress(stage, 0.05 + 0.25 * share), options=options
     )
     isolation = isolate(nominal, lambda stage, share: progress(stage, 0.3 + 0.6 * share), known, options=options)
     progress("measuring the gain", 0.9)

@@ -15,7 +15,6 @@ from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
     answer_set_width,
-    did_run,
     distinct,
     ranked,
     with_minimum_gain,
@@ -168,7 +167,7 @@ def _known_hypotheses(
             nominal, found[0]
         )
         refitted = fit if near else continue_from(nominal, fit)
-        found += [FittedHypothesis(refitted, options=options)] if did_run(refitted) else []
+        found += [FittedHypothesis(refitted, options=options)] if refitted is not None else []
     return found
 
 

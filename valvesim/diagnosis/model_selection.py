@@ -92,10 +92,6 @@ def distinct(found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) ->
     return kept
 
 
-def did_run(fit: Fit) -> bool:
-    return bool(np.isfinite(fit.chi_square))
-
-
 def is_negligible(member: FittedCandidate, share: float) -> bool:
     """Whether an amplitude has come to less than a share of what is typical."""
     return abs(member.above_neutral) < share * member.candidate.typical

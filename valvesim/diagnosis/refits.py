@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from valvesim.diagnosis.model_selection import FittedHypothesis, did_run, distinct, is_negligible
+from valvesim.diagnosis.model_selection import FittedHypothesis, distinct, is_negligible
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis
@@ -48,7 +48,7 @@ def _pairs_from_members(
             fit = alone.get(member.candidate.label)
             if fit is not None and fit.chi_square < pair.chi_square:
                 again.append(continue_fit(nominal, fit.with_fitted((*fit.fitted, replace(other, above_neutral=0.0)))))
-    return [FittedHypothesis(fit, options=options) for fit in again if did_run(fit)]
+    return [FittedHypothesis(fit, options=options) for fit in again if fit is not None]
 
 
 def _from_best_point(
@@ -85,11 +85,12 @@ def _restarted_within_tolerance(nominal: NominalFit, fit: Fit, *, options: Diagn
         ):
             break
         reached = best.chi_square
-        tried += [
+        again = (
             fit_hypothesis(nominal, best.fitted, clipped_to_tolerance(nominal)),
             fit_from_prior(nominal, best.fitted),
-        ]
-    return [FittedHypothesis(one, options=options) for one in tried[1:] if did_run(one)]
+        )
+        tried += [one for one in again if one is not None]
+    return [FittedHypothesis(one, options=options) for one in tried[1:]]
 
 
 def fit_starts(
@@ -104,11 +105,13 @@ def fit_starts(
     found = []
     for k, start in enumerate(starts):
         progress(k / len(starts))
-        fits = [fit_hypothesis(nominal, start, point)]
-        more = tuple(member for member in fits[0].fitted if not is_negligible(member, options.isolation.slight_share))
+        fits = [fit := fit_hypothesis(nominal, start, point)]
+        if fit is None:
+            continue
+        more = tuple(member for member in fit.fitted if not is_negligible(member, options.isolation.slight_share))
         if 0 < len(more) < len(start):  # from there, one alone may get where it could not before
-            fits.append(fit_hypothesis(nominal, more, fits[0].point))
-        found += [FittedHypothesis(fit, options=options) for fit in fits if did_run(fit)]
+            fits.append(fit_hypothesis(nominal, more, fit.point))
+        found += [FittedHypothesis(one, options=options) for one in fits if one is not None]
     return found
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence, Set
 import numpy as np
 
 from valvesim.diagnosis.detection import exceeds_noise
-from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, did_run, distinct, with_minimum_gain
+from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, distinct, with_minimum_gain
 from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts
@@ -55,7 +55,7 @@ def with_other_pairs(
         return found, final
     for member in best.fitted:
         alone = fit_hypothesis(nominal, (member,), best.point)
-        if not did_run(alone):
+        if alone is None:
             continue
         scores = score_test(nominal, alone, options=final.options)
         z = scores.z()
@@ -91,11 +91,8 @@ def with_singles_from_prior(
     ]:
         starts.setdefault(start[0].candidate.label, start)
     chosen = list(starts.values())[: scores.options.isolation.singles]
-    fits = [
-        fit
-        for start in chosen
-        if not start_keys([start]) <= tried and did_run(fit := fit_from_prior(nominal, start))
-    ]
+    new = [start for start in chosen if not start_keys([start]) <= tried]
+    fits = [fit for start in new if (fit := fit_from_prior(nominal, start)) is not None]
     merged = distinct(
         [
             *found,
@@ -152,7 +149,7 @@ def effects_for_parameters(
     starts = [(*rest, at_typical(scores, k)) for k in beside]
     order = np.argsort(-reductions_from_prior(nominal, starts), kind="stable")
     likeliest = [starts[k] for k in order[: scores.options.isolation.seconds]]
-    fits = [fit for start in likeliest if did_run(fit := fit_from_prior(nominal, start))]
+    fits = [fit for start in likeliest if (fit := fit_from_prior(nominal, start)) is not None]
     merged = distinct(
         [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits]], options=scores.options
     )

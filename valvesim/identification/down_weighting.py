@@ -6,7 +6,6 @@ Weights 1/sqrt(1 + (r/c)^2) are those of a robust loss (Huber, Robust Statistics
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from valvesim.identification.study import Study, residual_of
 
 def robust_weights(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> Study:
     """The study with samples that are far off the readings counting less."""
-    study = replace(study, weights={})
+    study = study.unweighted()
     pairs = zip(study.predictors, readings, strict=True)
     white = [r[:, 0] for predictor, read in pairs for r in study.whiten(predictor, residual_of(predictor.record, read))]
     return study.with_weights(

@@ -17,7 +17,7 @@ from valvesim.identification.candidates import Candidate
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory
 from valvesim.identification.prior import NominalModel
-from valvesim.identification.study import Study, residual_of
+from valvesim.identification.study import PreparedSession, Study, residual_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +84,12 @@ def evaluate_fit(study: Study, point: np.ndarray, fitted: tuple[FittedCandidate,
     return fit if study.is_long else replace(fit, trajectories=tuple(trajectory for trajectory, _ in did_run))
 
 
-def predict_readings(study: Study, variant: ModelVariant) -> tuple[dict[str, np.ndarray], ...]:
+def predict_readings(study: PreparedSession, variant: ModelVariant) -> tuple[dict[str, np.ndarray], ...]:
     """What each training record's sensors would read of a variant, by running it."""
     return tuple(readings for _, readings in _run(study, variant))
 
 
-def _run(study: Study, variant: ModelVariant) -> list[tuple[Trajectory, dict[str, np.ndarray]]]:
+def _run(study: PreparedSession, variant: ModelVariant) -> list[tuple[Trajectory, dict[str, np.ndarray]]]:
     """The trajectory of each training record and what its sensors would read."""
 
     def run(predictor: RecordPredictor) -> tuple[Trajectory, dict[str, np.ndarray]]:

@@ -28,7 +28,7 @@ def fit_hypothesis(
     start: Sequence[FittedCandidate],
     point: np.ndarray | None = None,
     linearisations: int | None = None,
-) -> Fit:
+) -> Fit | None:
     """Candidates and nuisance parameters fitted together from `start`; None where that cannot be simulated.
 
     The first Jacobian is that of the nominal fit. Starts that lie far off are shrunk.
@@ -44,25 +44,29 @@ def fit_hypothesis(
         if tried[-1].chi_square < _worthwhile(nominal):
             break
     if not tried:
-        return _did_not_run(nominal, start)
+        return None
     near = min(tried, key=lambda one: one.chi_square)
     fit = _fit_from_start(nominal, near, start, linearisations)
     if near is tried[0] or (
-        fit.predicted_reduction < nominal.study.options.fit.unconverged and fit.chi_square < _worthwhile(nominal)
+        fit is not None
+        and fit.predicted_reduction < nominal.study.options.fit.unconverged
+        and fit.chi_square < _worthwhile(nominal)
     ):
         return fit
     afar = _fit_robustly(
         nominal, tried[0], linearisations
     )  # small beginnings may crawl along a bent valley: the great one jumps it
-    return min(fit, afar, key=lambda one: one.chi_square)
+    return afar if fit is None else min(fit, afar, key=lambda one: one.chi_square)
 
 
-def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandidate], linearisations: int) -> Fit:
-    """A fit from a start, or from the solution of the linearised equations, whichever predicts the lower end."""
+def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandidate], linearisations: int) -> Fit | None:
+    """A fit from a start, or from the solution of the linearised equations, whichever predicts the lower end; None
+    where no valve has the candidates at the nominal parameters.
+    """
     leapt = _linear_start(nominal, tuple(start)) or _linear_start(nominal, fit.fitted)
     begun = [pair for at in (fit, leapt) if at and (pair := _with_jacobian(nominal, at))]
     if not begun:
-        return _did_not_run(nominal, start)
+        return None
     # promises are half kept
     fit, jacobian = min(
         begun,
@@ -82,7 +86,7 @@ def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandida
     )
 
 
-def fit_from_prior(nominal: NominalFit, start: Sequence[FittedCandidate]) -> Fit:
+def fit_from_prior(nominal: NominalFit, start: Sequence[FittedCandidate]) -> Fit | None:
     """The same restarted from the prior: no nuisance parameter beyond its tolerance, nothing kept of the nominal
     fit.
 
@@ -96,24 +100,24 @@ def fit_from_prior(nominal: NominalFit, start: Sequence[FittedCandidate]) -> Fit
             nominal.study.options.fit.most_linearisations,
         )
     except (SolveError, InputError):
-        return _did_not_run(nominal, start)
+        return None
 
 
-def continue_fit(nominal: NominalFit, fit: Fit) -> Fit:
+def continue_fit(nominal: NominalFit, fit: Fit) -> Fit | None:
     """A fit continued from where it is, with a Jacobian of its own; None where it cannot be simulated."""
     try:
         return continue_from(nominal, evaluate_fit(nominal.study, fit.point, fit.fitted))
     except (SolveError, InputError):
-        return _did_not_run(nominal, fit.fitted)
+        return None
 
 
-def continue_from(nominal: NominalFit, fit: Fit) -> Fit:
+def continue_from(nominal: NominalFit, fit: Fit) -> Fit | None:
     """The same for a fit that has been simulated in the same study."""
     study = nominal.study
     try:
         jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
     except (SolveError, InputError):
-        return _did_not_run(nominal, fit.fitted)
+        return None
     return _iterate(
         study,
         fit,
@@ -150,11 +154,6 @@ def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCand
             return -np.inf
 
     return np.array([fall(start) for start in starts])
-
-
-def _did_not_run(nominal: NominalFit, start: Sequence[FittedCandidate]) -> Fit:
-    """In place of a fit that no valve could be run for."""
-    return replace(nominal.fit.with_fitted([replace(e, above_neutral=0.0) for e in start]), chi_square=np.inf)
 
 
 def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int) -> Fit:

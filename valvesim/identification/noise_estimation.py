@@ -12,13 +12,15 @@ import numpy as np
 from valvesim.identification.noise_model import NoiseModel, fit_autoregression, quantisation_error
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import Record
-from valvesim.identification.study import Study
+from valvesim.identification.study import PreparedSession
 
 
-def identify_noise(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> dict[tuple[str, float], NoiseModel]:
+def identify_noise(
+    prepared: PreparedSession, readings: Sequence[dict[str, np.ndarray]]
+) -> dict[tuple[str, float], NoiseModel]:
     """The noise of each channel at each rate: from repeats where there are any, else from what the model leaves."""
-    session, found = study.session, {}
-    records = [predictor.record for predictor in study.predictors]
+    session, found = prepared.session, {}
+    records = [predictor.record for predictor in prepared.predictors]
     keys = dict.fromkeys((name, record.pace) for record in records for name in record.outputs)
     for name, rate in keys:
         own = [
@@ -29,13 +31,13 @@ def identify_noise(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> d
         sensor = session.sensors.get(name)
         resolution = sensor.resolution if sensor is not None else 0.0
         stated = sensor.noise if sensor is not None else None
-        series = _differences(own, options=study.options)
-        verified = bool(series)
+        series = _differences(own, options=prepared.options)
+        verified, source = bool(series), "repeats" if series else "residual"
         if not verified:
             series = [left for record, left in own]
         floor = max(resolution / np.sqrt(12.0), 1e-9 * _size(own, name), stated or 0.0 if not verified else 0.0)
         noise = fit_autoregression(
-            series, verified=verified, source="repeats" if verified else "residual", floor=floor, options=study.options
+            series, verified=verified, source=source, floor=floor, options=prepared.options
         )
         if resolution > 2.0 * noise.deviation:  # too coarse to be dithered by the noise: rounding repeats itself
             coarse = [
@@ -44,7 +46,7 @@ def identify_noise(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> d
                 if name in record.outputs and record.pace == rate
             ]
             noise = fit_autoregression(
-                coarse, verified=verified, source=noise.source + ", resolution", floor=floor, options=study.options
+                coarse, verified=verified, source=noise.source + ", resolution", floor=floor, options=prepared.options
             )
         found[name, rate] = noise
     return found
@@ -77,15 +79,15 @@ def _differences(own: Sequence[tuple[Record, np.ndarray]], *, options: Identific
     return series
 
 
-def initial_noise(study: Study) -> dict[tuple[str, float], NoiseModel]:
+def initial_noise(prepared: PreparedSession) -> dict[tuple[str, float], NoiseModel]:
     """White noise of the size of what a straight line through three samples leaves: to start the first fit with."""
     found = {}
-    for predictor in study.predictors:
+    for predictor in prepared.predictors:
         record = predictor.record
         for name in record.outputs:
             bend = np.diff(record.values[name], 2)
             size = float(np.sqrt(np.mean(bend**2) / 6.0))
-            sensor = study.session.sensors.get(name)
+            sensor = prepared.session.sensors.get(name)
             floor = max(
                 (sensor.resolution if sensor else 0.0) / np.sqrt(12.0), 2e-3 * float(np.ptp(record.values[name]))
             )

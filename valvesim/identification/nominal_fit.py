@@ -13,7 +13,7 @@ from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
-from valvesim.identification.study import Study
+from valvesim.identification.study import PreparedSession, Study
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class NominalFit:
     J: np.ndarray
 
 
-def fit_nominal(study: Study, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
+def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
     """Fit the nuisance parameters and identify the noise. Raises SolveError where the valve cannot be simulated."""
     reached = 0.0
 
@@ -39,16 +39,16 @@ def fit_nominal(study: Study, progress: Callable[[float], None] = lambda share: 
         reached = max(reached, share)
         progress(reached)
 
-    study = replace(study, noise=initial_noise(study))
+    study = prepared.with_noise(initial_noise(prepared))
     fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
     labels = [predictor.record.repeats for predictor in study.predictors if predictor.record.repeats]
     noise = identify_noise(study, fit.readings) if len(labels) > len(set(labels)) else {}
     if noise and all(one.verified for one in noise.values()):
-        return fit_nominal_from(replace(study, noise=noise), fit, ahead)
+        return fit_nominal_from(study.with_noise(noise), fit, ahead)
     nominal = _preliminary(study, fit, ahead)
     for _ in range(2):  # the noise is what the best fit leaves: again with its colour
         noise = identify_noise(study, nominal.fit.readings)
-        nominal = _converge_down_weighted(replace(nominal, study=replace(nominal.study, noise=noise)), ahead)
+        nominal = _converge_down_weighted(replace(nominal, study=nominal.study.with_noise(noise)), ahead)
     return _at_full_weight(study, nominal, ahead)
 
 
@@ -57,25 +57,25 @@ def fit_nominal_from(study: Study, fit: Fit, progress: Callable[[float], None] =
     return _at_full_weight(study, _preliminary(study, fit, progress), progress)
 
 
-def fit_nominal_near(study: Study, point: np.ndarray, *, full_weight: bool) -> NominalFit:
+def fit_nominal_near(prepared: PreparedSession, point: np.ndarray, *, full_weight: bool) -> NominalFit:
     """The nominal model fitted from a point (p,) near its best, and the noise with it; samples next to peaks count less
     unless at `full_weight`.
     """
-    fit = evaluate_fit(replace(study, noise=initial_noise(study)), point, ())
-    study = replace(study, noise=identify_noise(study, fit.readings))
+    fit = evaluate_fit(prepared.with_noise(initial_noise(prepared)), point, ())
+    study = prepared.with_noise(identify_noise(prepared, fit.readings))
     nominal = linearise_nominal(study, rescored(study, fit))
     for last in (False, True):
         weighted = nominal.study if full_weight else down_weight_peaks(nominal.study, nominal.linearised)
         nominal = _converge(reweighted(weighted, nominal), study.options.fit.nominal_ftol)
         if last or all(noise.verified for noise in nominal.study.noise.values()):
             break
-        nominal = reweighted(replace(study, noise=identify_noise(study, nominal.fit.readings)), nominal)
+        nominal = reweighted(study.with_noise(identify_noise(study, nominal.fit.readings)), nominal)
     return nominal
 
 
 def refit_nominal(nominal: NominalFit, fit: Fit) -> NominalFit:
     """The nominal model fitted at full weight from where another fit without candidates is."""
-    study = replace(nominal.study, weights={})
+    study = nominal.study.unweighted()
     start = rescored(study, fit)
     if start.chi_square > nominal.study.options.fit.inadequate_ratio * start.rows:
         return fit_nominal_from(study, fit)
@@ -92,7 +92,7 @@ def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None]) -> N
 
 def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float], None]) -> NominalFit:
     """A preliminary fit continued at full weight; with peaks down-weighted where the model cannot follow them."""
-    study = replace(study, noise=nominal.study.noise)
+    study = study.with_noise(nominal.study.noise)
     near = linearise_nominal(study, rescored(study, nominal.fit))
     full = _converge(near, study.options.fit.nominal_ftol, progress)
     left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
@@ -106,7 +106,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
 
 def unweighted(nominal: NominalFit) -> NominalFit:
     """The same fit with all samples at full weight."""
-    return reweighted(replace(nominal.study, weights={}), nominal)
+    return reweighted(nominal.study.unweighted(), nominal)
 
 
 def reweighted(study: Study, nominal: NominalFit) -> NominalFit:

@@ -1,10 +1,11 @@
-"""A session with everything that its fits share, before and after its noise is known."""
+"""A session with everything that its fits share: prepared, and as a study once there is an estimate of its noise."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
 
 import numpy as np
 
@@ -19,8 +20,8 @@ from valvesim.valve.catalogue import CATALOGUE
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
-    """A session with everything that its fits share."""
+class PreparedSession:
+    """A session with everything that its fits share but the noise: its variants can be run, not weighed."""
 
     session: Session
     nominal: NominalModel
@@ -28,15 +29,11 @@ class Study:
     predictors: tuple[RecordPredictor, ...]
     representatives: tuple[int, ...]  # of each predictor, the first that runs as it does
     options: IdentificationOptions
-    noise: dict[tuple[str, float], NoiseModel] = field(default_factory=dict)
-    weights: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (record, channel): of its whitened rows
-    is_long: bool = False  # a look takes long, and what hardly helps is left
+    is_long: bool  # a look takes long, and what hardly helps is left
 
-    @property
-    def stride(self) -> int:
-        """Every how many of the whitened rows is kept: they are independent, so none is missed but for its weight."""
-        rows = sum(len(b.record.time) * len(b.record.outputs) for b in self.predictors)
-        return int(np.ceil(rows / self.options.fit.most_rows))
+    def with_noise(self, noise: dict[tuple[str, float], NoiseModel]) -> Study:
+        """The study under a noise, by channel and pace."""
+        return Study(**{f.name: getattr(self, f.name) for f in fields(PreparedSession)}, noise=noise)
 
     def negligible_reduction(self, chi_square: float, rows: float) -> float:
         """Reduction of the chi-square not worth a linearisation: in a long session, a share of what a fit leaves."""
@@ -46,7 +43,7 @@ class Study:
             else 0.0
         )
 
-    def without_oversampling(self) -> Study:
+    def without_oversampling(self) -> Self:
         """The study with its trajectories at the samples alone: the same readings, and preliminary sensitivities."""
         return replace(self, predictors=tuple(predictor.without_oversampling() for predictor in self.predictors))
 
@@ -55,6 +52,28 @@ class Study:
         own = sorted(set(self.representatives))
         found = dict(zip(own, each(function, *([one[k] for k in own] for one in over)), strict=True))
         return [found[k] for k in self.representatives]
+
+
+@dataclass(frozen=True, eq=False)
+class Study(PreparedSession):
+    """A prepared session under a noise: what its fits leave is whitened by it, and rows may count less."""
+
+    noise: dict[tuple[str, float], NoiseModel]
+    weights: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (record, channel): of its whitened rows
+
+    @property
+    def stride(self) -> int:
+        """Every how many of the whitened rows is kept: they are independent, so none is missed but for its weight."""
+        rows = sum(len(b.record.time) * len(b.record.outputs) for b in self.predictors)
+        return int(np.ceil(rows / self.options.fit.most_rows))
+
+    def with_noise(self, noise: dict[tuple[str, float], NoiseModel]) -> Study:
+        """The same at the same weights under another noise."""
+        return replace(self, noise=noise)
+
+    def unweighted(self) -> Study:
+        """The study with all rows at full weight."""
+        return replace(self, weights={})
 
     def whiten(self, predictor: RecordPredictor, columns: dict[str, np.ndarray]) -> list[np.ndarray]:
         """Whitened columns (n, k) of a record, channel by channel."""
@@ -92,14 +111,14 @@ def each(function: Callable, *over: Sequence) -> list:
         return list(pool.map(function, *over))
 
 
-def prepare_study(
+def prepare_session(
     session: Session, more: Sequence = (), *, options: IdentificationOptions = DEFAULT_IDENTIFICATION
-) -> Study:
-    """The study of a session, noise not yet known; `more` are effects that its fits may use beside the catalogue's."""
+) -> PreparedSession:
+    """A session prepared for its fits; `more` are effects that these may use beside the catalogue's."""
     nominal = nominal_model_of(session, options=options)
     universe = (*CATALOGUE.values(), *session.user_effects, *more)
     predictors = tuple(prepare_record(session, record, universe, options=options) for record in session.training)
-    return Study(
+    return PreparedSession(
         session,
         nominal,
         candidates_of(session, nominal),
@@ -118,21 +137,21 @@ def _representatives(predictors: Sequence[RecordPredictor]) -> tuple[int, ...]:
     return tuple(next(k for k, first in enumerate(predictors) if first.runs_as(predictor)) for predictor in predictors)
 
 
-def restricted_study(study: Study, records: Sequence[Record]) -> Study:
-    """The study of parts of its training records, in their order: the same nuisance parameters, the same candidates."""
-    session = replace(study.session, records=(*records, *study.session.locked))
+def restricted_session(whole: PreparedSession, records: Sequence[Record]) -> PreparedSession:
+    """The same of parts of the training records, in their order: the same nuisance parameters, the same candidates."""
+    session = replace(whole.session, records=(*records, *whole.session.locked))
     predictors = tuple(
-        prepare_record(session, r, b.universe, options=study.options)
-        for r, b in zip(records, study.predictors, strict=True)
+        prepare_record(session, r, b.universe, options=whole.options)
+        for r, b in zip(records, whole.predictors, strict=True)
     )
-    return replace(
-        study,
-        session=session,
-        predictors=predictors,
-        representatives=_representatives(predictors),
-        noise={},
-        weights={},
-        is_long=_is_long(predictors, options=study.options),
+    return PreparedSession(
+        session,
+        whole.nominal,
+        whole.candidates,
+        predictors,
+        _representatives(predictors),
+        whole.options,
+        is_long=_is_long(predictors, options=whole.options),
     )
 
 
