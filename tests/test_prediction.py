@@ -395,7 +395,7 @@ def test_a_run_that_fails_says_which_record_when_and_what_to_ask():
 def test_a_valve_without_rest_says_which_record(monkeypatch):
     predictor = bench_of("fast")
     spoiled = replace(predictor, inputs=np.full_like(predictor.inputs, np.nan))
-    monkeypatch.setattr("valvesim.identification.predictor.solve_rest", lambda *_: type("Rest", (), dict.fromkeys(
+    monkeypatch.setattr("valvesim.valve.equilibrium.solve_rest", lambda *_: type("Rest", (), dict.fromkeys(
         ("armature_angle", "nozzle_pressure_1", "nozzle_pressure_2", "spool_position"), 0.0)))  # fmt: skip
     with pytest.raises(SolveError, match="record fast.*no rest"):
         spoiled.run(nominal_variant().with_effect(FRICTION))

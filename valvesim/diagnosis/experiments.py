@@ -107,10 +107,10 @@ def _holds(t: np.ndarray) -> np.ndarray:
 
 
 def experiment_values(session: Session, trial: Experiment) -> dict[str, np.ndarray]:
-    voltage = session.records[0].command == "voltage"
-    rated = session.valve.rated_current * (session.valve.coil_resistance if voltage else 1.0)
+    drive = session.drive
+    rated = drive.command_for_current(session.valve.rated_current, session.valve.coil_resistance)
     ones = np.ones(len(trial.time))
     return {
-        "voltage" if voltage else "current": rated * trial.shape, "oil_temperature": trial.oil,
+        drive.command_name: rated * trial.shape, "oil_temperature": trial.oil,
         "supply_pressure": trial.supply * ones, "load_pressure": trial.load * ones,
     }  # fmt: skip

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from valvesim.channels import STATE_CHANNELS, Signals, State
+from valvesim.channels import Signals
 from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory
 from valvesim.identification.prior import ToleratedSensorError
 from valvesim.identification.tangent_linear import TangentLinear, first_order_response, linearise_along
 from valvesim.units import quantities
 from valvesim.valve.effect import ActiveEffect
-from valvesim.valve.equations import Model
-from valvesim.valve.parameters import Coefficients, Valve
+from valvesim.valve.parameters import Valve
+from valvesim.valve.valve_model import ValveModel
 
 SIGNAL_NAMES = Signals._fields
 
@@ -31,7 +31,7 @@ class LinearisedRecord:
     variant: ModelVariant
     trajectory: Trajectory
     tangent: TangentLinear
-    model: Model
+    model: ValveModel
     readings: dict[str, np.ndarray]
     rates: tuple
     signals: Any
@@ -91,9 +91,7 @@ class LinearisedRecord:
 
     def argument(self, variable: Any, states: tuple) -> np.ndarray:
         """A variable of a term (n,) along the trajectory."""
-        memory = self.model.drive.memory
-        current = states[len(STATE_CHANNELS)] if memory else self.predictor.inputs[:, 0]
-        return np.asarray(variable.of(State(*states[: len(STATE_CHANNELS)]), current))
+        return np.asarray(variable.along(self.model, states, tuple(self.predictor.inputs.T)))
 
     def _forcings(self, variants: Sequence[ModelVariant]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """`forcing` of several variants, (n, s, k) and (n, k) by signal; those of other valves go together."""
@@ -124,7 +122,7 @@ class LinearisedRecord:
         n, inputs = len(self.predictor.times), tuple(self.predictor.inputs.T)
         own = {effect.name for effect in self.model.effects}
         more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
-        model = Model(self.model.drive, (*self.model.effects, *(a.effect for a in more)))
+        model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
         along = self.predictor.coefficients_along(variant, model)
         states = [self.trajectory.states[:, k] for k in self.tangent.active]
         for active in more:
@@ -156,7 +154,7 @@ class LinearisedRecord:
         count = len(active.effect.memory)
         if not count:
             return []
-        first = slice(0, len(STATE_CHANNELS) + len(self.model.drive.memory))
+        first = slice(0, self.model.memory_states.start)
 
         def middle(values: np.ndarray, rest: float | None = None) -> np.ndarray:
             """The value at rest, then those in the middle of the steps."""
@@ -164,8 +162,8 @@ class LinearisedRecord:
 
         mid = tuple(middle(x) for x in states[first])
         inputs = tuple(middle(u, 0.0 if k == 1 else None) for k, u in enumerate(self.predictor.inputs.T))
-        c = tuple(middle(v) if len(v) > 1 else v for v in along[: len(Coefficients._fields)])
-        model = Model(self.model.drive, (active.effect,))
+        c = tuple(middle(v) if len(v) > 1 else v for v in self.model.valve_coefficients(along))
+        model = self.model.with_effects((active.effect,))
         flat = (*c, *active.numbers)
         at_0, at_1 = (model.rhs((*mid, *(np.full(len(mid[0]), z),) * count), inputs, flat)[-count:] for z in (0.0, 1.0))
         h = float(self.predictor.times[1] - self.predictor.times[0])

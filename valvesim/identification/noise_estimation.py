@@ -36,9 +36,7 @@ def identify_noise(
         if not verified:
             series = [left for record, left in own]
         floor = max(resolution / np.sqrt(12.0), 1e-9 * _size(own, name), stated or 0.0 if not verified else 0.0)
-        noise = fit_autoregression(
-            series, verified=verified, source=source, floor=floor, options=prepared.options
-        )
+        noise = fit_autoregression(series, verified=verified, source=source, floor=floor, options=prepared.options)
         if resolution > 2.0 * noise.deviation:  # too coarse to be dithered by the noise: rounding repeats itself
             coarse = [
                 quantisation_error(read[name], noise.deviation, resolution, session.seed)

@@ -13,21 +13,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from valvesim.channels import STATE_CHANNELS, Inputs
-from valvesim.errors import InputError, SolveError
+from valvesim.channels import Inputs
+from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
 from valvesim.identification.session import Record, Session
 from valvesim.inputs import evaluate, merge
+from valvesim.simulation.driver import InitialValueProblem, integrate
 from valvesim.simulation.scenario import Scenario
+from valvesim.simulation.start import state_at_rest
 from valvesim.simulation.temperature_knots import between, brackets, on_lines, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
 from valvesim.valve.equations import Model
-from valvesim.valve.equilibrium import settle, solve_rest
-from valvesim.valve.parameters import Coefficients, Valve
+from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath
+from valvesim.valve.valve_model import ValveModel
 
 
 @dataclass(frozen=True)
@@ -113,15 +115,16 @@ class RecordPredictor:
         """
         own = tuple(active.effect for active in effects if active.effect.balance is not None)
         if len(own) < 2:
-            return Model(self.scenario.drive, own)
+            return self.scenario.model.with_effects(own)
         names = {effect.name for effect in self.universe}
-        return Model(self.scenario.drive, self.universe if all(e.name in names for e in own) else own)
+        return self.scenario.model.with_effects(self.universe if all(e.name in names for e in own) else own)
 
     def run(self, variant: ModelVariant) -> Trajectory:
         """The trajectory of a variant from rest. Raises InputError for impossible dimensions, SolveError where it
         fails.
         """
-        path, knots, model = self._coefficients(variant)
+        model = self.model(variant.effects)
+        path, knots = self._coefficients(variant, model)
         stacked = np.stack(np.broadcast_arrays(*knots), axis=-1).astype(float)
         flat = np.array(np.broadcast_to(stacked, (len(path.times), stacked.shape[-1])))
         compiled = compile_model(model, absent_coefficients(model, flat))
@@ -141,22 +144,21 @@ class RecordPredictor:
             trajectory, states=np.ascontiguousarray(trajectory.fine[:: self.sensor_oversampling]), coefficients=along
         )
 
-    def _coefficients(self, variant: ModelVariant, model: Model | None = None) -> tuple[TemperaturePath, tuple, Model]:
-        """Temperature path, flat coefficients at its knots, (), (m,) or (batch, m) each, and the model of both."""
+    def _coefficients(self, variant: ModelVariant, model: ValveModel) -> tuple[TemperaturePath, tuple]:
+        """Temperature path, and flat coefficients of a model at its knots, (), (m,) or (batch, m) each."""
         path = self.path
         if any(active.effect.temperatures is not None for active in variant.effects):
             path, _ = temperature_knots(replace(self.scenario, effects=variant.effects))
         with _naming_record(self.record):
             c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
-        model = self.model(variant.effects) if model is None else model
-        return path, model.flat_coefficients(c, _with_neutral(model, variant.effects), path.parts), model
+        return path, model.flat_coefficients(c, _with_neutral(model, variant.effects), path.parts)
 
-    def coefficients_along(self, variant: ModelVariant, model: Model, times: np.ndarray | None = None) -> tuple:
+    def coefficients_along(self, variant: ModelVariant, model: ValveModel, times: np.ndarray | None = None) -> tuple:
         """Flat coefficients of a model for a variant on the grid (or at `times`), (n,) each, (1,) where constant.
 
         Of a variant whose valve is a batch, quantities (batch, 1), they are (n, batch), with ones where constant.
         """
-        path, knots, _ = self._coefficients(variant, model)
+        path, knots = self._coefficients(variant, model)
         dimensions = max(np.ndim(value) for value in knots)
         columns = [np.array(value, dtype=float, ndmin=max(dimensions, 1)).T for value in knots]
         if len(path.times) == 1:
@@ -165,23 +167,23 @@ class RecordPredictor:
         share = share.reshape(-1, *(1,) * (columns[0].ndim - 1))
         return tuple(column[:1] if np.all(column == column[0]) else on_lines(column, k, share) for column in columns)
 
-    def switched_off(self, model: Model, active: Sequence[ActiveEffect]) -> np.ndarray:
+    def switched_off(self, model: ValveModel, active: Sequence[ActiveEffect]) -> np.ndarray:
         """True for each state of the model that is the memory of an effect which is not active."""
         given = {a.effect.name for a in active}
-        off = [False] * (len(STATE_CHANNELS) + len(model.drive.memory))
+        off = [False] * model.memory_states.start
         return np.array([*off, *(e.name not in given for e in model.effects for _ in e.memory)])
 
-    def reduced(self, model: Model, variant: ModelVariant) -> tuple[Model, np.ndarray]:
+    def reduced(self, model: ValveModel, variant: ModelVariant) -> tuple[ValveModel, np.ndarray]:
         """The model with a variant's own effects alone, and the indices of its states in those of a fuller one."""
         active = {a.effect.name for a in variant.effects}
-        own = Model(model.drive, tuple(e for e in model.effects if e.name in active))
+        own = model.with_effects([e for e in model.effects if e.name in active])
         return own, np.flatnonzero(~self.switched_off(model, variant.effects))
 
     def readings(self, trajectory: Trajectory, variant: ModelVariant) -> dict[str, np.ndarray]:
         """What the record's sensors would have read, (n_samples,) by channel, before noise and resolution."""
         return self.apply_sensors(trajectory.at_valve, trajectory, variant)
 
-    def _outputs(self, model: Model, fine: np.ndarray, variant: ModelVariant) -> dict[str, np.ndarray]:
+    def _outputs(self, model: ValveModel, fine: np.ndarray, variant: ModelVariant) -> dict[str, np.ndarray]:
         """The record's output channels on the fine grid, (n_f,) each, as they are at the valve."""
         names = self.record.outputs
         values = {channel.name: fine[:, k] for k, channel in enumerate(model.state_channels) if channel.name in names}
@@ -314,7 +316,7 @@ def neutral(effect: Effect) -> ActiveEffect:
     return effect(**{amplitude.name: amplitude.neutral or 0.0})
 
 
-def _with_neutral(model: Model, active: Sequence[ActiveEffect]) -> list[ActiveEffect]:
+def _with_neutral(model: ValveModel, active: Sequence[ActiveEffect]) -> list[ActiveEffect]:
     """The active effects, with those of the model that are not among them switched off, in the model's order."""
     given = {a.effect.name: a for a in active if a.effect.balance is not None}
     in_model = [given.get(effect.name) or neutral(effect) for effect in model.effects]
@@ -332,52 +334,21 @@ def _column(value: np.ndarray, path: TemperaturePath) -> np.ndarray:
 def _integrate(
     predictor: RecordPredictor, compiled: CompiledModel, path: TemperaturePath, flat: np.ndarray, off: np.ndarray
 ) -> np.ndarray:
-    """States (n_f, n_x) in SI on the predictor's fine grid."""
-    y = _rest(predictor, compiled, flat[0], off)
-    out = np.empty((len(predictor.fine_times), len(y)))
-    clock, count = np.array([0.0, 1e-5, 0.0]), np.zeros(2, dtype=np.int64)
-    atol = np.where(off, np.inf, 1e-2 * predictor.options.predictor.tolerance)
-    end = float(predictor.times[-1])
-    status = compiled.run(
-        y,
-        clock,
-        end,
-        predictor.starts,
-        predictor.rows,
-        path.times,
-        flat,
-        predictor.fine_times,
-        out,
-        predictor.options.predictor.tolerance,
-        atol,
-        y.copy(),
-        predictor.options.predictor.most_steps,
-        count,
+    """States (n_f, n_x) in SI on the predictor's fine grid, from rest under the first inputs."""
+    where = f"record {predictor.record.name}: "
+    first = np.array(Inputs(*predictor.inputs[0])._replace(command_rate=0.0))
+    problem = InitialValueProblem(
+        compiled=compiled,
+        initial=state_at_rest(compiled, first, flat[:1], held=off, where=where)[0],
+        starts=predictor.starts,
+        rows=predictor.rows,
+        knot_times=path.times,
+        knots=flat,
+        times=predictor.fine_times,
+        end=float(predictor.times[-1]),
+        tolerance=predictor.options.predictor.tolerance,
+        most_steps=predictor.options.predictor.most_steps,
+        ignored=off,
     )
-    if status or not np.isfinite(out[-1]).all():
-        raise SolveError(
-            f"record {predictor.record.name}: the simulation failed at t = {clock[0]:.6g} s; is the valve of "
-            "session.toml the one that was measured?"
-        )
-    return out * compiled.scale
-
-
-def _rest(predictor: RecordPredictor, compiled: CompiledModel, flat: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """The scaled state at rest under the first inputs: the static solution, then Newton on the model itself."""
-    c = Coefficients(*flat[: len(Coefficients._fields)])
-    first = predictor.inputs[0].copy()
-    first[1] = 0.0
-    memory = compiled.model.drive.rest(first[0], c)
-    rest = solve_rest(c, memory[0] if memory else first[0], 0.0, *first[2:])
-    y = np.zeros(len(compiled.scale))
-    y[:6] = [float(v) for v in (rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2,
-                                rest.spool_position, 0.0)]  # fmt: skip
-    y[6 : 6 + len(memory)] = memory
-    y /= compiled.scale
-    if not any(e.balance for e in compiled.model.effects):
-        return y
-    return settle(
-        lambda y, out: compiled.derivative(y, first, flat, out),
-        lambda y, out: compiled.jacobian(y, first, flat, out),
-        y, compiled.model.state_channels, where=f"record {predictor.record.name}: ", held=off,
-    )  # fmt: skip
+    advice = "Is the valve of session.toml the one that was measured?"
+    return integrate(problem, what=f"{where}the simulation", advice=advice)[0]

@@ -11,7 +11,7 @@ from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, STATE_CHANNELS
 from valvesim.simulation.scenario import Thermal
 from valvesim.units import DISPLAY, symbol
 from valvesim.valve.effect import ActiveEffect, Effect
-from valvesim.valve.equations import CurrentDrive, VoltageDrive
+from valvesim.valve.equations import DRIVES, Drive
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
 
@@ -135,9 +135,9 @@ class Session:
         return tuple(record for record in self.records if record.role == "test")
 
     @property
-    def drive(self) -> CurrentDrive | VoltageDrive:
+    def drive(self) -> Drive:
         """How the coils are driven, the same in every record."""
-        return VoltageDrive() if self.records[0].command == "voltage" else CurrentDrive()
+        return DRIVES[self.records[0].command]
 
 
 def value_text(value: float, unit: str) -> str:

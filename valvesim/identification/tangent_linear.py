@@ -23,7 +23,7 @@ import numpy as np
 from valvesim.channels import Inputs
 from valvesim.identification.predictor import RecordPredictor, Trajectory
 from valvesim.solver.codegen import compile_model
-from valvesim.valve.equations import Model
+from valvesim.valve.valve_model import ValveModel
 
 ENDLESS = 1e100  # scaled: squares of what is larger overflow
 FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0])
@@ -157,7 +157,7 @@ class TangentLinear:
 
 
 def linearise_along(
-    predictor: RecordPredictor, trajectory: Trajectory, active: np.ndarray, model: Model, along: tuple
+    predictor: RecordPredictor, trajectory: Trajectory, active: np.ndarray, model: ValveModel, along: tuple
 ) -> TangentLinear:
     """The equations along a trajectory, in its `active` states: memories of absent effects take no part.
 
@@ -186,7 +186,7 @@ def _slopes(
     trajectory: Trajectory,
     active: np.ndarray,
     scale: np.ndarray,
-    model: Model,
+    model: ValveModel,
     along: tuple,
 ) -> dict[str, np.ndarray]:
     """d(channel)/d(scaled state), (n, s): exact for states, differences for signals."""

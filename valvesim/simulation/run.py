@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 
 from valvesim.channels import Inputs
-from valvesim.errors import InputError, SolveError
+from valvesim.errors import InputError
 from valvesim.inputs import evaluate, merge, piece_value
+from valvesim.simulation import driver
 from valvesim.simulation.result import Result, output_channels
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
 from valvesim.simulation.temperature_knots import array_quantities, between, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
-from valvesim.solver.rodas5p import STEP_TOO_SMALL, TOO_MANY_STEPS
-from valvesim.units import symbol
-from valvesim.valve.coefficients import PART_NAMES, Coefficients
+from valvesim.valve.coefficients import PART_NAMES
 from valvesim.valve.effect import Reading
 from valvesim.valve.thermal_network import TemperaturePath
 
 MAX_STEPS = 50_000_000  # of a slice
 SLICES = 64  # at most, of a run, between which progress is told: none shorter than a second
+ADVICE = "Try a larger valve.transition_pressure or effect width, a smaller command, or a looser solver.tolerance"
 JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
 
 
@@ -78,8 +78,8 @@ def prepare(scenario: Scenario) -> Problem:
     times = np.arange(int(np.floor(end * scenario.output_rate * (1 + 1e-12))) + 1) / scenario.output_rate
     times = np.minimum(times, end)  # rounding may carry the last sample past the end
     compiled = compile_model(model, absent_coefficients(model, knots))
-    first = Coefficients(*(knots[:, 0, k] for k in range(len(Coefficients._fields))))
-    initial = state_at_rest(scenario, compiled, first, knots[:, 0])
+    first, *pressures = (evaluate(command, 0.0) for command in commands)
+    initial = state_at_rest(compiled, np.array([first, 0.0, *pressures], dtype=float), knots[:, 0])
     return Problem(scenario, compiled, path, knots, starts, rows, times, initial)
 
 
@@ -105,45 +105,19 @@ def _soften_jumps(starts: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.
 
 def integrate(problem: Problem, member: int, progress: Callable[[float], None] | None) -> tuple[np.ndarray, Any]:
     """States (n_t, states) in SI of one member, and the counts of accepted and rejected steps."""
-    scenario, compiled = problem.scenario, problem.compiled
-    y, count = problem.initial[member].copy(), np.zeros(2, dtype=np.int64)
-    out = np.full((len(problem.times), len(y)), np.nan)
-    clock = np.array([0.0, min(1e-5, scenario.duration), 0.0])
-    rtol = scenario.tolerance
-    slices = int(np.clip(scenario.duration, 1, SLICES))
-    for k in range(1, slices + 1):
-        end = scenario.duration * k / slices if k < slices else scenario.duration
-        status = compiled.run(
-            y, clock, end, problem.starts, problem.rows, problem.path.times, problem.knots[member], problem.times, out,
-            rtol, np.full(len(y), 0.01 * rtol), problem.initial[member], MAX_STEPS, count,
-        )  # fmt: skip
-        if status:
-            raise _failure(problem, member, status, y, float(clock[0]))
-        if progress is not None:
-            progress(k / slices)
-    return out * compiled.scale, count
-
-
-_REASONS = {
-    TOO_MANY_STEPS: f"more than {MAX_STEPS} steps were needed",
-    STEP_TOO_SMALL: "the step became too small",
-}
-
-
-def _failure(problem: Problem, member: int, status: int, y: np.ndarray, t: float) -> SolveError:
-    """When it failed, in which state (the one that moves fastest), and what to try."""
     scenario = problem.scenario
-    u = np.array([evaluate(command, t) for command in (scenario.command, *scenario.pressures())], dtype=float)
-    f = np.empty(len(y))
-    problem.compiled.derivative(y, np.insert(u, 1, 0.0), problem.knots[member, 0], f)
-    fastest = int(np.argmax(np.where(np.isfinite(f), np.abs(f), np.inf)))
-    channel = scenario.model.state_channels[fastest]
     batch = f" of member {member}" if len(problem.knots) > 1 else ""
-    return SolveError(
-        f"the integration{batch} failed at t = {t:.6g} s in {channel.name} "
-        f"({y[fastest] * channel.scale:.4g} {symbol(channel.unit)}): {_REASONS[status]}. Try a larger "
-        "valve.transition_pressure or effect width, a smaller command, or a looser solver.tolerance"
-    )
+    return driver.integrate(
+        driver.InitialValueProblem(
+            compiled=problem.compiled, initial=problem.initial[member], starts=problem.starts, rows=problem.rows,
+            knot_times=problem.path.times, knots=problem.knots[member], times=problem.times, end=scenario.duration,
+            tolerance=scenario.tolerance, most_steps=MAX_STEPS,
+        ),
+        slices=int(np.clip(scenario.duration, 1, SLICES)),
+        progress=progress,
+        what=f"the integration{batch}",
+        advice=ADVICE,
+    )  # fmt: skip
 
 
 def _values(problem: Problem, states: np.ndarray) -> dict[str, np.ndarray]:

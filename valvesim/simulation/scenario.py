@@ -19,7 +19,7 @@ from valvesim.io import check_printable
 from valvesim.units import POSITIVE, check_bounds, quantities, quantity
 from valvesim.valve.coefficients import ROUTES, check_routes
 from valvesim.valve.effect import ActiveEffect
-from valvesim.valve.equations import CurrentDrive, Model, VoltageDrive
+from valvesim.valve.equations import CurrentDrive, Drive, Model
 from valvesim.valve.fluid import COMPUTED_RANGE, MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import NODES, TemperaturePath, ThermalNetwork, temperature_path, throttling_rise
@@ -69,7 +69,7 @@ class Scenario:
     thermal: Thermal = field(default_factory=Thermal)
     oil_temperature: Command = Constant(value=20.0)
     command: Command = Constant(value=0.0)
-    drive: CurrentDrive | VoltageDrive = CurrentDrive()
+    drive: Drive = CurrentDrive()
     supply_pressure: Command | None = None
     return_pressure: Command | None = None
     load_pressure: Command | None = None

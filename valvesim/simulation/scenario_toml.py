@@ -25,14 +25,13 @@ from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.coefficients import ROUTES, check_routes
 from valvesim.valve.effect import ActiveEffect, Effect
 from valvesim.valve.effect_files import load_effects_files
-from valvesim.valve.equations import CurrentDrive, VoltageDrive
+from valvesim.valve.equations import DRIVES
 from valvesim.valve.flow_coefficients import FLOW_LAWS
 from valvesim.valve.fluid import Oil
 from valvesim.valve.oils import OILS, own_columns, read_oil
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import NODES, ThermalNetwork
 
-DRIVES = {drive.command_name: drive for drive in (CurrentDrive(), VoltageDrive())}
 PRESSURES = ("supply", "return", "load")
 SECTIONS = ("valve", "oil", "thermal", "command", "pressures", "effects", "outputs", "solver")
 _OPTIONS = {"duration": "duration", "output_rate": "outputs.rate", "tolerance": "solver.tolerance"}

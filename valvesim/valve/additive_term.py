@@ -56,6 +56,11 @@ class Variable:
             return state.nozzle_pressure_1 - state.nozzle_pressure_2
         return current if self.name == "current" else getattr(state, self.name)
 
+    def along(self, model: Any, states: Sequence, inputs: Sequence) -> Any:
+        """Its value (n,) along a trajectory of an `equations.Model`: states and inputs (n,) each, SI."""
+        memory = states[model.drive_states]
+        return self.of(State(*states[model.valve_states]), memory[0] if memory else inputs[0])
+
 
 PORTS = {
     port.name: port

@@ -103,11 +103,16 @@ def torque_constant(c: Coefficients):
     )
 
 
+Drive = CurrentDrive | VoltageDrive
+DRIVES: dict[str, Drive] = {drive.command_name: drive for drive in (CurrentDrive(), VoltageDrive())}
+"""How the coils are driven, by the name of the command."""
+
+
 @dataclass(frozen=True)
 class Model:
     """The equations with a drive and any effects. Coefficients are a flat sequence: `Coefficients`, then parameters."""
 
-    drive: CurrentDrive | VoltageDrive = CurrentDrive()
+    drive: Drive = CurrentDrive()
     effects: tuple[Effect, ...] = ()
 
     @property
@@ -131,6 +136,11 @@ class Model:
         return slice(self.valve_states.stop, self.valve_states.stop + len(self.drive.memory))
 
     @property
+    def memory_states(self) -> slice:
+        """Where the memories of the effects stand in a state vector: behind all others."""
+        return slice(self.drive_states.stop, len(self.state_channels))
+
+    @property
     def state_channels(self) -> tuple[Channel, ...]:
         """The states of the valve, then the drive's, then the memory of each effect."""
         return STATE_CHANNELS + self.drive.memory + tuple(m for e in self.effects for m in e.memory)
@@ -139,6 +149,14 @@ class Model:
     def coefficient_names(self) -> tuple[str, ...]:
         """Names in the order of the flat coefficients."""
         return Coefficients._fields + tuple(f"{e.name}.{p.name}" for e in self.effects for p in e.parameters)
+
+    def with_effects(self, effects: Sequence[Effect]) -> Model:
+        """The same valve and drive with these effects in the place of its own."""
+        return Model(self.drive, tuple(effects))
+
+    def valve_coefficients(self, flat: Sequence) -> Coefficients:
+        """The valve's own among flat coefficients, which stand before the parameters of the effects."""
+        return Coefficients(*flat[: len(Coefficients._fields)])
 
     def flat_coefficients(
         self, c: Coefficients, active: Sequence[ActiveEffect], parts: PartTemperatures = AT_20

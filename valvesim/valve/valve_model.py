@@ -4,7 +4,7 @@ Two objects make a valve. Its **parameters** (`ValveParameters`; here `parameter
 give the coefficients at the temperatures of its parts. Its **model** (`ValveModel`; here `equations.Model`) holds the
 equations over states, inputs and coefficients. Both are plain data: nothing is remembered between calls.
 
-No second valve follows these protocols yet.
+No second valve follows these protocols in this package; docs/extending.md runs a small one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from valvesim.channels import Channel
 from valvesim.valve.coefficients import PartTemperatures
-from valvesim.valve.effect import ActiveEffect
+from valvesim.valve.effect import ActiveEffect, Effect
 from valvesim.valve.fluid import Oil
 
 
@@ -32,8 +32,18 @@ class ValveModel(Protocol):
     """The equations of a valve. A state, input, signal or coefficient is a float, an array or a traced symbol, SI."""
 
     @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects with a balance that the equations hold."""
+        ...
+
+    @property
     def state_channels(self) -> tuple[Channel, ...]:
         """Name, unit and scale of every state, in the order of all state vectors."""
+        ...
+
+    @property
+    def memory_states(self) -> slice:
+        """Where the memories of the effects stand in a state vector: behind all others."""
         ...
 
     @property
@@ -51,6 +61,14 @@ class ValveModel(Protocol):
         """Names in the order of the flat coefficients."""
         ...
 
+    def with_effects(self, effects: Sequence[Effect]) -> ValveModel:
+        """The same valve with these effects in the place of its own."""
+        ...
+
+    def valve_coefficients(self, flat: Sequence) -> Any:
+        """What `ValveParameters.at` gives, from the flat coefficients: it stands first."""
+        ...
+
     def flat_coefficients(self, c: Any, active: Sequence[ActiveEffect], parts: PartTemperatures) -> tuple:
         """What `ValveParameters.at` gave, changed by the effects, then the parameters of the effects, as one tuple."""
         ...
@@ -63,6 +81,10 @@ class ValveModel(Protocol):
         """Derivatives of all states over time; no branch on a state, so that a symbol passes through."""
         ...
 
-    def signals(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple:
-        """What the equations give besides the derivatives, in the order of `signal_channels`."""
+    def signals(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> Any:
+        """What the equations give besides the derivatives: a NamedTuple in the order of `signal_channels`."""
+        ...
+
+    def evaluate(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple[tuple, Any]:
+        """(`rhs`, `signals`) at once."""
         ...

@@ -1,0 +1,89 @@
+"""The driver of the integrator: the states over time from an initial value problem, whoever poses it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.errors import SolveError
+from valvesim.solver.codegen import CompiledModel
+from valvesim.solver.rodas5p import STEP_TOO_SMALL, TOO_MANY_STEPS, set_inputs
+from valvesim.units import symbol
+
+FIRST_STEP = 1e-5  # s
+ABSOLUTE_SHARE = 0.01  # absolute tolerance of the scaled states over the relative one
+
+
+@dataclass(frozen=True, kw_only=True)
+class InitialValueProblem:
+    """What the integrator needs.
+
+    `initial` (n,) are the scaled states at time zero, at rest; `starts` and `rows` the input pieces between breaks
+    (`inputs.merge`); `knots` (m, n_c) the flat coefficients at `knot_times` (m,), straight in between. States are asked
+    for at `times` (n_t,), none beyond `end` (s). `ignored` (n,) is true for states whose error does not matter.
+    """
+
+    compiled: CompiledModel
+    initial: np.ndarray
+    starts: np.ndarray
+    rows: np.ndarray
+    knot_times: np.ndarray
+    knots: np.ndarray
+    times: np.ndarray
+    end: float
+    tolerance: float
+    most_steps: int
+    ignored: np.ndarray | None = None
+
+
+def integrate(
+    problem: InitialValueProblem,
+    *,
+    slices: int = 1,
+    progress: Callable[[float], None] | None = None,
+    what: str = "the integration",
+    advice: str = "",
+) -> tuple[np.ndarray, np.ndarray]:
+    """(states (n_t, n) in SI, counts (2,) of accepted and rejected steps).
+
+    `progress` is told the share that is done after each of so many slices of time; `most_steps` are those of a slice.
+    Raises SolveError, which says `what` has failed, when, in which state, why, and gives the `advice`.
+    """
+    compiled, y, count = problem.compiled, problem.initial.copy(), np.zeros(2, dtype=np.int64)
+    out = np.full((len(problem.times), len(y)), np.nan)
+    clock = np.array([0.0, min(FIRST_STEP, problem.end), 0.0])
+    atol = np.full(len(y), ABSOLUTE_SHARE * problem.tolerance)
+    if problem.ignored is not None:
+        atol[problem.ignored] = np.inf
+    for k in range(1, slices + 1):
+        end = problem.end * k / slices if k < slices else problem.end
+        status = compiled.run(
+            y, clock, end, problem.starts, problem.rows, problem.knot_times, problem.knots, problem.times, out,
+            problem.tolerance, atol, problem.initial, problem.most_steps, count,
+        )  # fmt: skip
+        if status:
+            raise _failure(problem, status, y, float(clock[0]), what, advice)
+        if progress is not None:
+            progress(k / slices)
+    if not np.isfinite(out[-1:]).all():
+        raise SolveError(f"{what} failed: its last states are no numbers. {advice}".rstrip())
+    return out * compiled.scale, count
+
+
+def _failure(problem: InitialValueProblem, status: int, y: np.ndarray, t: float, what: str, advice: str) -> SolveError:
+    """When it failed, in which state (the one that moves fastest), why, and what to try."""
+    reasons = {
+        TOO_MANY_STEPS: f"more than {problem.most_steps} steps were needed",
+        STEP_TOO_SMALL: "the step became too small",
+    }
+    u, f = np.empty(problem.rows.shape[1] + 1), np.empty(len(y))
+    set_inputs(problem.rows[max(int(np.searchsorted(problem.starts, t, side="right")) - 1, 0)], t, u)
+    problem.compiled.derivative(y, u, problem.knots[0], f)
+    fastest = int(np.argmax(np.where(np.isfinite(f), np.abs(f), np.inf)))
+    channel = problem.compiled.model.state_channels[fastest]
+    return SolveError(
+        f"{what} failed at t = {t:.6g} s in {channel.name} ({y[fastest] * channel.scale:.4g} {symbol(channel.unit)}): "
+        f"{reasons[status]}. {advice}".rstrip()
+    )
