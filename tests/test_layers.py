@@ -1,6 +1,7 @@
 """Packages import one way, and nothing heavy is loaded before it is needed."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -46,6 +47,16 @@ def test_the_contract_names_every_package_and_module_of_the_top():
     for path in PACKAGE.iterdir():
         if path.suffix == ".py" and path.stem != "__init__" or (path / "__init__.py").exists():
             assert f"valvesim.{path.stem}" in contract, path.stem
+
+
+def test_only_the_valve_knows_how_many_states_it_has_and_what_drives_it():
+    counted = re.compile(r"states?\[:?\d|\[:6\]|\[6:|isinstance\([^)]*[dD]rive|type\([a-z.]*model\.drive\)")
+    found = {
+        module
+        for module in MODULES
+        if not module.startswith("valve/") and counted.search((PACKAGE / module).read_text(encoding="utf-8"))
+    }
+    assert found <= {"solver/codegen.py"}
 
 
 def test_only_reports_import_matplotlib():

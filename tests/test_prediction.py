@@ -392,6 +392,14 @@ def test_a_run_that_fails_says_which_record_when_and_what_to_ask():
         replace(bench_of("fast"), options=options).run(nominal_variant())
 
 
+def test_a_run_that_fails_says_in_which_record_when_and_in_which_state():
+    predictor = bench_of("fast")
+    few = replace(predictor.options, predictor=replace(predictor.options.predictor, most_steps=2))
+    told = r"record fast.*: the simulation failed at t = \S+ s in \w+ .*: more than 2 steps.*Is the valve of"
+    with pytest.raises(SolveError, match=told):
+        replace(predictor, options=few).run(nominal_variant())
+
+
 def test_a_valve_without_rest_says_which_record(monkeypatch):
     predictor = bench_of("fast")
     spoiled = replace(predictor, inputs=np.full_like(predictor.inputs, np.nan))

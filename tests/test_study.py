@@ -208,7 +208,7 @@ def test_what_a_fit_has_run_is_not_run_again_to_see_from_it(biased, monkeypatch)
         assert variant not in asked
         for mine, others in zip(same, columns, strict=True):
             assert all(np.array_equal(mine[name], others[name]) for name in others)
-    assert asked  # what acts within a step is run on its own, see `hypotheses.RUN`
+    assert asked  # what acts within a step is run on its own, see `is_simulated`
 
 
 def test_a_refit_keeps_no_courses_and_nor_does_a_long_session(biased):

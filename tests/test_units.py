@@ -262,7 +262,7 @@ def test_a_declaration_is_kept_whole():
     assert field.default == 2e7
     assert dict(field.metadata) == {
         "unit": "Pa", "doc": "delivery pressure", "bounds": (0.0, 3.5e7), "source": "data sheet", "tolerance": 0.05,
-        "of_material": False,
+        "of_material": False, "time_scale": np.inf,
     }  # fmt: skip
 
 

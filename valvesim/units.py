@@ -190,17 +190,19 @@ def quantity(
     *,
     tolerance: float = 0.0,
     of_material: bool = False,
+    time_scale: float = float("inf"),
 ) -> Any:
     """A dataclass field that declares a quantity once: default, unit, doc, bounds, source and tolerance.
 
     `tolerance` is how far a unit in service may be from the default (unit-to-unit spread, or the doubt in an estimate):
     relative to the default, or in `unit` where the default is 0. Zero: known, or not a matter of spread.
+    `time_scale` (s) tells of what acts in the dynamics alone how soon it has done so.
     `of_material` is true of what the material has, however the part was made: seldom off in one unit alone.
     A lower bound of 0 includes zero; use `POSITIVE` for strictly positive quantities.
     Loader, parameter table, documentation and fits all read this declaration.
     """
     metadata = {"unit": unit, "doc": doc, "bounds": bounds, "source": source, "tolerance": tolerance,
-                "of_material": of_material}  # fmt: skip
+                "of_material": of_material, "time_scale": time_scale}  # fmt: skip
     return dataclasses.field(default=default, metadata=metadata)
 
 

@@ -51,7 +51,7 @@ class OperatingPoint:
     @property
     def spool_position(self) -> float:
         """m."""
-        return float(self.state[4])
+        return float(_spool_position(self.model, self.state))
 
 
 def operating_point(
@@ -83,14 +83,19 @@ def operating_point(
         raise InputError("operating point: valve or parts hold an array; give one valve at one temperature")
     inputs = Inputs(float(current), 0.0, valve.supply_pressure, valve.return_pressure, valve.load_pressure)
     state = rest_of(NOMINAL, inputs, c)
-    if abs(state[4]) >= c.spool_stroke:
+    position = _spool_position(NOMINAL, state)
+    if abs(position) >= c.spool_stroke:
         raise InputError(
-            f"operating point: at {current * 1e3:.6g} mA the spool would rest at {state[4] * 1e3:.4g} mm, beyond its "
+            f"operating point: at {current * 1e3:.6g} mA the spool would rest at {position * 1e3:.4g} mm, beyond its "
             f"end stop; it must be within ({-c.spool_stroke * 1e3:.4g}, {c.spool_stroke * 1e3:.4g}) mm"
         )
     flat = np.array(NOMINAL.flat_coefficients(c, ()), dtype=float)
     oil_temperature = float(temperature if parts is None else parts.oil)
     return OperatingPoint(model=NOMINAL, temperature=oil_temperature, state=state, inputs=inputs, coefficients=flat)
+
+
+def _spool_position(model: Model, state: np.ndarray) -> float:
+    return state[[channel.name for channel in model.state_channels].index("spool_position")]
 
 
 def rest_of(model: Model, inputs: Inputs, c: Coefficients) -> np.ndarray:

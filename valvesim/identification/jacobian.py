@@ -14,8 +14,17 @@ from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.valve.parameters import Valve
 
-FAST = ("armature_inertia", "armature_damping")  # they act within a rough grid's step: on the way they are held
-RUN = ("armature_inertia",)  # it acts within a fine grid's step too: it is run, moved by more
+
+def is_simulated(parameter: NuisanceParameter, *, options: IdentificationOptions) -> bool:
+    """Whether a parameter acts within a step of the trajectory's grid: it is simulated, moved by more."""
+    return parameter.time_scale < options.predictor.grid_spacing
+
+
+def is_held(parameter: NuisanceParameter, linear: LinearisedRecord) -> bool:
+    """Whether a parameter is too fast for the grid of a preliminary fit: a fit that followed it ends in a wrong
+    resonance.
+    """
+    return linear.predictor.preliminary and parameter.time_scale < linear.predictor.options.sensitivity.fast
 
 
 def perturbed_variants(nominal: NominalModel, variant: ModelVariant) -> list[ModelVariant]:
@@ -35,7 +44,8 @@ def perturbed_variants(nominal: NominalModel, variant: ModelVariant) -> list[Mod
 
 def _prior_step(parameter: NuisanceParameter, valve: Valve, *, options: IdentificationOptions) -> float:
     """The step of a parameter in prior standard deviations: downwards where it is at its upper bound."""
-    size = options.sensitivity.simulated_step if parameter.name in RUN else options.sensitivity.step
+    simulated = is_simulated(parameter, options=options)
+    size = options.sensitivity.simulated_step if simulated else options.sensitivity.step
     most = parameter.bounds[1]
     return size if getattr(valve, parameter.name) + size * parameter.deviation <= most else -size
 
@@ -46,15 +56,15 @@ def parameter_sensitivities(
     """Sensitivities (n_samples, p) to one prior standard deviation of each nuisance parameter, see
     `perturbed_variants`.
 
-    None where the predictor is rough and the parameter fast: a fit that followed such answers ends in a wrong
-    resonance.
+    None of what is held, see `is_held`.
     """
     plant, valve = [p for p in nominal.parameters if p.sensor is None], linear.variant.valve
-    held = FAST if linear.predictor.preliminary else ()
-    slow = [k for k, p in enumerate(plant) if p.name not in (*RUN, *held)]
+    simulated = {p.name for p in plant if is_simulated(p, options=linear.predictor.options)}
+    held = {p.name for p in plant if is_held(p, linear)}
+    slow = [k for k, p in enumerate(plant) if p.name not in simulated | held]
     moved = linear.linear_difference([perturbed[k] for k in slow])
     pairs = zip(plant, perturbed, strict=True)
-    run = {p.name: linear.simulated_difference(variant) for p, variant in pairs if p.name in RUN and p.name not in held}
+    run = {p.name: linear.simulated_difference(variant) for p, variant in pairs if p.name in simulated - held}
     out = {}
     for name, read in linear.readings.items():
         answered = dict(zip((plant[k].name for k in slow), moved[name].T, strict=True))

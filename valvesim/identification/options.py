@@ -150,6 +150,9 @@ class SensitivityOptions:
     simulated_step: float = option(
         0.3, "1", "prior deviations by which a parameter is moved whose sensitivity is simulated", JUDGEMENT
     )
+    fast: float = option(
+        1e-3, "s", "what acts sooner is held while trajectories are kept at the samples alone", "a sample at 1 kHz"
+    )
     segments: int = option(2, "1", "segments of a record, for the test that an amplitude is constant", JUDGEMENT)
     shape_ratio: float = option(1.1, "1", "ratio by which a shape parameter is moved", JUDGEMENT)
 

@@ -25,7 +25,7 @@ from valvesim.valve.parameters import Valve
 class NuisanceParameter:
     """A quantity that is uncertain within a tolerance: of the valve, or the offset or gain of a sensor.
 
-    `of_material` as `units.quantity` declares it.
+    `of_material` and `time_scale` as `units.quantity` declares them.
     """
 
     name: str
@@ -35,6 +35,7 @@ class NuisanceParameter:
     bounds: tuple[float, float]
     sensor: Effect | None = None
     of_material: bool = False
+    time_scale: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
                     width / 2.0,
                     (low, high),
                     of_material=declared.metadata["of_material"],
+                    time_scale=declared.metadata["time_scale"],
                 )  # fmt: skip
             )
     for channel in measured_channels(session):

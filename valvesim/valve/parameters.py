@@ -84,11 +84,13 @@ class Valve:
     rated_current: float = quantity(10e-3, "A", "rated current", (POSITIVE, 1.0), "model.md 5")
     armature_arm: float = quantity(14.5e-3, "m", "a, arm of the gap forces", (POSITIVE, 0.2), _TEXTBOOK, tolerance=0.02)
     armature_inertia: float = quantity(
-        1.78e-7, "kg*m^2", "J, armature and flapper", (POSITIVE, 1e-3), _TEXTBOOK, tolerance=0.1
-    )
+        1.78e-7, "kg*m^2", "J, armature and flapper", (POSITIVE, 1e-3), _TEXTBOOK, tolerance=0.1,
+        time_scale=1.3e-4,  # sqrt(J/K_s)
+    )  # fmt: skip
     armature_damping: float = quantity(
-        1.24e-3, "N*m*s/rad", "B_a, armature", (0.0, 1.0), _ESTIMATE + ": ratio 0.4", tolerance=0.2
-    )
+        1.24e-3, "N*m*s/rad", "B_a, armature", (0.0, 1.0), _ESTIMATE + ": ratio 0.4", tolerance=0.2,
+        time_scale=2.9e-4,  # 2 J/B_a
+    )  # fmt: skip
     spring_tube_stiffness: float = quantity(
         10.18, "N*m/rad", "K_s, spring tube", (POSITIVE, 1e4), _TEXTBOOK, tolerance=0.02
     )
