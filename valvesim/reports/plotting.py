@@ -53,7 +53,8 @@ def styled(draw: Callable[P, F]) -> Callable[P, F]:
 class DecadeFormatter(ticker.Formatter):
     """Plain labels of a logarithmic axis: 0.1, 20, 1000, beyond those 10⁻⁶; matplotlib's own are formulas.
 
-    Between the decades 2 and 5 are labelled where the axis shows less than two of them, and 3 where less than one.
+    Between the decades 2 and 5 are labelled where the axis shows less than two and a half of them, and 3 where less
+    than one.
     """
 
     def __call__(self, x: float, pos: int | None = None) -> str:
@@ -65,7 +66,7 @@ class DecadeFormatter(ticker.Formatter):
         if abs(digit - round(digit)) > 1e-6 or low <= 0.0:
             return ""
         span = np.log10(high / low)
-        if round(digit) not in ((1,) if span >= 2.0 else (1, 2, 5) if span >= 1.0 else (1, 2, 3, 5)):
+        if round(digit) not in ((1,) if span >= 2.5 else (1, 2, 5) if span >= 1.0 else (1, 2, 3, 5)):
             return ""
         if -4 <= exponent < 5:
             return f"{x:.6g}"

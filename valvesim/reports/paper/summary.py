@@ -41,9 +41,9 @@ def head_text(r: Reproduction) -> str:
         if not (knee.possible or r.reached["derived"]["curve_and_flow"].possible)
         else "The published total can be met together with the flow route"
     )
-    return f"""Yan, Liu and Ma, *Mechanism of Temperature's Acting on Electro-Hydraulic Servo Valve*, IEEE Access 2019, recomputed
-from
-its text by `valvesim reproduce` (seed {r.seed}, {r.starts} starts). Published stands beside computed; where they
+    return f"""Yan, Liu and Ma, *Mechanism of Temperature's Acting on Electro-Hydraulic Servo Valve*, IEEE Access 2019,
+recomputed from its text by `valvesim reproduce` (seed {r.seed}, {r.starts} starts). Published stands beside
+computed; where they
 differ,
 the reason stands with it. A figure counts as reached within {100 * TOLERANCE:g} % of itself.
 
@@ -94,8 +94,8 @@ def overview_text(r: Reproduction) -> str:
         (
             "Fig. 3", f"each gap drifts by {PUBLISHED_GAP_DRIFT:g} %, opposite ways",
             f"upper {signed(g.upper[-1], 2)} %, lower {signed(g.lower[-1], 2)} %", "holds, mended",
-            f"Eq. 10 as printed gives {signed(g.upper_printed[-1], 2)} and {signed(g.lower_printed[-1], 2)} %: the other "
-            "way round",
+            f"Eq. 10 as printed gives {signed(g.upper_printed[-1], 2)} and {signed(g.lower_printed[-1], 2)} %: "
+            "the other way round",
         ),
         (
             "Fig. 7", "flux rises about linearly, 1 to 10 mA",
@@ -117,7 +117,8 @@ def overview_text(r: Reproduction) -> str:
         ),
         (
             "Figs. 14-16", "eight route maxima",
-            f"{count_reached(r, 'derived')} of {len(ROUTES)} as derived, {count_reached(r, 'printed')} of {len(ROUTES)} as printed",
+            f"{count_reached(r, 'derived')} of {len(ROUTES)} as derived, "
+            f"{count_reached(r, 'printed')} of {len(ROUTES)} as printed",
             "in part", "Table 4 is lost, the appendix's signs contradict Eqs. 33-34, and two figures contradict each "
             "other",
         ),
