@@ -83,7 +83,7 @@ def draw_acceptance(result: AcceptanceTests) -> Figure:
 
 @styled
 def draw_measured(measured: MeasuredTest) -> Figure:
-    """One measured test on a sheet, with its table of figures."""
+    """One measured test on a sheet, with its table of figures of merit."""
     record, test = measured.record, measured.test
     merits = {merit.name: merit for merit in measured.figures}
     figure = Figure(figsize=(12, 5.6))

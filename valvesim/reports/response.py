@@ -166,7 +166,7 @@ def draw_steps(sets: Sequence[ResponseSet]) -> Figure:
 
 @styled
 def draw_bandwidth(sets: Sequence[ResponseSet]) -> Figure:
-    """-3 dB and -90 degree frequencies and the 0-90 % time over oil temperature, the class's figures shaded."""
+    """-3 dB and -90 degree frequencies and the 0-90 % time over oil temperature, those of the class shaded."""
     published = {one.name: one for one in class_figures()}
     panels = (
         ("frequency_minus_3_db", "-3 dB frequency [Hz]", 1.0),

@@ -99,7 +99,7 @@ def deviations(value: float) -> str:
 
 
 def gain_words(gain: Gain) -> str:
-    """What the figures of one hold-out record amount to, or why nothing is claimed of it."""
+    """What the errors on one hold-out record amount to, or why nothing is claimed of it."""
     if gain.claimed:
         above, left = gain.before**2 - gain.floor**2, gain.after**2 - gain.floor**2
         if above > 0.0 and np.isfinite(left):

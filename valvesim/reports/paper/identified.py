@@ -42,7 +42,7 @@ def identified_text(r: Reproduction) -> str:
     }
     return f"""## Table 4, identified
 
-{len(UNKNOWNS)} unknowns against {len(PUBLISHED_DRIFTS)} figures: eight route maxima, the total, the total at
+{len(UNKNOWNS)} unknowns against {len(PUBLISHED_DRIFTS)} drifts: eight route maxima, the total, the total at
 40 °C (steep to
 40 °C
 and then back) and the total at 5 mA (the same at every current). Relative misses count alike. A valve must be stable
@@ -58,14 +58,14 @@ The last columns say how far the parameter may move, all others refitted, while 
 percentage point (tested at {len(d.shares)} places of its range
 by local refits, so that it may be free to move further): "open" over the whole range; otherwise the
 range
-that is left. Many parameters lie at a bound: the figures pull the valve towards the edge of what can be built, which
+that is left. Many parameters lie at a bound: the drifts pull the valve towards the edge of what can be built, which
 again says that they do not belong to one valve of these equations.
 
-**What the figures determine.** Taken as good to {100 * TOLERANCE:g} %, they fix {d.combinations} combinations of
+**What the drifts determine.** Taken as good to {100 * TOLERANCE:g} %, they fix {d.combinations} combinations of
 parameters
 (as derived) or {p.combinations} (as printed) better than a factor e, out of {len(UNKNOWNS)}; {counts["derived"]} and
 {counts["printed"]} single parameters stay open over their whole range. Singular values (relative change of the
-figures per
+drifts per
 factor e): {singular["derived"]} as derived; {singular["printed"]} as printed. The identified valves are therefore
 examples
 of what comes closest, not the paper's valve.

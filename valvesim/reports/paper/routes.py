@@ -48,7 +48,7 @@ theta; the paper prints {mmf.size:g} %. Checked numerically: of {m.drawn} random
 {m.exceptions} lose less than M0 does.
 
 {picture("magnet.png", "Every stable random valve loses more angle than its magnet loses magnetomotive force.")}
-**Two published figures contradict each other.** The arm a and M0 enter torque and magnetic spring only as the product
+**Two published drifts contradict each other.** The arm a and M0 enter torque and magnetic spring only as the product
 a M0. The published {PUBLISHED_DRIFTS[5].size:g} % by the arm, whose growth is {growth:.2f} %, therefore fixes
 what the loss
 of M0
@@ -60,7 +60,7 @@ As derived, the arm can by the same relation do no less than its own {growth:.2f
 
 def reach_text(r: Reproduction) -> str:
     names = {f.key: f.title for f in PUBLISHED_DRIFTS} | {
-        "curve": "the three total figures together", "curve_and_flow": "the three and the flow coefficients",
+        "curve": "the three total drifts together", "curve_and_flow": "the three and the flow coefficients",
         "mmf_and_arm": "magnetomotive force and arm together", "routes": "the eight routes together",
     }  # fmt: skip
     targets = {f.key: f for f in PUBLISHED_DRIFTS}
@@ -76,14 +76,14 @@ def reach_text(r: Reproduction) -> str:
                 values = f"worst miss {100 * reach.worst:.0f} %"
             row.append(f"**{values}**" if reach.possible else f"{values}: no")
         rows.append(row)
-    return f"""## Which figures can be reached at all
+    return f"""## Which drifts can be reached at all
 
-Each figure, and some together, aimed at with all others ignored: the closest of any valve found inside the bounds.
+Each drift, and some together, aimed at with all others ignored: the closest of any valve found inside the bounds.
 Bold:
 within {100 * TOLERANCE:g} %. A "no" is the outcome of
 a search; for the magnetomotive force and the arm as derived it is proved above.
 
-{table(("figure", "published [%]", "as derived", "signs as printed"), rows, left=4)}"""
+{table(("drift", "published [%]", "as derived", "signs as printed"), rows, left=4)}"""
 
 
 @styled

@@ -45,21 +45,21 @@ def head_text(r: Reproduction) -> str:
 recomputed from its text by `valvesim reproduce` (seed {r.seed}, {r.starts} starts). Published stands beside
 computed; where they
 differ,
-the reason stands with it. A figure counts as reached within {100 * TOLERANCE:g} % of itself.
+the reason stands with it. A drift counts as reached within {100 * TOLERANCE:g} % of itself.
 
 **In short.** The parts that the text defines come out: the magnet, the air gaps (once Eq. 10 is mended), the magnetic
-circuit, the oil, and Eq. 19 (once it is read in °C). The eight route figures and the total hang on Table 4, which is
+circuit, the oil, and Eq. 19 (once it is read in °C). The eight route drifts and the total hang on Table 4, which is
 lost. With the balances as derived (Eqs. 32-34) the closest valve found meets {count_reached(r, "derived")} of the eight
 route
-figures with their directions (root mean square miss of all {len(PUBLISHED_DRIFTS)} figures
+drifts with their directions (root mean square miss of all {len(PUBLISHED_DRIFTS)} drifts
 {derived.misfit:.0f} %); their
 sizes
 alone, {count_reached(r, "derived_sizes")} ({sizes.misfit:.0f} %). With the signs as the appendix prints them it meets
 {count_reached(r, "printed")} ({printed.misfit:.0f} %), and with Eq. 19 read in temperature rise as well, as it
 is printed,
 {count_reached(r, "printed_rise")} ({rise.misfit:.0f} %). Out of reach of every valve with the derived
-balances, each figure
-taken alone: {listed(cannot)}. The published figures for magnetomotive force and arm
+balances, each drift
+taken alone: {listed(cannot)}. The published drifts for magnetomotive force and arm
 {"agree with each other" if both.possible else "contradict each other under either sign"}. {curve}.
 {_verdict(r)}
 
@@ -119,7 +119,7 @@ def overview_text(r: Reproduction) -> str:
             "Figs. 14-16", "eight route maxima",
             f"{count_reached(r, 'derived')} of {len(ROUTES)} as derived, "
             f"{count_reached(r, 'printed')} of {len(ROUTES)} as printed",
-            "in part", "Table 4 is lost, the appendix's signs contradict Eqs. 33-34, and two figures contradict each "
+            "in part", "Table 4 is lost, the appendix's signs contradict Eqs. 33-34, and two drifts contradict each "
             "other",
         ),
         (
@@ -127,7 +127,7 @@ def overview_text(r: Reproduction) -> str:
             f"as printed {signed(at_most, 2)} %, {signed(at_40, 2)} % at 40 °C; with Eq. 19 as printed too "
             f"{signed(rise_most, 2)} and {signed(rise_40, 2)} %", "not reached",
             f"by Eq. 19 the flow coefficients need more than the 20 K up to 40 °C: a total of {knee.size:g} % there "
-            "does not go with the other figures",
+            "does not go with the other drifts",
         ),
         (
             "Fig. 18", f"{total.size:g} % at every current",

@@ -47,7 +47,7 @@ def picture(name: str, caption: str) -> str:
 
 
 def signed(value: float, digits: int = 3) -> str:
-    """A signed figure with enough places to be compared, the minus a real one."""
+    """A signed number with enough places to be compared, the minus a real one."""
     places = 2 if abs(value) >= 10.0 else digits
     return f"{value:+.{places}f}".replace("-", "−")
 
