@@ -427,7 +427,7 @@ def test_pictures_are_written(tmp_path, reference):
         "reference valve",
         "2026-01-02",
         "flow.flow at rated",
-        "27.4",
+        "27.38",
         "data:image/png;base64,",
     ):
         assert words in text

@@ -54,24 +54,24 @@ class DecadeFormatter(ticker.Formatter):
     """Plain labels of a logarithmic axis: 0.1, 20, 1000, beyond those 10⁻⁶; matplotlib's own are formulas.
 
     Between the decades 2 and 5 are labelled where the axis shows less than two and a half of them, and 3 where less
-    than one.
+    than one; each tick where it shows less than half of one.
     """
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         if self.axis is None or not np.isfinite(x) or x <= 0.0:
             return ""
         low, high = sorted(self.axis.get_view_interval())
-        exponent = int(np.floor(np.log10(x) + 1e-9))
-        digit = x / 10.0**exponent
-        if abs(digit - round(digit)) > 1e-6 or low <= 0.0:
+        if low <= 0.0:
             return ""
-        span = np.log10(high / low)
-        if round(digit) not in ((1,) if span >= 2.5 else (1, 2, 5) if span >= 1.0 else (1, 2, 3, 5)):
+        exponent = int(np.floor(np.log10(x) + 1e-9))
+        digit, span = x / 10.0**exponent, np.log10(high / low)
+        labelled = (1,) if span >= 2.5 else (1, 2, 5) if span >= 1.0 else (1, 2, 3, 5)
+        if span >= 0.5 and not np.isclose(digit, labelled, rtol=1e-6).any():
             return ""
         if -4 <= exponent < 5:
             return f"{x:.6g}"
         power = f"10{str(exponent).translate(_SUPERSCRIPT)}"
-        return power if round(digit) == 1 else f"{round(digit)}·{power}"
+        return power if np.isclose(digit, 1.0) else f"{digit:.6g}·{power}"
 
 
 def label_decades(*axes: Any) -> None:
