@@ -1,22 +1,24 @@
 """The bench figures: of the model against the static solution, of made records against what was put in, of a real valve
 against the reduction in ../shared/field.md section 5."""
 
+import datetime
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from picture_texts import check_texts
 from scipy.optimize import brentq
 
 import valvesim as vs
-from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests, record_figures
+from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests, measured_test, record_figures
 from valvesim.characterisation.acceptance.cycle import cycle
 from valvesim.characterisation.acceptance.leakage import common_hysteresis, half_split
 from valvesim.characterisation.acceptance.pressure_gain import blocked_load_pressure
 from valvesim.characterisation.acceptance.record import AcceptanceRecord, read_record
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, table
 from valvesim.errors import InputError
-from valvesim.reports import acceptance as report_bench
+from valvesim.reports import acceptance as report_acceptance
 from valvesim.valve.equations import main_stage
 from valvesim.valve.equilibrium import solve_rest
 
@@ -416,11 +418,27 @@ def test_the_table_has_figures_with_units_and_reasons(figures):
 
 
 def test_pictures_are_written(tmp_path, reference):
-    assert report_bench.picture_bench(reference, tmp_path / "bench.png").read_bytes()[:4] == b"\x89PNG"
+    day = datetime.date(2026, 1, 2)
+    picture, page = report_acceptance.acceptance_report(reference, tmp_path / "bench.png", date=day)
+    assert picture.read_bytes()[:4] == b"\x89PNG" and page == tmp_path / "bench.html"
+    text = page.read_text(encoding="utf-8")
+    for words in (
+        "oil at 20 °C",
+        "reference valve",
+        "2026-01-02",
+        "flow.flow at rated",
+        "27.38",
+        "data:image/png;base64,",
+    ):
+        assert words in text
+    check_texts(report_acceptance.draw_acceptance(reference))
     record = flow_record(n=500, step=0.05 * L_MIN)
     file = write_csv(tmp_path / "flow.csv", record, "t_s,current_A,flow_m3s", (1, 1, 1))
-    figures, path = report_bench.bench_measured(file, "flow", tmp_path / "flow.png")
-    assert path.read_bytes()[:4] == b"\x89PNG" and by_name(figures)["polarity"].value == 1.0
+    measured = measured_test(file, "flow")
+    picture, page = report_acceptance.measured_report(measured, tmp_path / "flow.png", date=day)
+    assert picture.read_bytes()[:4] == b"\x89PNG" and by_name(measured.figures)["polarity"].value == 1.0
+    assert "flow.csv" in page.read_text(encoding="utf-8")
+    check_texts(report_acceptance.draw_measured(measured))
 
 
 # ---------------------------------------------------------------- the real valve: field.md section 5

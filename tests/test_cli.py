@@ -182,7 +182,7 @@ def test_run_writes_result_and_pictures_and_names_them(call, case, tmp_path):
     folder = tmp_path / "out"
     code, out, err = call("run", case, "-o", folder)
     assert code == 0 and "Small" in out and "Traceback" not in err
-    names = ["characteristic.png", "result.nc", "run.png"]
+    names = ["characteristic.png", "result.nc", "run.html", "run.png"]
     assert sorted(path.name for path in folder.iterdir()) == names
     assert all(f"wrote {folder / name}" in out.replace("\n", "") for name in names)
 

@@ -172,9 +172,9 @@ def test_whatever_fails_leaves_the_answer_before(call, found, session, tmp_path,
 
 
 def test_interrupted_while_writing_leaves_nothing(call, found, session, tmp_path, monkeypatch):
-    from valvesim.reports import diagnosis as report_diagnosis
+    from valvesim.reports.diagnosis import page as report_diagnosis
 
-    def write_report(diagnosis, folder):
+    def write_report(diagnosis, folder, **marks):
         raise KeyboardInterrupt
 
     found(PLAIN)

@@ -1,15 +1,24 @@
 """The pictures of a run: they are made, show what they should, and thin long lines without losing their extremes."""
 
+import datetime
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from picture_texts import check_texts, tick_labels
 
 import valvesim as vs
+from valvesim.characterisation.rest_characteristic import rest_characteristic
 from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift
 from valvesim.errors import InputError
 from valvesim.reports import run as report
+from valvesim.reports.plotting import MOST_POINTS, Figure, label_decades, thin
+from valvesim.reports.title_block import package_version, valve_name
 
+DAY = datetime.date(2026, 1, 2)
 ISOTHERMAL = vs.Thermal(network=None)
 
 
@@ -28,14 +37,6 @@ def warm():
     return run(oil_temperature=vs.Ramp(start_value=20.0, end_value=100.0, rate=200.0))
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    """The figures that are saved, kept for a look."""
-    figures, save = [], report._save
-    monkeypatch.setattr(report, "_save", lambda figure, path: figures.append(figure) or save(figure, path))
-    return figures
-
-
 def size(path):
     """(width, height) of a PNG file from its header, with some contrast inside."""
     from matplotlib.image import imread
@@ -47,10 +48,11 @@ def size(path):
 
 def pictures(result, folder):
     drift, observed = static_drift(result), observed_drift(result, vs.simulate(nominal(result.scenario)))
+    rest = rest_characteristic(result.scenario)
     return (
-        report.picture_run(result, folder / "run.png"),
-        report.picture_characteristic(result, folder / "characteristic.png"),
-        report.picture_drift(drift, observed, result.scenario.title, folder / "drift.png"),
+        report.picture_run(result, DAY, folder / "run.png"),
+        report.picture_characteristic(result, rest, DAY, folder / "characteristic.png"),
+        report.picture_drift(drift, observed, result.scenario, DAY, folder / "drift.png"),
     )
 
 
@@ -66,9 +68,8 @@ def lines(figure, panel):
     return [line.get_data() for line in axes.lines]
 
 
-def test_the_picture_of_a_run_shows_its_channels_in_readable_units(warm, tmp_path, drawn):
-    report.picture_run(warm, tmp_path / "run.png")
-    (figure,) = drawn
+def test_the_picture_of_a_run_shows_its_channels_in_readable_units(warm):
+    figure = report.draw_run(warm)
     labels = [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()]
     assert labels == [
         "command [mA]", "temperature [°C]", "armature angle [mrad]", "nozzle pressures [bar]", "spool position [mm]",
@@ -81,26 +82,26 @@ def test_the_picture_of_a_run_shows_its_channels_in_readable_units(warm, tmp_pat
     assert figure.get_suptitle() == "T"
 
 
-def test_the_picture_of_the_characteristic_has_the_rest_at_20_degrees_dashed(warm, tmp_path, drawn):
-    report.picture_characteristic(warm, tmp_path / "characteristic.png")
-    dashed = [(x, y) for (x, y) in lines(drawn[0], "spool position") if len(x) == 41]
+def test_the_picture_of_the_characteristic_has_the_rest_at_20_degrees_dashed(warm):
+    figure = report.draw_characteristic(warm, rest_characteristic(warm.scenario))
+    dashed = [(x, y) for (x, y) in lines(figure, "spool position") if len(x) == 41]
     ((current, spool),) = dashed
     rest = vs.static_solution(vs.Valve(), current=np.asarray(current) * 1e-3).spool_position
     assert spool == pytest.approx(1e3 * rest, rel=1e-9)
     assert (current[0], current[-1]) == pytest.approx((-1.0, 1.0))
 
 
-def test_the_rest_in_the_characteristic_is_at_the_commanded_pressure(tmp_path, drawn):
-    report.picture_characteristic(run(supply_pressure=vs.Constant(value=7e6)), tmp_path / "characteristic.png")
-    ((current, spool),) = [(x, y) for (x, y) in lines(drawn[0], "spool position") if len(x) == 41]
+def test_the_rest_in_the_characteristic_is_at_the_commanded_pressure():
+    result = run(supply_pressure=vs.Constant(value=7e6))
+    figure = report.draw_characteristic(result, rest_characteristic(result.scenario))
+    ((current, spool),) = [(x, y) for (x, y) in lines(figure, "spool position") if len(x) == 41]
     rest = vs.static_solution(vs.Valve(supply_pressure=7e6), current=np.asarray(current) * 1e-3).spool_position
     assert spool == pytest.approx(1e3 * rest, rel=1e-9)
 
 
-def test_the_picture_of_drift_shows_all_routes_and_the_total_in_percent(warm, tmp_path, drawn):
+def test_the_picture_of_drift_shows_all_routes_and_the_total_in_percent(warm):
     drift, observed = static_drift(warm), observed_drift(warm, vs.simulate(nominal(warm.scenario)))
-    report.picture_drift(drift, observed, "T", tmp_path / "drift.png")
-    total, angle, spool = drawn[0].axes
+    total, angle, spool = report.draw_drift(drift, observed, "T").axes
     assert total.get_ylabel() == "drift from 20 °C [%]"
     for axes, quantity in ((angle, "armature_angle"), (spool, "spool_position")):
         shown = {line.get_label(): line.get_ydata() for line in axes.lines}
@@ -127,18 +128,18 @@ def test_unusual_runs_are_drawn_too(changes, tmp_path):
 def test_a_picture_that_cannot_be_written_is_refused_and_leaves_nothing(warm, tmp_path):
     (tmp_path / "file").write_text("kept")
     with pytest.raises(InputError, match="cannot be written"):
-        report.picture_run(warm, tmp_path / "file" / "run.png")
+        report.picture_run(warm, DAY, tmp_path / "file" / "run.png")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-LONG = st.integers(report.MOST_POINTS + 1, 40 * report.MOST_POINTS)
+LONG = st.integers(MOST_POINTS + 1, 40 * MOST_POINTS)
 
 
 @given(LONG, st.integers(0, 10**9))
 def test_thinning_keeps_range_and_span_of_a_line(n, seed):
     t, y = np.arange(n) * 1e-3, np.random.default_rng(seed).normal(size=n)
-    thin_t, thin_y = report._thin(t, y)
-    assert len(thin_t) <= report.MOST_POINTS + 1 and np.all(np.diff(thin_t) >= 0.0)
+    thin_t, thin_y = thin(t, y)
+    assert len(thin_t) <= MOST_POINTS + 1 and np.all(np.diff(thin_t) >= 0.0)
     assert (thin_t[0], thin_t[-1], thin_y[-1]) == (t[0], t[-1], y[-1])
     assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
 
@@ -147,16 +148,79 @@ def test_thinning_keeps_range_and_span_of_a_line(n, seed):
 def test_thinning_shows_a_spike_of_one_sample_where_it_stands(n, place, spike):
     y = np.zeros(n)
     y[place % n] = spike
-    thin_t, thin_y = report._thin(np.arange(n), y)
+    thin_t, thin_y = thin(np.arange(n), y)
     shown = thin_t[np.flatnonzero(thin_y == spike)]
-    assert len(shown) > 0 and np.max(np.abs(shown - place % n)) <= n / (report.MOST_POINTS / 2)
+    assert len(shown) > 0 and np.max(np.abs(shown - place % n)) <= n / (MOST_POINTS / 2)
 
 
 def test_a_short_line_is_not_thinned():
-    t, y = np.arange(report.MOST_POINTS), np.sin(np.arange(report.MOST_POINTS))
-    assert all(np.array_equal(thin, whole) for thin, whole in zip(report._thin(t, y), (t, y), strict=True))
+    t, y = np.arange(MOST_POINTS), np.sin(np.arange(MOST_POINTS))
+    assert all(np.array_equal(thin, whole) for thin, whole in zip(thin(t, y), (t, y), strict=True))
 
 
 def test_the_end_of_a_run_shows_about_three_cycles_of_its_command(warm):
-    assert 2.5 / 20.0 < report._cycles(warm) < 4.0 / 20.0
-    assert report._cycles(run(command=vs.Constant(value=1e-3))) is None
+    assert 2.5 / 20.0 < report.cycles(warm) < 4.0 / 20.0
+    assert report.cycles(run(command=vs.Constant(value=1e-3))) is None
+
+
+def test_the_texts_of_every_picture_are_plain_and_inside_it(warm):
+    drift, observed = static_drift(warm), observed_drift(warm, vs.simulate(nominal(warm.scenario)))
+    check_texts(report.draw_run(warm))
+    check_texts(report.draw_characteristic(warm, rest_characteristic(warm.scenario)))
+    check_texts(report.draw_drift(drift, observed, "T"))
+
+
+def test_page_and_pictures_carry_title_version_valve_and_date(warm, tmp_path):
+    from PIL import Image
+
+    title = "A <b> & " + "long " * 30
+    scenario = replace(warm.scenario, title=title, valve=replace(vs.Valve(), null_gap=3e-5))
+    result = replace(warm, scenario=scenario)
+    picture = report.picture_run(result, DAY, tmp_path / "run.png")
+    page = report.page_run([("spool", "mm", "0", "1", "2")], [picture], scenario, DAY, tmp_path / "run.html")
+    text = page.read_text(encoding="utf-8")
+    origin = f"reference valve with null gap 0.03 mm · valvesim {package_version()} · 2026-01-02"
+    assert origin in text and "A &lt;b&gt; &amp; long" in text and "<b>" not in text
+    assert "<td>spool</td>" in text and text.count("data:image/png;base64,") == 1
+    with Image.open(picture) as image:
+        assert image.text["Title"] == title and image.text["Description"] == origin
+
+
+def test_the_same_run_on_the_same_day_gives_the_same_bytes(warm, tmp_path):
+    first, second, later = (
+        report.picture_run(warm, day, tmp_path / f"{k}.png").read_bytes()
+        for k, day in enumerate((DAY, DAY, DAY + datetime.timedelta(days=1)))
+    )
+    assert first == second != later
+
+
+def test_a_valve_is_named_by_what_differs_from_the_reference():
+    assert valve_name(vs.Valve()) == "reference valve"
+    assert valve_name(replace(vs.Valve(), supply_pressure=7e6)) == "reference valve with supply pressure 70 bar"
+    many = replace(vs.Valve(), supply_pressure=7e6, null_gap=3e-5, nozzle_diameter=4e-4, spool_area=2e-5)
+    assert valve_name(many) == "reference valve with 4 parameters changed"
+
+
+@given(st.floats(-9.0, 9.0), st.floats(0.05, 12.0), st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_a_logarithmic_axis_of_any_range_has_plain_labels(low, decades, upright):
+    figure = Figure(figsize=(5, 5))
+    axes = figure.subplots()
+    axis = axes.yaxis if upright else axes.xaxis
+    (axes.set_yscale if upright else axes.set_xscale)("log")
+    (axes.set_ylim if upright else axes.set_xlim)(10.0**low, 10.0 ** (low + decades))
+    label_decades(axis)
+    FigureCanvasAgg(figure).draw()
+    figure.subplots_adjust(left=0.2)
+    labels = [label.get_text() for label in tick_labels(axis)]
+    assert len(labels) >= (2 if decades >= 1.0 else 0) and not any("$" in text for text in labels)
+    for label in tick_labels(axis):
+        assert number(label.get_text()) == pytest.approx(label.get_position()[1 if upright else 0], rel=1e-5)
+
+
+def number(text):
+    """The number that a label such as 0.2, 10⁻⁶ or 5·10⁷ stands for."""
+    if not set(text) & set("⁻⁰¹²³⁴⁵⁶⁷⁸⁹"):
+        return float(text)
+    digit, _, power = text.rpartition("10")
+    return float(digit.strip("·") or 1) * 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))

@@ -1,12 +1,14 @@
 """The report of a diagnosis: every verdict has its page and pictures, with key figures, and no name becomes markup."""
 
 import base64
+import datetime
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from picture_texts import check_texts
 
 from valvesim.diagnosis.result import (
     NO_TEST,
@@ -24,9 +26,11 @@ from valvesim.diagnosis.result import (
     Trace,
 )
 from valvesim.errors import InputError
-from valvesim.reports import diagnosis as report_diagnosis
-from valvesim.reports.diagnosis import draw, estimate_words, gain_words, spoken, worst_traces, write_report
-from valvesim.reports.run import MOST_POINTS
+from valvesim.reports.diagnosis import page as diagnosis_page
+from valvesim.reports.diagnosis.page import draw
+from valvesim.reports.diagnosis.traces import worst_traces
+from valvesim.reports.diagnosis.words import estimate_words, gain_words, percent, spoken
+from valvesim.reports.plotting import EXTENDED, MOST_POINTS
 
 FRICTION = Estimate(
     name="friction_force", cause="spool_coulomb_friction", value=2.013, low=1.87, high=2.16, unit="N",
@@ -234,6 +238,11 @@ class Reader(HTMLParser):
         return " ".join(" ".join(self.words).split())
 
 
+def write_report(diagnosis, folder):
+    """As the command does, on a day that is given."""
+    return diagnosis_page.write_report(diagnosis, folder, valve="reference valve", date=datetime.date(2026, 1, 2))
+
+
 def report(diagnosis, folder):
     """The page of a diagnosis as read by a browser."""
     write_report(diagnosis, folder)
@@ -252,9 +261,25 @@ def written(request, tmp_path_factory):
 def drawn(monkeypatch):
     """The figures that are drawn, by no file: kept for a look."""
     figures = []
-    save = report_diagnosis._png
-    monkeypatch.setattr(report_diagnosis, "_png", lambda figure: figures.append(figure) or save(figure))
-    return figures
+
+    def keep(function):
+        return lambda diagnosis: figures.append(function(diagnosis)) or figures[-1]
+
+    monkeypatch.setattr(diagnosis_page, "PICTURES", {k: keep(draw) for k, draw in diagnosis_page.PICTURES.items()})
+    return Drawn(figures)
+
+
+class Drawn:
+    """The figures, without the empty ones."""
+
+    def __init__(self, figures):
+        self.figures = figures
+
+    def __iter__(self):
+        return (figure for figure in self.figures if figure is not None)
+
+    def __getitem__(self, k):
+        return list(self)[k]
 
 
 # ---------------------------------------------------------------- files
@@ -321,7 +346,7 @@ def test_interrupted_while_drawing_it_leaves_nothing(tmp_path, monkeypatch):
     def interrupt(diagnosis):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(report_diagnosis, "draw_gain", interrupt)
+    monkeypatch.setitem(diagnosis_page.PICTURES, "gain", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_report(cause(), tmp_path)
     assert not list(tmp_path.iterdir())
@@ -342,7 +367,7 @@ SAID = {
     ),
     "cause": (
         "Cause found", "explains what the model gets wrong.", "Where spool force balance", "Probability 98 %",
-        "better on 1 of 2 locked records",
+        "better on 1 of 2 hold-out records",
         "spool coulomb friction friction force 2.01 N 1.87 to 2.16 N friction force F",
         "By name in diagnosis.json: spool_coulomb_friction.", "What was weighed",
         "spool coulomb friction 98 % possible spool force balance 412.3",
@@ -360,7 +385,7 @@ SAID = {
         "Next test Sine of 0.5 mA about 2 mA at 5 Hz", "load pressure 70 bar", "takes 2 s and would tell feedback ball "
         "backlash from magnetic hysteresis with a probability of 99 %", "distance 11.7 noise deviations",
         "Instead of it: repeat all four records (power 71 %).", "Gain none claimed",
-        "No gain is claimed over all locked",
+        "No gain is claimed over all hold-out",
         "the more it falls, the more a candidate explains",
     ),
     "unknown": (
@@ -383,7 +408,7 @@ def test_the_page_reads_top_down(written):
         "Cause", "What was weighed", "Possible causes", "If it is the likeliest", "Next test",
         "Gain of the extended model", "The missing term",
         "What the simulation gets wrong", "Simulation beside records", "How strongly each candidate shows",
-        "Refitted silently", "Noise", "What this session would have shown", "Notes", "The extended model", "Words",
+        "Nuisance parameters", "Noise", "What this session would have shown", "Notes", "The extended model", "Words",
     ]  # fmt: skip
     headings = Reader(written[3]).headings
     assert len(headings) >= 7 and headings == [heading for heading in order if heading in headings]
@@ -432,7 +457,7 @@ def test_what_is_not_finite_is_said_in_words(tmp_path):
         "Blind to: the unseen.", "one not determined", "none holds up", "load flow 1000 Hz not determined",
     ):  # fmt: skip
         assert words in page.text
-    assert "Refitted silently" not in page.headings
+    assert "Nuisance parameters" not in page.headings
     assert {path.name for path in tmp_path.iterdir()} == {"report.html", "traces.png"}
 
 
@@ -479,7 +504,7 @@ def test_a_sensor_is_named_once_with_its_channel(tmp_path):
 
 def test_without_locked_records_it_says_why_no_gain_is_claimed(tmp_path):
     page = report(cause(gain=(), gain_claimed=False, **BARE), tmp_path)
-    assert "No gain is claimed: there is no locked record" in page.text and "Gain none claimed" in page.text
+    assert "No gain is claimed: there is no hold-out record" in page.text and "Gain none claimed" in page.text
     assert not (tmp_path / "gain.png").exists()
 
 
@@ -594,7 +619,7 @@ def test_a_gain_says_what_it_amounts_to_or_why_it_is_not_claimed(changes, words)
     [(0.0, "0 %"), (0.001, "under 1 %"), (0.62, "62 %"), (0.9949, "99 %"), (0.9999, "over 99 %"), (1.0, "100 %")],
 )
 def test_a_probability_is_never_rounded_to_certainty(share, words):
-    assert report_diagnosis._percent(share) == words
+    assert percent(share) == words
 
 
 def test_a_name_is_spoken():
@@ -617,7 +642,7 @@ def of(figures, label):
 
 def test_the_heat_map_shows_each_record_and_channel_in_noise_deviations(drawn):
     draw(empty(errors=cause().errors))
-    axis = of(drawn, "error of the base model in noise deviations")
+    axis = of(drawn, "error of the nominal model in noise deviations")
     assert [t.get_text() for t in axis.texts] == ["4.3", "2.2", "1.1", "48.7", "12.4", "–", "812", "230", "–"]
     assert [t.get_text() for t in axis.get_xticklabels()] == ["spool\nposition", "load flow", "nozzle\npressure 1"]
     names = [t.get_text() for t in axis.get_yticklabels()]
@@ -626,7 +651,7 @@ def test_the_heat_map_shows_each_record_and_channel_in_noise_deviations(drawn):
 
 def test_the_heat_map_of_many_records_keeps_the_worst_in_their_order(drawn):
     draw(empty(errors={f"r{k}": {"load_flow": 1.0 + k % 7 + 0.01 * k} for k in range(60)}))
-    axis = of(drawn, "error of the base model")
+    axis = of(drawn, "error of the nominal model")
     assert "(24 worst of 60 records)" in axis.get_title("left")
     shown = [int(t.get_text()[1:]) for t in axis.get_yticklabels()]
     assert shown == sorted(shown) and len(shown) == 24 and 6 in shown and 0 not in shown
@@ -650,7 +675,7 @@ def test_an_extension_that_changes_nothing_is_not_drawn(drawn):
     draw(empty(traces=(replace(one, extended=one.base),)))
     draw(empty(traces=(replace(one, extended=np.zeros(0)),)))
     assert [len(figure.axes[0].lines) for figure in drawn] == [2, 2]
-    assert [t.get_text() for t in drawn[0].legends[0].texts] == ["measured", "base model", "±2 noise deviations"]
+    assert [t.get_text() for t in drawn[0].legends[0].texts] == ["measured", "nominal model", "±2 noise deviations"]
 
 
 def test_of_a_long_record_the_stretch_that_errs_most_is_enlarged(drawn):
@@ -663,7 +688,7 @@ def test_of_a_long_record_the_stretch_that_errs_most_is_enlarged(drawn):
     t = top.lines[0].get_xdata()
     assert len(t) == MOST_POINTS and t[0] <= one.time[bad][0] and t[-1] >= one.time[bad][-1]
     assert below.lines[0].get_xdata()[-1] == one.time[-1] and len(below.lines[0].get_xdata()) <= MOST_POINTS + 1
-    assert top.get_title("left") == "sine 20 Hz, locked away"
+    assert top.get_title("left") == "sine 20 Hz, hold-out"
     assert "stretch shown above" in [text.get_text() for text in drawn[0].legends[0].texts]
 
 
@@ -721,13 +746,13 @@ def test_the_gain_is_drawn_beside_the_noise_floor_hollow_where_it_is_not_claimed
     assert labels == ["locked sine", "locked step\n(not claimed)"]
     after = [line for line in errors.lines if line.get_label() == "extended model"]
     assert [line.get_xdata()[0] for line in after] == [1.08, 1.28]
-    assert [line.get_markerfacecolor() for line in after] == [report_diagnosis.EXTENDED, "w"]
+    assert [line.get_markerfacecolor() for line in after] == [EXTENDED, "w"]
     floors = [line.get_xdata()[0] for line in errors.lines if line.get_label() == "noise floor"]
     assert floors == [1.0, 1.0]
     intervals = [line.get_xdata() for line in changes.lines if line.get_label() == "95 % interval"]
     assert intervals[0] == pytest.approx([-4100 / 6.2**2, -3310 / 6.2**2])
     legend = [t.get_text() for t in drawn[0].legends[0].texts]
-    assert legend == ["noise floor", "base model", "extended model", "95 % interval"]
+    assert legend == ["noise floor", "nominal model", "extended model", "95 % interval"]
 
 
 def test_a_term_is_drawn_over_its_variable_with_band_and_formula(drawn):
@@ -747,8 +772,12 @@ def test_a_term_without_formula_is_drawn_as_what_it_is(drawn, tmp_path):
     assert "Formula off by" not in page.text
 
 
-def test_an_element_escapes_contents_and_attributes_but_not_elements():
-    inner = report_diagnosis._tag("b", "1 < 2")
-    assert report_diagnosis._tag("p", "a & b", inner, class_='"x"') == (
-        '<p class="&quot;x&quot;">a &amp; b<b>1 &lt; 2</b></p>'
-    )
+@pytest.mark.parametrize("verdict", list(VERDICTS))
+def test_the_texts_of_every_picture_are_plain_and_inside_it(verdict):
+    for figure in draw(VERDICTS[verdict]()).values():
+        check_texts(figure)
+
+
+def test_the_page_carries_title_version_valve_and_date(tmp_path):
+    assert "Diagnosis: Valve 17 reference valve · valvesim " in (text := report(empty(), tmp_path).text)
+    assert " · 2026-01-02 No discrepancy found" in text

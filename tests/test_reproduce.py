@@ -1,16 +1,28 @@
 """The paper recomputed: published figures, the identification, the law over Reynolds number, and the page."""
 
+import datetime
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from picture_texts import check_texts
 
 from valvesim.errors import InputError, ValidityWarning
 from valvesim.inputs import evaluate
-from valvesim.paper import reproduction as reproduce
-from valvesim.reports import paper as report_paper
+from valvesim.paper import determination, identification, reach
+from valvesim.paper import magnet as paper_magnet
+from valvesim.paper.flow_fits import flow_fits
+from valvesim.paper.identification import identify
+from valvesim.paper.interpretations import INTERPRETATIONS
+from valvesim.paper.magnet import check_magnet, mmf_drift_implied_by_arm
+from valvesim.paper.published import PUBLISHED_DRIFTS
+from valvesim.paper.reproduction import compute
+from valvesim.paper.route_drift import FIT_TEMPERATURES, drifts, printed_polynomial
+from valvesim.paper.torque_motor import air_gaps, gap_flux
+from valvesim.paper.unknowns import UNKNOWNS
+from valvesim.reports.paper import page as paper_page
 from valvesim.simulation.scenario_toml import load_scenario
 from valvesim.valve.coefficients import ROUTES, PartTemperatures
 from valvesim.valve.equations import drive_torque
@@ -31,7 +43,8 @@ from valvesim.valve.laws import bridge_flux
 from valvesim.valve.parameters import Valve, flow_coefficients_yan_2019, reference_valve
 
 valve = reference_valve()
-DERIVED, SIZES, PRINTED, RISE = reproduce.VARIANTS
+DAY = datetime.date(2026, 1, 2)
+DERIVED, SIZES, PRINTED, RISE = INTERPRETATIONS
 
 
 # ---------------------------------------------------------------- published figures and their source
@@ -39,7 +52,7 @@ DERIVED, SIZES, PRINTED, RISE = reproduce.VARIANTS
 
 def test_the_targets_are_those_of_section_iv():
     # paper, section IV: "maximum of 16.01%", "2.88% and 3.168%", "0.9648%", "0.163%" twice, "0.700%", "0.065%", "15.6%"
-    sizes = {figure.key: figure.size for figure in reproduce.FIGURES}
+    sizes = {drift.key: drift.size for drift in PUBLISHED_DRIFTS}
     assert [sizes[route] for route in ROUTES] == [16.01, 2.88, 3.168, 0.9648, 0.163, 0.163, 0.700, 0.065]
     assert {sizes[key] for key in ("total", "knee", "total_5mA")} == {15.6}
 
@@ -47,25 +60,25 @@ def test_the_targets_are_those_of_section_iv():
 def test_the_directions_are_those_of_figure_15():
     # paper, section IV: mmf, orifice, tube, rod "in the same direction", arm and reluctance "the contrary influence";
     # its conclusion: the first four "can weaken" the drift by the flow coefficients; of the air gaps nothing is told
-    ways = {figure.key: figure.direction for figure in reproduce.FIGURES}
+    ways = {drift.key: drift.direction for drift in PUBLISHED_DRIFTS}
     assert {ways[k] for k in ("mmf", "orifice", "tube", "rod")} == {1}
     assert {ways[k] for k in ("flow", "arm", "reluctance", "total")} == {-1}
     assert ways["gap"] == 0
 
 
 def test_the_magnet_loses_the_published_5_percent():
-    assert reproduce.check_magnet(drawn=100).mmf_loss == pytest.approx(5.0, abs=0.001)  # paper, below Eq. 5
+    assert check_magnet(drawn=100).mmf_loss == pytest.approx(5.0, abs=0.001)  # paper, below Eq. 5
 
 
 def test_the_air_gaps_drift_as_in_model_md():
-    gaps = reproduce.air_gaps()
+    gaps = air_gaps()
     assert (gaps.upper[-1], gaps.lower[-1]) == pytest.approx((-4.4, 6.6), abs=0.05)  # model.md 6.1
     assert (gaps.upper_printed[-1], gaps.lower_printed[-1]) == pytest.approx((4.0, -6.3), abs=0.05)  # the same
     assert gaps.upper[0] == gaps.lower[0] == 0.0
 
 
 def test_equation_19_in_celsius_has_the_published_errors():
-    fits = reproduce.flow_fits()
+    fits = flow_fits()
     worst = [float(np.max(np.abs(fit.errors))) for fit in fits.printed]
     assert [np.floor(10 * worst[0]) / 10, np.floor(100 * worst[1]) / 100] == [1.3, 0.27]  # paper, cut off, not rounded
     assert worst == pytest.approx([1.37, 0.27], abs=0.01)  # model.md 6.3
@@ -77,7 +90,7 @@ def test_equation_19_in_celsius_has_the_published_errors():
 
 def test_the_circuit_has_the_flux_and_torque_of_the_closed_form():
     currents = np.array([1e-3, 10e-3])
-    flux = reproduce.gap_flux(valve, currents)
+    flux = gap_flux(valve, currents)
     c = valve.at(PartTemperatures.uniform(20.0))
     mu_area = 4e-7 * np.pi * c.air_gap_area
     r1, r3 = c.upper_air_gap_1 / mu_area, c.lower_air_gap_1 / mu_area
@@ -88,7 +101,7 @@ def test_the_circuit_has_the_flux_and_torque_of_the_closed_form():
     np.testing.assert_allclose(phi3 + phi4, total, rtol=1e-10)
     torque = c.armature_arm / (2 * mu_area) * (phi1**2 + phi3**2 - phi2**2 - phi4**2)
     np.testing.assert_allclose(torque, drive_torque(0.0, N, c), rtol=1e-9)
-    assert reproduce.gap_flux(valve, np.linspace(1e-3, 10e-3, 10)).nonlinearity < 1e-6
+    assert gap_flux(valve, np.linspace(1e-3, 10e-3, 10)).nonlinearity < 1e-6
 
 
 # ---------------------------------------------------------------- drift by route, both signs
@@ -96,7 +109,7 @@ def test_the_circuit_has_the_flux_and_torque_of_the_closed_form():
 
 def test_derived_drifts_are_those_of_the_static_solution():
     sharp = replace(valve, transition_pressure=1.0)  # the paper's orifices have no width at zero pressure drop
-    d = reproduce.drifts(valve, temperatures=(20.0, 100.0, 270.0), currents=(1e-3, 5e-3), steps=10)
+    d = drifts(valve, temperatures=(20.0, 100.0, 270.0), currents=(1e-3, 5e-3), steps=10)
     cold = static_solution(sharp, current=1e-3, temperature=20.0).armature_angle
     for k, route in enumerate(ROUTES):
         hot = static_solution(sharp, current=1e-3, temperature=[100.0, 270.0], routes=(route,)).armature_angle
@@ -108,8 +121,8 @@ def test_derived_drifts_are_those_of_the_static_solution():
 def test_the_printed_polynomial_has_the_balance_with_the_signs_turned():
     c, current = valve.at(PartTemperatures.uniform(120.0)), 2e-3
     pressures = {"supply_pressure": valve.supply_pressure, "return_pressure": valve.return_pressure}
-    K = reproduce.printed_polynomial(c, current, **pressures)
-    d = reproduce.drifts(valve, printed_signs=True, temperatures=(20.0, 120.0), currents=(current,), steps=10)
+    K = printed_polynomial(c, current, **pressures)
+    d = drifts(valve, printed_signs=True, temperatures=(20.0, 120.0), currents=(current,), steps=10)
     theta = d.angle[0, 0, 1]
     assert np.polyval(K[::-1], theta) == pytest.approx(0.0, abs=1e-12 * abs(K[1] * theta))
     A1, A2, _ = _balance_factors(c, valve.supply_pressure, 0.0, 0.0)
@@ -120,26 +133,26 @@ def test_the_printed_polynomial_has_the_balance_with_the_signs_turned():
 
 def test_drifts_must_start_cold():
     with pytest.raises(InputError, match="must start at 20"):
-        reproduce.drifts(valve, temperatures=(30.0, 40.0))
+        drifts(valve, temperatures=(30.0, 40.0))
 
 
 # ---------------------------------------------------------------- what no valve can do
 
 
 def test_no_stable_valve_loses_less_angle_than_the_magnet_loses():
-    check = reproduce.check_magnet(drawn=4000)
+    check = check_magnet(drawn=4000)
     assert check.stable > 1000
     assert check.exceptions == 0
     assert check.losses.min() == pytest.approx(check.mmf_loss, abs=0.01)  # and the bound is sharp
 
 
 def test_the_published_arm_and_magnet_contradict_each_other():
-    implied = reproduce.mmf_drift_implied_by_arm(-0.163)
+    implied = mmf_drift_implied_by_arm(-0.163)
     assert implied == pytest.approx(3.63, abs=0.01)
     assert abs(implied / 3.168 - 1) > 0.1
-    d = reproduce.drifts(valve, temperatures=(20.0, 270.0))  # a valve that exists obeys the same relation
+    d = drifts(valve, temperatures=(20.0, 270.0))  # a valve that exists obeys the same relation
     arm, mmf = d.by_route[ROUTES.index("arm"), 0, -1], d.by_route[ROUTES.index("mmf"), 0, -1]
-    assert reproduce.mmf_drift_implied_by_arm(arm) == pytest.approx(mmf, rel=2e-3)
+    assert mmf_drift_implied_by_arm(arm) == pytest.approx(mmf, rel=2e-3)
 
 
 # ---------------------------------------------------------------- identification
@@ -147,11 +160,11 @@ def test_the_published_arm_and_magnet_contradict_each_other():
 
 @pytest.fixture(scope="module")
 def quick():
-    return {v.key: reproduce.identify(v, starts=4) for v in (DERIVED, PRINTED)}
+    return {v.key: identify(v, starts=4) for v in (DERIVED, PRINTED)}
 
 
 def test_the_same_seed_gives_the_same_valve(quick):
-    again = reproduce.identify(DERIVED, starts=4)
+    again = identify(DERIVED, starts=4)
     np.testing.assert_array_equal(again.shares, quick["derived"].shares)
     np.testing.assert_array_equal(again.values, quick["derived"].values)
 
@@ -159,9 +172,9 @@ def test_the_same_seed_gives_the_same_valve(quick):
 @pytest.mark.parametrize("key", ["derived", "printed"])
 def test_an_identified_valve_keeps_its_bounds_and_is_stable(quick, key):
     found = quick[key]
-    for unknown in reproduce.UNKNOWNS:
+    for unknown in UNKNOWNS:
         assert unknown.low <= getattr(found.valve, unknown.name) <= unknown.high
-    d = reproduce.drifts(found.valve, printed_signs=found.variant.printed_signs, steps=10)
+    d = drifts(found.valve, printed_signs=found.interpretation.printed_signs, steps=10)
     assert d.stiffness[0] > 0.0 and d.mechanical[0] > 0.0
     assert d.travel[0, 0] < 0.0252
     assert found.misfit == pytest.approx(100 * np.sqrt(np.mean(found.misses**2)), rel=1e-6)
@@ -171,10 +184,8 @@ def test_an_identified_valve_keeps_its_bounds_and_is_stable(quick, key):
 def test_a_derived_valve_drifts_by_route_as_the_model_says(quick):
     found = quick["derived"]
     for k, route in enumerate(ROUTES):
-        angle = static_solution(
-            found.valve, current=1e-3, temperature=reproduce.FIT_TEMPERATURES, routes=(route,)
-        ).armature_angle
-        percent = found.variant.sense * 100 * (angle / angle[0] - 1)
+        angle = static_solution(found.valve, current=1e-3, temperature=FIT_TEMPERATURES, routes=(route,)).armature_angle
+        percent = found.interpretation.sense * 100 * (angle / angle[0] - 1)
         assert found.values[k] == pytest.approx(percent[np.argmax(np.abs(percent))], abs=1e-6)
 
 
@@ -184,15 +195,12 @@ def test_the_printed_signs_come_closer_than_the_derived_ones(quick):
 
 def test_identification_needs_a_start():
     with pytest.raises(InputError, match="at least 1"):
-        reproduce.identify(DERIVED, starts=0)
+        identify(DERIVED, starts=0)
 
 
-def test_the_derived_balances_cannot_reach_the_published_magnet(quick):
-    original, reproduce.GROUPS = reproduce.GROUPS, {"mmf": ("mmf",), "flow": ("flow",)}
-    try:
-        reached = reproduce.reach(quick["derived"])
-    finally:
-        reproduce.GROUPS = original
+def test_the_derived_balances_cannot_reach_the_published_magnet(quick, monkeypatch):
+    monkeypatch.setattr(reach, "GROUPS", {"mmf": ("mmf",), "flow": ("flow",)})
+    reached = reach.reach(quick["derived"])
     assert not reached["mmf"].possible
     assert abs(reached["mmf"].values[0]) >= 5.0 - 1e-6
     assert reached["flow"].possible
@@ -275,20 +283,20 @@ def test_an_impossible_orifice_law_is_refused():
 @pytest.fixture(scope="module")
 def rough():
     """A whole reproduction with hardly any refinement: its numbers are poor, its page must hold them all the same."""
-    thorough, grid = reproduce._least_squares, reproduce.PROFILE_SHARES
-    screened, drawn = reproduce.SCREENED, reproduce.DRAWN
+    thorough = identification.least_squares
 
-    def hasty(start, variant, free, rows, evaluations):
-        return thorough(start, variant, free, rows, 1)
+    def hasty(start, interpretation, free, rows, evaluations):
+        return thorough(start, interpretation, free, rows, 1)
 
-    reproduce._least_squares, reproduce.SCREENED, reproduce.DRAWN = hasty, 200, 2000
-    reproduce.PROFILE_SHARES = report_paper.PROFILE_SHARES = np.array([0.0, 1.0])
     told = []
-    try:
-        yield reproduce.compute(seed=3, starts=1, progress=lambda text, share: told.append(share)), told
-    finally:
-        reproduce._least_squares, reproduce.SCREENED, reproduce.DRAWN = thorough, screened, drawn
-        reproduce.PROFILE_SHARES = report_paper.PROFILE_SHARES = grid
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (identification, determination, reach):
+            patch.setattr(module, "least_squares", hasty)
+        patch.setattr(identification, "SCREENED", 200)
+        patch.setattr(reach, "SCREENED", 200)
+        patch.setattr(paper_magnet, "DRAWN", 2000)
+        patch.setattr(determination, "PROFILE_SHARES", np.array([0.0, 1.0]))
+        yield compute(seed=3, starts=1, progress=lambda text, share: told.append(share)), told
 
 
 def test_progress_rises_to_the_end(rough):
@@ -297,22 +305,27 @@ def test_progress_rises_to_the_end(rough):
 
 
 def test_the_page_holds_pictures_and_numbers(rough, tmp_path):
-    html = report_paper.write_page(rough[0], tmp_path)
+    html = paper_page.write_page(rough[0], tmp_path, date=DAY)
     assert html == tmp_path / "paper.html"
     text, markdown = html.read_text(encoding="utf-8"), (tmp_path / "paper.md").read_text(encoding="utf-8")
-    assert text.count("data:image/png;base64,") == len(report_paper.PICTURES)
+    assert text.count("data:image/png;base64,") == len(paper_page.PICTURES)
     assert not re.search(r'src="(?!data:)', text)
-    for name in report_paper.PICTURES:
+    for name in paper_page.PICTURES:
         assert f"({name})" in markdown
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert "No measured valve-body temperature transient is public" in markdown
     assert not re.search(r"\bnan\b|\binf\b|\{|\}", re.sub(r"`.*?`", "", markdown))
 
 
+@pytest.mark.parametrize("name", list(paper_page.PICTURES))
+def test_the_texts_of_every_picture_are_plain_and_inside_it(rough, name):
+    check_texts(paper_page.PICTURES[name](rough[0]))
+
+
 def test_the_table_of_routes_is_what_was_computed(rough):
-    r, text = rough[0], report_paper.page(rough[0])
-    for k, figure in enumerate(reproduce.FIGURES):
-        row = next(line for line in text.splitlines() if line.startswith(f"| {figure.title} | "))
+    r, text = rough[0], paper_page.page_text(rough[0])
+    for k, drift in enumerate(PUBLISHED_DRIFTS):
+        row = next(line for line in text.splitlines() if line.startswith(f"| {drift.title} | "))
         cells = [cell.strip(" *").replace("−", "-") for cell in row.strip("|").split("|")]
         shown = [float(cell) for cell in cells[2:]]
         computed = [r.reference_values[k], *(found.values[k] for found in r.identified.values())]
@@ -328,7 +341,7 @@ def test_no_computed_number_is_written_into_the_text(rough):
         fits=replace(r.fits, nozzle_rise=7.77, reynolds_at_270=4321.0),
         reference_flow_drifts=(0.111, 0.222),
     )
-    before, after = report_paper.page(r), report_paper.page(other)
+    before, after = paper_page.page_text(r), paper_page.page_text(other)
     for text in ("4.43 %", "7.77 %", "4321 at 270", "+0.111 %", "+0.222 %"):
         assert text in after and text not in before
     for old in (f"{r.magnet.losses.min():.4f} %", f"{r.gaps.lower_printed[-1]:.2f}".replace("-", "−")):
@@ -338,7 +351,7 @@ def test_no_computed_number_is_written_into_the_text(rough):
 def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        report_paper.reproduce(tmp_path / "file" / "folder")
+        paper_page.write_page(None, tmp_path / "file" / "folder", date=DAY)
 
 
 # ---------------------------------------------------------------- the experiment of section V

@@ -1,27 +1,31 @@
 """Responses: closed-form systems through the record functions, then the valve against its own linearisation."""
 
 import dataclasses
+import datetime
 
 import numpy as np
 import pytest
+from picture_texts import check_texts
 from scipy import signal
 
 import valvesim as vs
 from valvesim.channels import Inputs
-from valvesim.characterisation.class_figures import beside_class, class_figures, lumped_figures
+from valvesim.characterisation.class_figures import class_figures
 from valvesim.characterisation.figure_of_merit import Absent
 from valvesim.characterisation.frequency_response import FrequencyResponse, frequency_response, join_points
 from valvesim.characterisation.held_scenario import held, rated_command
+from valvesim.characterisation.lumped_figures import beside_class, lumped_figures
 from valvesim.characterisation.response_set import ResponseSet, measure_responses
 from valvesim.characterisation.sine_point import SinePoint, sine_point
 from valvesim.characterisation.spectral_response import chirp_response, spectral_response
 from valvesim.characterisation.step_response import step_figures, step_response
 from valvesim.errors import InputError, ValidityWarning
-from valvesim.reports.response import response_report
+from valvesim.reports.response import draw_responses, response_report
 from valvesim.valve.equations import NOMINAL
 from valvesim.valve.thermal_network import NODES
 
 valve = vs.reference_valve()
+DAY = datetime.date(2026, 1, 2)
 TAU = 2e-3  # s, of the first-order system
 RNG = np.random.default_rng(5)
 
@@ -582,10 +586,14 @@ def test_other_outputs_have_their_units():
 
 def test_a_report_gives_figures_and_pictures(tmp_path):
     f = np.geomspace(10.0, 400.0, 6)
-    sets, paths = response_report(
-        valve, tmp_path / "r", oil_temperatures=(20.0, 100.0), sweeps=(0.25, 1.0), frequencies=f, chirp=False
-    )
-    assert [path.name for path in paths] == ["bode.png", "distortion.png", "step.png", "bandwidth.png"]
+    sets = measure_responses(valve, oil_temperatures=(20.0, 100.0), sweeps=(0.25, 1.0), frequencies=f, chirp=False)
+    paths = response_report(sets, tmp_path / "r", valve="valve 17 <b>", date=DAY)
+    names = ["bode.png", "distortion.png", "step.png", "bandwidth.png", "response.html"]
+    assert [path.name for path in paths] == names
+    page = paths[-1].read_text(encoding="utf-8")
+    assert "valve 17 &lt;b&gt; · valvesim" in page and "2026-01-02" in page and page.count("data:image/png") == 4
+    for figure in draw_responses(sets).values():
+        check_texts(figure)
     assert all(path.stat().st_size > 10_000 for path in paths)
     assert [one.oil_temperature for one in sets] == [20.0, 100.0]
     assert [sweep.share for sweep in sets[0].sweeps] == [0.25, 1.0]
@@ -594,15 +602,18 @@ def test_a_report_gives_figures_and_pictures(tmp_path):
 
 def test_a_report_draws_what_it_has(tmp_path):
     # two frequencies far below the bandwidth: no figure to mark, no step at all
-    sets, paths = response_report(valve, tmp_path, steps=(), sweeps=(0.25,), frequencies=[10.0, 20.0], chirp=False)
-    assert [path.name for path in paths] == ["bode.png", "distortion.png"]
+    sets = measure_responses(valve, steps=(), sweeps=(0.25,), frequencies=[10.0, 20.0], chirp=False)
+    drawn = draw_responses(sets)
+    assert list(drawn) == ["bode", "distortion"]
+    for figure in drawn.values():
+        check_texts(figure)
     assert "not reached" in reason(sets[0].sweeps[0].figures, "frequency_minus_3_db")
 
 
 def test_a_folder_that_cannot_be_made_is_refused_first(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot be written"):
-        response_report(valve, tmp_path / "file")
+        response_report((), tmp_path / "file", valve="", date=DAY)
 
 
 def test_a_response_is_that_of_parts_at_their_own_temperatures():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 
 import click
@@ -27,44 +28,45 @@ def bench(
 
     Several leakage records of different periods also give the hysteresis that they have in common, and the meter's lag.
     """
+    from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests, measured_test
     from valvesim.characterisation.acceptance.leakage import common_hysteresis
     from valvesim.characterisation.acceptance.record import read_record
     from valvesim.characterisation.figure_of_merit import table
     from valvesim.errors import InputError
     from valvesim.io import check_folder
-    from valvesim.reports.acceptance import bench_measured, bench_simulated
+    from valvesim.reports.acceptance import HEADINGS, acceptance_report, measured_report
     from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse, parse_list
 
-    headings = ("figure", "value", "± (1 sigma)", "unit", "meaning")
     check_folder(output)
     if measured:
         if kind is None:
             raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
         for file in measured:
-            figures, path = bench_measured(
-                file, kind, output / f"{file.stem}.png",
+            one = measured_test(
+                file, kind,
                 lag=None if lag is None else parse(lag, "s", "--lag"),
                 dead_zone=None if dead_zone is None else parse(dead_zone, "m^3/s", "--dead-zone"),
                 rated_current=None if rated_current is None else parse(rated_current, "A", "--rated-current"),
             )  # fmt: skip
-            print_table(f"{kind} of {file}", headings, table(figures))
-            print_written([path])
+            written = measured_report(one, output / f"{file.stem}.png", date=date.today())
+            print_table(f"{kind} of {file}", HEADINGS, table(one.figures))
+            print_written(written)
         if kind == "leakage" and len(measured) > 1:
             common = common_hysteresis([read_record(file) for file in measured])
-            print_table("what the records have in common", headings, table(common))
+            print_table("what the records have in common", HEADINGS, table(common))
         return
     if given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]:
         raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
     valve, oil = read_tables(settings)
-    paths = []
+    paths: list[Path] = []
     for temperature in parse_list(oil_temperature, "degC", "--oil-temperature"):
         with progress_bar() as bar:
             stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
-            figures, path = bench_simulated(
-                valve, output / f"bench_{temperature:g}_degC.png", oil_temperature=float(temperature), oil=oil,
+            result = acceptance_tests(
+                valve, oil_temperature=float(temperature), oil=oil,
                 progress=lambda share: bar.update(stage, completed=share),  # noqa: B023 - called within this turn
             )  # fmt: skip
-        print_table(f"bench, oil at {temperature:g} °C", headings, table(figures))
-        paths.append(path)
+        paths += acceptance_report(result, output / f"bench_{temperature:g}_degC.png", date=date.today())
+        print_table(f"bench, oil at {temperature:g} °C", HEADINGS, table(result.figures))
     print_written(paths)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 
 import click
@@ -16,16 +17,19 @@ from valvesim.cli.options import output_option, settings_option, temperatures_op
 @settings_option
 def datasheet(output: Path, oil_temperature: str, settings: tuple[str, ...]) -> None:
     """The datasheet of a valve at any oil temperatures: datasheet.html and datasheet.pdf, pictures inside."""
+    from valvesim.characterisation.datasheet import measure
+    from valvesim.io import check_folder
     from valvesim.reports.datasheet import datasheet_report
     from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse_list
 
     valve, oil = read_tables(settings)
     temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
+    check_folder(output)
     with progress_bar() as bar:
         stage = bar.add_task("testing the valve", total=1.0)
-        written = datasheet_report(
-            valve, oil, output, oil_temperatures=temperatures,
-            progress=lambda share: bar.update(stage, completed=share),
-        )  # fmt: skip
+        sheet = measure(
+            valve, oil, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
+        )
+        written = datasheet_report(sheet, output, date=date.today())
     print_written(written)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from valvesim.cli.output_folder import all_or_nothing
     "--effects", "own", multiple=True, type=click.Path(path_type=Path), help="A Python file of your own effects."
 )
 def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...]) -> None:
-    """What the simulation gets wrong in a measured SESSION: cause, extended model, gain on locked records.
+    """What the simulation gets wrong in a measured SESSION: cause, extended model, gain on hold-out records.
 
     Writes diagnosis.json, report.html with its pictures, extended.toml (a scenario for `valvesim run`) and, where one
     helps, the next test as next_test.csv: all of them, or nothing.
@@ -30,12 +31,13 @@ def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...
         from valvesim.diagnosis.diagnose import diagnose as find
         from valvesim.identification.session_toml import load_session
 
+        read = load_session(session, seed=seed, effects=own)
         found = find(
-            load_session(session, seed=seed, effects=own),
+            read,
             progress=lambda text, share: bar.update(stage, description=text, completed=share),
         )
         bar.update(stage, description="drawing", total=None)
-        names = [path.name for path in _write_diagnosis(found, folder)]
+        names = [path.name for path in _write_diagnosis(found, read.valve, folder)]
     _print_diagnosis(found)
     print_written([output / name for name in names])
 
@@ -47,8 +49,9 @@ ANSWER_FILES = (
 """All that a diagnosis may write; what an earlier one left in the folder goes with the answer that it belonged to."""
 
 
-def _write_diagnosis(found: Any, folder: Path) -> list[Path]:
-    from valvesim.reports.diagnosis import write_report
+def _write_diagnosis(found: Any, valve: Any, folder: Path) -> list[Path]:
+    from valvesim.reports.diagnosis.page import write_report
+    from valvesim.reports.title_block import valve_name
 
     texts = {"extended.toml": found.extended_scenario, **found.extended_effects}
     if found.next_test is not None and found.next_test.inputs:
@@ -56,7 +59,7 @@ def _write_diagnosis(found: Any, folder: Path) -> list[Path]:
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     written = [found.to_json(folder / "diagnosis.json"), *(folder / name for name in texts)]
-    return [*written, *write_report(found, folder)]
+    return [*written, *write_report(found, folder, valve=valve_name(valve), date=date.today())]
 
 
 def _columns_text(columns: dict[str, Any]) -> str:

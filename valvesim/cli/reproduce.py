@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 
 import click
@@ -17,14 +18,16 @@ from valvesim.cli.options import output_option
 def reproduce(output: Path, seed: int, starts: int | None) -> None:
     """The paper's figures and tables recomputed, published beside computed: a page with pictures (minutes)."""
     from valvesim.io import check_folder
-    from valvesim.paper.reproduction import STARTS
-    from valvesim.reports.paper import reproduce as write
+    from valvesim.paper.identification import STARTS
+    from valvesim.paper.reproduction import compute
+    from valvesim.reports.paper.page import write_page
 
     check_folder(output)
     with progress_bar() as bar:
         stage = bar.add_task("recomputing the paper", total=1.0)
-        page = write(
-            output, seed=seed, starts=STARTS if starts is None else starts,
+        result = compute(
+            seed=seed, starts=STARTS if starts is None else starts,
             progress=lambda text, share: bar.update(stage, description=text, completed=share),
         )  # fmt: skip
+        page = write_page(result, output, date=date.today())
     print_written([page])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,10 @@ def response(scenario: Path | None, output: Path, oil_temperature: str | None, s
     Of the reference valve, or of the valve, oil, drive and effects of a SCENARIO.
     """
     from valvesim.characterisation.figure_of_merit import table
-    from valvesim.reports.response import response_report
+    from valvesim.characterisation.response_set import measure_responses
+    from valvesim.io import check_folder
+    from valvesim.reports.response import HEADINGS, response_report
+    from valvesim.reports.title_block import valve_name
     from valvesim.simulation.scenario import Scenario, Thermal
     from valvesim.simulation.scenario_toml import load_scenario, read_tables
     from valvesim.units import parse_list
@@ -32,17 +36,19 @@ def response(scenario: Path | None, output: Path, oil_temperature: str | None, s
         source = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None))
     else:
         source = load_scenario(scenario, settings=settings)
+    check_folder(output)
     given = oil_temperature
     temperatures = None if given is None else parse_list(given, "degC", "--oil-temperature").tolist()
     with progress_bar() as bar:
         stage = bar.add_task("stepping and sweeping", total=1.0)
-        sets, paths = response_report(
-            source, output, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
+        sets = measure_responses(
+            source, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
         )
+        paths = response_report(sets, output, valve=valve_name(source.valve), date=date.today())
     for one in sets:
         tests: tuple[Any, ...] = (*one.steps, *one.sweeps)
         for test in tests:
             what = "step" if test in one.steps else "sines"
             title = f"{what} of {100 * test.share:.0f} % of rated, oil at {one.oil_temperature:g} °C"
-            print_table(title, ("figure", "value", "± (1 sigma)", "unit", "meaning"), table(test.figures))
+            print_table(title, HEADINGS, table(test.figures))
     print_written(paths)

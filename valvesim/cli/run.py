@@ -7,6 +7,7 @@ import multiprocessing
 import pickle
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from valvesim.cli.options import settings_option
 @click.option("--no-pictures", is_flag=True, help="Leave the pictures out.")
 def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv: bool, no_pictures: bool) -> None:
     """Simulate a SCENARIO file: a table, result.nc and pictures."""
+    from valvesim.characterisation.rest_characteristic import rest_characteristic
     from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift, temperature_varies
     from valvesim.io import check_folder
     from valvesim.simulation.result import check_channels
@@ -43,9 +45,10 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
         bar.update(stage, description="writing result.nc", total=None)
         written = [result.select(case.channels).to_netcdf(folder / "result.nc")]
         varies = temperature_varies(case)
-        pictures = [draw("picture_run", result, folder / "run.png")]
+        pictures = [draw("picture_run", result, date.today(), folder / "run.png")]
         if not varies:
-            pictures.append(draw("picture_characteristic", result, folder / "characteristic.png"))
+            rest = rest_characteristic(case)
+            pictures.append(draw("picture_characteristic", result, rest, date.today(), folder / "characteristic.png"))
         if with_csv:
             bar.update(stage, description="writing result.csv")
             written.append(result.select(case.channels).to_csv(folder / "result.csv"))
@@ -54,9 +57,11 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
             bar.update(stage, description="drift against 20 °C")
             drift = static_drift(result)
             observed = observed_drift(result, simulate(nominal(case), signals=False))
-            pictures.append(draw("picture_drift", drift, observed, case.title, folder / "drift.png"))
+            pictures.append(draw("picture_drift", drift, observed, case, date.today(), folder / "drift.png"))
         bar.update(stage, description="drawing")
-        written += [path for picture in pictures if (path := picture()) is not None]
+        drawn = [path for picture in pictures if (path := picture()) is not None]
+        page = draw("page_run", _run_rows(result), drawn, case, date.today(), folder / "run.html")()
+        written += [*drawn, *([] if page is None else [page])]
     _print_run(result, drift, written)
 
 
@@ -100,16 +105,24 @@ def _draw(name: str | None = None, *arguments: Any) -> Path | None:
     return None if name is None else getattr(report, name)(*arguments)
 
 
-def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
+def _run_rows(result: Any) -> list[tuple[str, ...]]:
+    """Rows (channel, unit, least, greatest, at the end) of a run."""
     from valvesim.units import symbol
 
+    rows = []
+    for name in _TABLE:
+        values, unit = result.display(name)
+        extremes = (f"{v:.5g}" for v in (values.min(), values.max(), values[-1]))
+        rows.append((name.replace("_", " "), symbol(unit), *extremes))
+    return rows
+
+
+def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
     table = titled_table(result.scenario.title)
     for heading in ("channel", "unit", "least", "greatest", "at the end"):
         table.add_column(heading, justify="left" if heading in ("channel", "unit") else "right")
-    for name in _TABLE:
-        values, unit = result.display(name)
-        figures = (f"{v:.5g}" for v in (values.min(), values.max(), values[-1]))
-        table.add_row(name.replace("_", " "), symbol(unit), *figures)
+    for row in _run_rows(result):
+        table.add_row(*row)
     screen = console()
     screen.print(table)
     if drift is not None:

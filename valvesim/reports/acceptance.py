@@ -1,122 +1,120 @@
-"""Pictures of bench tests as the standards (ARP490, ISO 10770-1) plot them: output over current, flow over load.
+"""Pictures and pages of static acceptance tests as the standards (ARP490, ISO 10770-1) plot them, output over current.
 
 Simulated and measured records are drawn by the same functions: both branches, the mid-line and the lines that the
-figures are told from.
+figures of merit are told from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import datetime
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests, acceptance_tests, record_figures
 from valvesim.characterisation.acceptance.cycle import Cycle, cycle, loop
 from valvesim.characterisation.acceptance.flow import LINE
 from valvesim.characterisation.acceptance.leakage import branch_curves
-from valvesim.characterisation.acceptance.pressure_gain import NULL_SHARE
-from valvesim.characterisation.acceptance.record import AcceptanceRecord, read_record
+from valvesim.characterisation.acceptance.metrics import NULL_SHARE
+from valvesim.characterisation.acceptance.record import AcceptanceRecord
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit, table
-from valvesim.reports.run import COLOURS, STYLE, Figure, _save, matplotlib
-from valvesim.valve.effect import ActiveEffect
-from valvesim.valve.fluid import MIL_PRF_5606, Oil
-from valvesim.valve.parameters import Valve
+from valvesim.reports.html_page import Picture, Table, section, write_html
+from valvesim.reports.plotting import COLOURS, Figure, png, styled, write_bytes
+from valvesim.reports.title_block import TitleBlock, valve_name
+
+if TYPE_CHECKING:
+    from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests, MeasuredTest
 
 RISING, FALLING, MIDDLE, LINES = COLOURS[0], COLOURS[1], "0.25", COLOURS[3]
+HEADINGS = ("figure of merit", "value", "± (1 sigma)", "unit", "meaning")
 
 
-def bench_simulated(
-    valve: Valve,
-    path: Path,
-    *,
-    oil_temperature: float = 20.0,
-    oil: Oil = MIL_PRF_5606,
-    effects: Sequence[ActiveEffect] = (),
-    progress: Callable[[float], None] | None = None,
-) -> tuple[FiguresOfMerit, Path]:
-    """Run the simulated bench and draw it: (figures, path of the picture). Raises as `acceptance_tests` does."""
-    result = acceptance_tests(valve, oil_temperature=oil_temperature, oil=oil, effects=effects, progress=progress)
-    return result.figures, picture_bench(result, path)
+def acceptance_report(result: AcceptanceTests, path: Path, *, date: datetime.date) -> tuple[Path, Path]:
+    """Write the picture of the simulated tests to `path` (PNG) and their page beside it; both paths."""
+    title = f"Static acceptance tests, oil at {result.oil_temperature:.4g} °C"
+    block = TitleBlock(title=title, valve=valve_name(result.valve), date=date)
+    caption = "Flow curve, pressure gain, internal leakage and flow over load pressure."
+    return _write(draw_acceptance(result), block, caption, result.figures, path)
 
 
-def bench_measured(
-    file: Path,
-    test: str,
-    path: Path,
-    *,
-    resolution: float | None = None,
-    lag: float | None = None,
-    dead_zone: float | None = None,
-    rated_current: float | None = None,
-) -> tuple[FiguresOfMerit, Path]:
-    """Reduce a measured CSV file and draw it: (figures, path of the picture). Raises as `record_figures` does."""
-    record = read_record(file)
-    figures = record_figures(
-        record, test, resolution=resolution, lag=lag, dead_zone=dead_zone, rated_current=rated_current
-    )  # fmt: skip
-    return figures, picture_measured(record, test, figures, path)
+def measured_report(measured: MeasuredTest, path: Path, *, date: datetime.date) -> tuple[Path, Path]:
+    """Write the picture of a measured test to `path` (PNG) and its page beside it; both paths."""
+    title = f"Measured acceptance test: {measured.test}"
+    block = TitleBlock(title=title, valve=f"measured valve, {measured.record.source}", date=date)
+    return _write(draw_measured(measured), block, "The record, with what is told from it.", measured.figures, path)
 
 
-def picture_bench(result: AcceptanceTests, path: Path) -> Path:
-    """The whole simulated bench on one sheet: flow curve, pressure gain, leakage, flow over load pressure."""
-    by_name = {figure.name: figure for figure in result.figures}
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(12, 9))
-        axes = figure.subplots(2, 2)
-        figure.subplots_adjust(left=0.07, right=0.98, top=0.91, bottom=0.07, wspace=0.2, hspace=0.28)
-        _flow(axes[0, 0], cycle(result.flow, "load_flow"), _of(by_name, "flow."))
-        _pressure_gain(axes[0, 1], cycle(result.blocked, "load_pressure"), _of(by_name, "pressure-gain."))
-        _leakage(axes[1, 0], cycle(result.blocked, "internal_leakage"), _of(by_name, "leakage."))
-        axis = axes[1, 1]
-        top = result.valve.rated_current
-        for record in result.flow_load:
-            current = float(record.values["current"][0])
-            colour = COLOURS[round(4 * abs(current) / top) % len(COLOURS)]
-            label = f"±{abs(current) * 1e3:.3g} mA" if current > 0.0 else None
-            axis.plot(record.values["load_pressure"] / 1e5, record.values["load_flow"] * 6e4, color=colour, label=label)
-        axis.legend(loc="upper right")
-        _labels(axis, "flow over load pressure", "load pressure [bar]", "load flow [L/min]")
-        supply = result.valve.supply_pressure / 1e5
-        figure.suptitle(f"static bench at {result.oil_temperature:.4g} °C, supply {supply:.4g} bar", fontsize=12)
-        return _save(figure, path)
+def _write(figure: Figure, block: TitleBlock, caption: str, merits: FiguresOfMerit, path: Path) -> tuple[Path, Path]:
+    data = png(figure, block)
+    picture = write_bytes(data, path)
+    sections = (
+        section("", Picture(data, caption)),
+        section("Figures of merit", Table(HEADINGS, table(merits), (1, 2))),
+    )
+    return picture, write_html(path.with_suffix(".html"), block, sections)
 
 
-def picture_measured(record: AcceptanceRecord, test: str, figures: FiguresOfMerit, path: Path) -> Path:
-    """One measured test on a sheet, with its table of figures."""
-    by_name = {figure.name: figure for figure in figures}
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(12, 5.6))
-        axis, sheet = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
-        figure.subplots_adjust(left=0.06, right=0.99, top=0.88, bottom=0.1, wspace=0.05)
-        if test == "flow":
-            _flow(axis, cycle(record, "load_flow"), by_name)
-        elif test == "pressure-gain":
-            _pressure_gain(axis, cycle(record, "load_pressure"), by_name)
-        elif test == "leakage":
-            _leakage(axis, cycle(record, "internal_leakage"), by_name)
-        else:
-            _flow_load(axis, record, by_name)
-        sheet.axis("off")
-        lines = []
-        for name, value, error, unit, meaning in table(figures):
-            words = [f"{value} ± {error} {unit}"] if error else wrap(f"absent: {meaning}", 36)
-            lines += [f"{name if k == 0 else '':21s} {text}" for k, text in enumerate(words)]
-        sheet.text(0.02, 1.0, "\n".join(lines), va="top", family="monospace", fontsize=8, linespacing=1.7)
-        figure.suptitle(f"{record.source}: {test}", fontsize=12)
-        return _save(figure, path)
+@styled
+def draw_acceptance(result: AcceptanceTests) -> Figure:
+    """All simulated tests on one sheet: flow curve, pressure gain, leakage, flow over load pressure."""
+    merits = {merit.name: merit for merit in result.figures}
+    figure = Figure(figsize=(12, 9))
+    axes = figure.subplots(2, 2)
+    figure.subplots_adjust(left=0.07, right=0.98, top=0.91, bottom=0.07, wspace=0.2, hspace=0.28)
+    _flow(axes[0, 0], cycle(result.flow, "load_flow"), _of(merits, "flow."))
+    _pressure_gain(axes[0, 1], cycle(result.blocked, "load_pressure"), _of(merits, "pressure-gain."))
+    _leakage(axes[1, 0], cycle(result.blocked, "internal_leakage"), _of(merits, "leakage."))
+    axis = axes[1, 1]
+    top = result.valve.rated_current
+    for record in result.flow_load:
+        current = float(record.values["current"][0])
+        colour = COLOURS[round(4 * abs(current) / top) % len(COLOURS)]
+        label = f"±{abs(current) * 1e3:.3g} mA" if current > 0.0 else None
+        axis.plot(record.values["load_pressure"] / 1e5, record.values["load_flow"] * 6e4, color=colour, label=label)
+    axis.legend(loc="upper right")
+    _labels(axis, "flow over load pressure", "load pressure [bar]", "load flow [L/min]")
+    supply = result.valve.supply_pressure / 1e5
+    figure.suptitle(
+        f"Static acceptance tests, oil at {result.oil_temperature:.4g} °C, supply {supply:.4g} bar", fontsize=12
+    )
+    return figure
 
 
-def _of(figures: dict[str, Any], test: str) -> dict[str, Any]:
-    return {name.removeprefix(test): figure for name, figure in figures.items() if name.startswith(test)}
+@styled
+def draw_measured(measured: MeasuredTest) -> Figure:
+    """One measured test on a sheet, with its table of figures of merit."""
+    record, test = measured.record, measured.test
+    merits = {merit.name: merit for merit in measured.figures}
+    figure = Figure(figsize=(12, 5.6))
+    axis, sheet = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
+    figure.subplots_adjust(left=0.06, right=0.99, top=0.88, bottom=0.1, wspace=0.05)
+    if test == "flow":
+        _flow(axis, cycle(record, "load_flow"), merits)
+    elif test == "pressure-gain":
+        _pressure_gain(axis, cycle(record, "load_pressure"), merits)
+    elif test == "leakage":
+        _leakage(axis, cycle(record, "internal_leakage"), merits)
+    else:
+        _flow_load(axis, record, merits)
+    sheet.axis("off")
+    lines = []
+    for name, value, error, unit, meaning in table(measured.figures):
+        words = [f"{value} ± {error} {unit}"] if error else wrap(f"absent: {meaning}", 36)
+        lines += [f"{name if k == 0 else '':21s} {text}" for k, text in enumerate(words)]
+    sheet.text(0.02, 1.0, "\n".join(lines), va="top", family="monospace", fontsize=8, linespacing=1.7)
+    figure.suptitle(f"{record.source}: {test}", fontsize=12)
+    return figure
 
 
-def _value(figures: dict[str, Any], name: str) -> float:
-    """The value of a figure, NaN where it is absent: then its line is not drawn."""
-    figure = figures.get(name)
-    return np.nan if figure is None or isinstance(figure, Absent) else figure.value
+def _of(merits: dict[str, Any], test: str) -> dict[str, Any]:
+    return {name.removeprefix(test): merit for name, merit in merits.items() if name.startswith(test)}
+
+
+def _value(merits: dict[str, Any], name: str) -> float:
+    """The value of a figure of merit, NaN where it is absent: then its line is not drawn."""
+    merit = merits.get(name)
+    return np.nan if merit is None or isinstance(merit, Absent) else merit.value
 
 
 def _labels(axis: Any, title: str, x: str, y: str) -> None:
@@ -132,7 +130,7 @@ def _branches(axis: Any, c: Cycle, factor: float) -> None:
         axis.plot(current[order] * 1e3, c.polarity * y[order] * factor, color=colour, lw=0.8, alpha=0.8, label=label)
 
 
-def _flow(axis: Any, c: Cycle, figures: dict[str, Any]) -> None:
+def _flow(axis: Any, c: Cycle, merits: dict[str, Any]) -> None:
     """Flow curve with mid-line, the polarities' straight lines, and the null enlarged."""
     bend = loop(c)
     null, window = axis, axis.inset_axes((0.57, 0.1, 0.41, 0.36) if c.polarity > 0 else (0.57, 0.58, 0.41, 0.36))
@@ -142,7 +140,7 @@ def _flow(axis: Any, c: Cycle, figures: dict[str, Any]) -> None:
         each.plot(bend.middle * 1e3, c.polarity * bend.output * 6e4, color=MIDDLE, lw=0.9, label="mid-line")
     for sign, name in ((-1.0, "flow_gain_negative"), (1.0, "flow_gain_positive")):
         part = (sign * bend.middle > LINE[0] * rated) & (sign * bend.middle < LINE[1] * rated)
-        slope = _value(figures, name)
+        slope = _value(merits, name)
         if not np.any(part) or np.isnan(slope):
             continue
         at = np.array([0.0, sign * rated])
@@ -150,7 +148,7 @@ def _flow(axis: Any, c: Cycle, figures: dict[str, Any]) -> None:
         y = np.average(bend.output[part] - slope * bend.middle[part], weights=weights) + slope * at
         axis.plot(at * 1e3, c.polarity * y * 6e4, "--", color=LINES, lw=1.2, label="gain" if sign > 0 else None)
     reach = max(0.08 * rated, 2.0 * float(np.max(np.abs(bend.width))))
-    height = 1.2 * abs(np.nanmean([_value(figures, f"flow_gain_{k}") for k in ("negative", "positive")])) * reach
+    height = 1.2 * abs(np.nanmean([_value(merits, f"flow_gain_{k}") for k in ("negative", "positive")])) * reach
     if np.isfinite(height):
         window.set(xlim=(-reach * 1e3, reach * 1e3), ylim=(-height * 6e4, height * 6e4))
     window.tick_params(labelsize=7)
@@ -158,29 +156,29 @@ def _flow(axis: Any, c: Cycle, figures: dict[str, Any]) -> None:
     _labels(axis, "flow curve (null enlarged)", "current [mA]", "flow [L/min]")
 
 
-def _pressure_gain(axis: Any, c: Cycle, figures: dict[str, Any]) -> None:
+def _pressure_gain(axis: Any, c: Cycle, merits: dict[str, Any]) -> None:
     """Blocked load pressure about null, with the slope over +-40 % of supply."""
     _branches(axis, c, 1e-5)
-    supply, gain = _value(figures, "supply_pressure"), _value(figures, "pressure_gain")
-    null = (_value(figures, "zero_rising") + _value(figures, "zero_falling")) / 2.0
+    supply, gain = _value(merits, "supply_pressure"), _value(merits, "pressure_gain")
+    null = (_value(merits, "zero_rising") + _value(merits, "zero_falling")) / 2.0
     if np.isfinite(gain):
         y = np.array([-NULL_SHARE, NULL_SHARE]) * supply
         axis.plot((null + y / gain) * 1e3, c.polarity * y / 1e5, "--", color=LINES, lw=1.8, label="pressure gain")
         for level in y:
             axis.axhline(level / 1e5, color="0.7", lw=0.7)
-        reach = 5.0 * supply / gain + abs(_value(figures, "zero_rising") - null)
+        reach = 5.0 * supply / gain + abs(_value(merits, "zero_rising") - null)
         axis.set_xlim((null - reach) * 1e3, (null + reach) * 1e3)
     axis.legend(loc="upper left" if c.polarity > 0 else "upper right")
     _labels(axis, "pressure gain, ports blocked", "current [mA]", "load pressure [bar]")
 
 
-def _leakage(axis: Any, c: Cycle, figures: dict[str, Any]) -> None:
+def _leakage(axis: Any, c: Cycle, merits: dict[str, Any]) -> None:
     """Leakage at blocked ports over current, raw and averaged, with tare."""
     grid, up, down = branch_curves(c)
     _branches(axis, c, 6e4)
-    for y in (up, down):
-        axis.plot(grid * 1e3, y * 6e4, color=MIDDLE, lw=0.9)
-    tare, split, middle = (_value(figures, name) for name in ("tare", "half_split", "peak_current"))
+    for y, label in ((up, "averaged"), (down, None)):
+        axis.plot(grid * 1e3, y * 6e4, color=MIDDLE, lw=0.9, label=label)
+    tare, split, middle = (_value(merits, name) for name in ("tare", "half_split", "peak_current"))
     if np.isfinite(tare):
         axis.axhline(tare * 6e4, color=LINES, ls="--", lw=1.2, label="tare")
     if split > 0.01 * np.ptp(grid):
@@ -190,11 +188,11 @@ def _leakage(axis: Any, c: Cycle, figures: dict[str, Any]) -> None:
     _labels(axis, "internal leakage, ports blocked", "current [mA]", "leakage [L/min]")
 
 
-def _flow_load(axis: Any, record: AcceptanceRecord, figures: dict[str, Any]) -> None:
+def _flow_load(axis: Any, record: AcceptanceRecord, merits: dict[str, Any]) -> None:
     """Flow over valve pressure drop at full current, with the power law."""
     p, q = record.values["pressure_drop"], record.values["load_flow"]
     axis.plot(p / 1e5, q * 6e4, ".", ms=1.5, color=RISING, label="record")
-    n, rated = _value(figures, "flow_exponent"), _value(figures, "rated_flow")
+    n, rated = _value(merits, "flow_exponent"), _value(merits, "rated_flow")
     if np.isfinite(n) and np.isfinite(rated):
         x = np.linspace(max(np.min(p), 1e4), np.max(p), 200)
         axis.plot(x / 1e5, rated * (x / 7e6) ** n * 6e4, color=FALLING, label=f"power law, exponent {n:.3f}")

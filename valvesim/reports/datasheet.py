@@ -2,104 +2,146 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import tempfile
-from collections.abc import Callable, Sequence
+import datetime
+import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 
-from valvesim.characterisation.datasheet import Datasheet, absent_rows, class_rows, dynamic_rows, measure, static_rows
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
 from valvesim.io import check_folder, write_atomically
-from valvesim.reports.acceptance import picture_bench
-from valvesim.reports.response import draw_responses
+from valvesim.reports.acceptance import draw_acceptance
+from valvesim.reports.html_page import Picture, Section, Table, Text, section, write_html
+from valvesim.reports.plotting import png
+from valvesim.reports.response import CAPTIONS, draw_responses
+from valvesim.reports.title_block import TitleBlock, valve_name
 from valvesim.units import quantities, range_text, symbol
-from valvesim.valve.fluid import Oil
-from valvesim.valve.parameters import Valve
+
+if TYPE_CHECKING:
+    from valvesim.characterisation.datasheet import Datasheet
+
+TITLE, ORIGIN = "Servo valve datasheet", "Computed by valvesim from the model; no valve was measured."
 
 
 @dataclass(frozen=True)
-class _Section:
+class _Part:
     """A heading with a table (first row its headings) and pictures under it."""
 
     heading: str
     text: str
-    rows: tuple[tuple[str, ...], ...] = ()
-    pictures: tuple[Path, ...] = ()
+    rows: tuple[tuple[str, ...], ...]
+    pictures: tuple[Picture, ...] = ()
+
+    @property
+    def section(self) -> Section:
+        """The part on the page."""
+        return section(self.heading, Text(self.text), Table(self.rows[0], self.rows[1:]), *self.pictures)
 
 
-def datasheet_report(
-    valve: Valve, oil: Oil, folder: Path, *, oil_temperatures: Sequence[float],
-    progress: Callable[[float], None] | None = None,
-) -> tuple[Path, Path]:  # fmt: skip
-    """Measure the valve (`datasheet.measure`) and write datasheet.html and datasheet.pdf into `folder`; their paths."""
+def datasheet_report(sheet: Datasheet, folder: Path, *, date: datetime.date) -> tuple[Path, Path]:
+    """Write datasheet.html and datasheet.pdf into `folder`; their paths.
+
+    Raises InputError for a folder that cannot be written.
+    """
     check_folder(folder)
-    sheet = measure(valve, oil, oil_temperatures=oil_temperatures, progress=progress)
-    with tempfile.TemporaryDirectory() as scratch:
-        sections = _sections(sheet, Path(scratch))
-
-        def write_page(path: Path) -> None:
-            path.write_text(_html(sections), encoding="utf-8")
-
-        page = write_atomically(folder / "datasheet.html", write_page)
-        return page, write_atomically(folder / "datasheet.pdf", lambda path: _pdf(sections, path))
+    block = TitleBlock(title=TITLE, valve=valve_name(sheet.valve), date=date)
+    parts = _parts(sheet, block)
+    page = write_html(
+        folder / "datasheet.html", block, (section("", Text(ORIGIN)), *(part.section for part in parts))
+    )  # fmt: skip
+    return page, write_atomically(folder / "datasheet.pdf", lambda path: _pdf(parts, block, path))
 
 
-def _sections(sheet: Datasheet, scratch: Path) -> tuple[_Section, ...]:
+def _parts(sheet: Datasheet, block: TitleBlock) -> tuple[_Part, ...]:
     at = tuple(f"{t:g} °C" for t in sheet.oil_temperatures)
     low, high = sheet.oil.rated_low, sheet.oil.rated_high
     beyond = [t for t in sheet.oil_temperatures if not low <= t <= high]
     validity = f"Oil {sheet.oil.name}, rated {low:g} to {high:g} °C, all parts at the oil's temperature." + (
         f" Extrapolated beyond the oil's rating: {', '.join(f'{t:g} °C' for t in beyond)}." if beyond else ""
     )
-    benches = tuple(
-        picture_bench(one, scratch / f"bench_{k}.png") for k, one in enumerate(sheet.benches)
+    static = tuple(
+        Picture(png(draw_acceptance(one), block), f"Static acceptance tests, oil at {one.oil_temperature:g} °C.")
+        for one in sheet.benches
+    )
+    dynamic = tuple(
+        Picture(png(figure, block), CAPTIONS[name]) for name, figure in draw_responses(sheet.responses).items()
     )  # fmt: skip
-    drawn = draw_responses(sheet.responses, scratch)
-    absent = absent_rows(sheet)
-    figures = [
+    absent = _absent_rows(sheet)
+    parameters = [
         (name, f"{getattr(sheet.valve, name):.6g}", symbol(f.metadata["unit"]), range_text(f), f.metadata["doc"])
         for name, f in quantities(sheet.valve).items()
     ]
     return (
-        _Section("Static figures", validity, (("figure", "unit", *at), *static_rows(sheet)), benches),
-        _Section(
-            "Dynamic figures", "Steps and stepped sines of the spool, no load.",
-            (("figure", "unit", *at), *dynamic_rows(sheet)), drawn,
+        _Part("Static figures of merit", validity, (("figure of merit", "unit", *at), *_static_rows(sheet)), static),
+        _Part(
+            "Dynamic figures of merit", "Steps and stepped sines of the spool, no load.",
+            (("figure of merit", "unit", *at), *_dynamic_rows(sheet)), dynamic,
         ),
-        _Section(
-            f"Beside published figures of the class, at {at[0]}", "Typical limits of such valves, to be checked.",
-            (("figure", "published", "this valve", "source"), *class_rows(sheet)),
+        _Part(
+            f"Beside published figures of merit of the class, at {at[0]}",
+            "Typical limits of such valves, to be checked.",
+            (("figure of merit", "published", "this valve", "source"), *_class_rows(sheet)),
         ),
-        *((_Section("Not to be had", "", (("oil", "figure", "reason"), *absent)),) if absent else ()),
-        _Section("Parameters", "At 20 °C, SI.", (("parameter", "value", "unit", "range", "meaning"), *figures)),
+        *((_Part("Not to be had", "", (("oil", "figure of merit", "reason"), *absent)),) if absent else ()),
+        _Part("Parameters", "At 20 °C, SI.", (("parameter", "value", "unit", "range", "meaning"), *parameters)),
     )  # fmt: skip
 
 
-_CSS = """body{font:15px/1.5 system-ui,sans-serif;max-width:1050px;margin:2em auto;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:1em 0;font-size:14px}td,th{padding:.25em .8em;border-bottom:1px solid #ddd;
-text-align:left}th{background:#f4f6f9}img{max-width:100%;margin:.6em 0}h1{margin-bottom:0}"""
+def _static_rows(sheet: Datasheet) -> list[tuple[str, ...]]:
+    """Rows (figure of merit, unit, value at each oil temperature); a dash where it cannot be had."""
+    return _rows([{f.name: f for f in one.figures} for one in sheet.benches])
 
 
-def _html(sections: Sequence[_Section]) -> str:
-    parts = [f"<!doctype html><meta charset='utf-8'><title>Servo valve datasheet</title><style>{_CSS}</style>"]
-    parts.append("<h1>Servo valve datasheet</h1><p>Computed by valvesim from the model; no valve was measured.</p>")
-    for section in sections:
-        parts.append(f"<h2>{html.escape(section.heading)}</h2><p>{html.escape(section.text)}</p>")
-        for k, row in enumerate(section.rows):
-            cell = "th" if k == 0 else "td"
-            cells = "".join(f"<{cell}>{html.escape(text)}</{cell}>" for text in row)
-            parts.append(f"{'<table>' if k == 0 else ''}<tr>{cells}</tr>")
-        parts.append("</table>" if section.rows else "")
-        for picture in section.pictures:
-            data = base64.b64encode(picture.read_bytes()).decode()
-            parts.append(f"<img alt='{picture.stem}' src='data:image/png;base64,{data}'>")
-    return "\n".join(parts)
+def _dynamic_rows(sheet: Datasheet) -> list[tuple[str, ...]]:
+    """Rows (figure of merit and amplitude, unit, value at each oil temperature)."""
+    columns = []
+    for one in sheet.responses:
+        found: dict[str, FigureOfMerit | Absent] = {}
+        tests: tuple[Any, ...] = (*one.steps, *one.sweeps)
+        for test in tests:
+            found.update({f"{f.name} at {100 * test.share:.0f} % of rated": f for f in test.figures})
+        columns.append(found)
+    return _rows(columns)
 
 
-def _pdf(sections: Sequence[_Section], path: Path) -> None:
+def _class_rows(sheet: Datasheet) -> list[tuple[str, str, str, str]]:
+    """Rows (figure of merit, published for the class, this valve, source) at the first oil temperature."""
+    rows = []
+    for published, own in sheet.beside_class:
+        limits = [FigureOfMerit(published.name, value, published.unit, "") for value in (published.low, published.high)]
+        low, high = (shown(limit)[0] for limit in limits)
+        text = f"{low} {shown(limits[0])[2]}" if low == high else f"{low} to {high} {shown(limits[0])[2]}"
+        mine = own.reason if isinstance(own, Absent) else " ".join((shown(own)[0], shown(own)[2]))
+        rows.append((published.name.replace("_", " "), text, mine, published.source))
+    return rows
+
+
+def _absent_rows(sheet: Datasheet) -> list[tuple[str, str, str]]:
+    """Rows (oil temperature, figure of merit, reason) of what could not be had."""
+    rows = []
+    for temperature, one, response in zip(sheet.oil_temperatures, sheet.benches, sheet.responses, strict=True):
+        tests: tuple[Any, ...] = (*response.steps, *response.sweeps)
+        figures = [*one.figures, *(f for test in tests for f in test.figures)]
+        rows += [
+            (f"{temperature:g} °C", f.name.replace("_", " "), f.reason) for f in figures if isinstance(f, Absent)
+        ]  # fmt: skip
+    return rows
+
+
+def _rows(columns: Sequence[dict[str, FigureOfMerit | Absent]]) -> list[tuple[str, ...]]:
+    rows = []
+    for name in dict.fromkeys(name for column in columns for name in column):
+        found = [column.get(name) for column in columns]
+        unit = next((shown(f)[2] for f in found if isinstance(f, FigureOfMerit)), "")
+        cells = [shown(f)[0] if isinstance(f, FigureOfMerit) else "-" for f in found]
+        rows.append((name.replace("_", " "), unit, *cells))
+    return rows
+
+
+def _pdf(parts: Sequence[_Part], block: TitleBlock, path: Path) -> None:
     from fpdf import FPDF
 
     fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"  # DejaVu has every sign that the tables use
@@ -107,24 +149,27 @@ def _pdf(sections: Sequence[_Section], path: Path) -> None:
     pdf.add_font("sans", "", fonts / "DejaVuSans.ttf")
     pdf.add_font("sans", "B", fonts / "DejaVuSans-Bold.ttf")
     pdf.set_auto_page_break(True, margin=15)
+    pdf.set_creation_date(datetime.datetime.combine(block.date, datetime.time(), datetime.UTC))
+    pdf.set_title(block.title)
     pdf.add_page()
     pdf.set_font("sans", "B", 16)
-    pdf.cell(text="Servo valve datasheet", new_x="LMARGIN", new_y="NEXT")
+    pdf.cell(text=block.title, new_x="LMARGIN", new_y="NEXT")
     pdf.set_font("sans", "", 9)
-    pdf.cell(text="Computed by valvesim from the model; no valve was measured.", new_x="LMARGIN", new_y="NEXT")
-    for k, section in enumerate(sections):
+    for line in (block.origin, ORIGIN):
+        pdf.multi_cell(0, text=line, new_x="LMARGIN", new_y="NEXT")
+    for k, part in enumerate(parts):
         if k:
             pdf.add_page()
         pdf.set_font("sans", "B", 12)
-        pdf.cell(text=section.heading, new_x="LMARGIN", new_y="NEXT", h=10)
+        pdf.cell(text=part.heading, new_x="LMARGIN", new_y="NEXT", h=10)
         pdf.set_font("sans", "", 8)
-        pdf.multi_cell(0, text=section.text, new_x="LMARGIN", new_y="NEXT")
+        pdf.multi_cell(0, text=part.text, new_x="LMARGIN", new_y="NEXT")
         pdf.ln(2)
-        widths = [max(8, *(min(len(row[c]), 44) for row in section.rows)) for c in range(len(section.rows[0]))]
+        widths = [max(8, *(min(len(row[c]), 44) for row in part.rows)) for c in range(len(part.rows[0]))]
         pdf.set_font("sans", "", 7)
-        with pdf.table(section.rows, col_widths=tuple(widths), line_height=4, text_align="LEFT"):
+        with pdf.table(part.rows, col_widths=tuple(widths), line_height=4, text_align="LEFT"):
             pass
-        for picture in section.pictures:
+        for picture in part.pictures:
             pdf.ln(3)
-            pdf.image(picture, w=pdf.epw)
+            pdf.image(io.BytesIO(picture.data), w=pdf.epw)
     pdf.output(str(path))

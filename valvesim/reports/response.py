@@ -1,176 +1,196 @@
-"""Pictures of responses, as the standards draw them: Bode at each amplitude, steps, distortion, bandwidth."""
+"""Pictures and page of responses, as the standards draw them: Bode at each amplitude, steps, distortion, bandwidth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import datetime
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 
 from valvesim.characterisation.class_figures import ClassFigure, class_figures
-from valvesim.characterisation.figure_of_merit import Absent
-from valvesim.characterisation.frequency_response import FREQUENCIES, FrequencyResponse
-from valvesim.characterisation.held_scenario import Source
-from valvesim.characterisation.response_set import STEPS, SWEEPS, ResponseSet, measure_responses
-from valvesim.characterisation.step_response import StepResponse
+from valvesim.characterisation.figure_of_merit import Absent, table
 from valvesim.io import check_folder
-from valvesim.reports.run import COLOURS, STYLE, Figure, _save
+from valvesim.reports.html_page import Picture, Section, Table, section, write_html
+from valvesim.reports.plotting import COLOURS, Figure, label_decades, png, styled, write_bytes
+from valvesim.reports.title_block import TitleBlock
 from valvesim.units import DISPLAY, symbol
+
+if TYPE_CHECKING:
+    from valvesim.characterisation.frequency_response import FrequencyResponse
+    from valvesim.characterisation.response_set import ResponseSet
+    from valvesim.characterisation.step_response import StepResponse
+
+HEADINGS = ("figure of merit", "value", "± (1 sigma)", "unit", "meaning")
+CAPTIONS = {
+    "bode": "Frequency response at each amplitude; rings: -3 dB and -90 degrees.",
+    "distortion": "Harmonics 2 to 5 of the response over the fundamental.",
+    "step": "Step responses, each as a share of its own change.",
+    "bandwidth": "Bandwidth and step time over oil temperature; shaded: usual for the class.",
+}
 
 
 def response_report(
-    source: Source, folder: Path, *, oil_temperatures: Sequence[float] | None = None,
-    part_temperature: float | None = None, steps: Sequence[float] = STEPS, sweeps: Sequence[float] = SWEEPS,
-    frequencies: Sequence[float] = FREQUENCIES, chirp: bool = True, output: str = "spool_position",
-    workers: int = 1, progress: Callable[[float], None] | None = None,
-) -> tuple[tuple[ResponseSet, ...], tuple[Path, ...]]:  # fmt: skip
-    """Measure every response (`measure_responses`) and draw it into `folder`: (the sets, paths of the pictures).
+    sets: Sequence[ResponseSet], folder: Path, *, valve: str, date: datetime.date
+) -> tuple[Path, ...]:  # fmt: skip
+    """Draw every response into `folder`, with a page: the paths of the pictures and of response.html.
 
-    Raises InputError for a folder that cannot be written, and as `measure_responses` does.
+    Raises InputError for a folder that cannot be written.
     """
-    check_folder(Path(folder))
-    sets = measure_responses(
-        source, oil_temperatures=oil_temperatures, part_temperature=part_temperature, steps=steps, sweeps=sweeps,
-        frequencies=frequencies, chirp=chirp, output=output, workers=workers, progress=progress,
-    )  # fmt: skip
-    return sets, draw_responses(sets, Path(folder))
+    folder = Path(folder)
+    check_folder(folder)
+    block = TitleBlock(title="Step and frequency response", valve=valve, date=date)
+    pictures = {name: png(figure, block) for name, figure in draw_responses(sets).items()}
+    paths = [write_bytes(data, folder / f"{name}.png") for name, data in pictures.items()]
+    shown = section("Responses", *(Picture(data, CAPTIONS[name]) for name, data in pictures.items()))
+    return *paths, write_html(folder / "response.html", block, (shown, *_tables(sets)))
 
 
-def draw_responses(sets: Sequence[ResponseSet], folder: Path) -> tuple[Path, ...]:
-    """bode.png, step.png, distortion.png and, of two or more temperatures, bandwidth.png; their paths."""
-    paths = []
+def _tables(sets: Sequence[ResponseSet]) -> list[Section]:
+    """The figures of merit of each test."""
+    sections = []
+    for one in sets:
+        tests: tuple[Any, ...] = (*one.steps, *one.sweeps)
+        for test in tests:
+            kind = "Step" if test in one.steps else "Sines"
+            heading = f"{kind} of {_amplitude(test)} of rated, oil at {one.oil_temperature:g} °C"
+            sections.append(section(heading, Table(HEADINGS, table(test.figures), (1, 2))))
+    return sections
+
+
+def draw_responses(sets: Sequence[ResponseSet]) -> dict[str, Figure]:
+    """Pictures by name: bode, distortion, step and, of two or more temperatures, bandwidth; what the sets have."""
+    drawn: dict[str, Figure] = {}
     if all(one.sweeps for one in sets):
-        paths += [picture_bode(sets, folder / "bode.png"), picture_distortion(sets, folder / "distortion.png")]
+        drawn |= {"bode": draw_bode(sets), "distortion": draw_distortion(sets)}
     if all(one.steps for one in sets):
-        paths.append(picture_steps(sets, folder / "step.png"))
-    if len(sets) > 1 and all(one.sweeps for one in sets):
-        paths.append(picture_bandwidth(sets, folder / "bandwidth.png"))
-    return tuple(paths)
+        drawn["step"] = draw_steps(sets)
+    if len(sets) > 1 and all(one.sweeps and one.steps for one in sets):
+        drawn["bandwidth"] = draw_bandwidth(sets)
+    return drawn
 
 
-def picture_bode(sets: Sequence[ResponseSet], path: Path) -> Path:
+@styled
+def draw_bode(sets: Sequence[ResponseSet]) -> Figure:
     """Amplitude ratio above, phase lag below, a column each oil temperature; -3 dB and -90 degrees marked."""
-    with matplotlib.rc_context(STYLE):
-        figure, axes = _columns(sets, 2, height=7.0)
-        for one, column in zip(sets, axes.T, strict=True):
-            ratio, lag = column
-            for k, sweep in enumerate(one.sweeps):
-                colour = COLOURS[k]
-                for axis, name, level, values in (
-                    (ratio, "frequency_minus_3_db", -3.0, sweep.amplitude_ratio),
-                    (lag, "frequency_minus_90_deg", -90.0, -sweep.phase_lag),
-                ):
-                    at = _value(sweep, name)
-                    text = _amplitude(sweep) + ("" if at is None else f": {at:.0f} Hz")
-                    axis.semilogx(sweep.frequency, values, color=colour, lw=_width(k, one.sweeps), label=text)
-                    if at is not None:
-                        axis.plot(at, level, "o", ms=6, mfc="none", mew=1.4, color=colour, zorder=3)
-            for k, chirp in enumerate(one.chirps):
-                label = "chirps" if k == len(one.chirps) - 1 else None
-                keep = chirp.credible
-                style: Any = {"color": "k", "lw": 0.7, "ls": ":"}
-                ratio.semilogx(chirp.frequency[keep], chirp.amplitude_ratio[keep], label=label, **style)
-                lag.semilogx(chirp.frequency[keep], -chirp.phase_lag[keep], **style)
-            ratio.axhline(-3.0, color="0.5", lw=0.8, ls="--")
-            lag.axhline(-90.0, color="0.5", lw=0.8, ls="--")
-            ratio.set_title(f"oil at {one.oil_temperature:.4g} °C", loc="left")
-            ratio.legend(loc="lower left", title="sine, share of rated: at -3 dB", alignment="left")
-            lag.legend(loc="lower left", title="at -90°", alignment="left")
-            lag.set_yticks(np.arange(-360, 1, 45))
-            _hertz(lag)
-        lowest = min(float(np.min(sweep.amplitude_ratio)) for one in sets for sweep in one.sweeps)
-        farthest = max(float(np.max(sweep.phase_lag)) for one in sets for sweep in one.sweeps)
-        axes[0, 0].set_ylim(max(lowest - 2.0, -40.0), 3.0)
-        axes[1, 0].set_ylim(-min(45.0 * np.ceil(farthest / 45.0 + 0.2), 360.0), 8.0)
-        axes[0, 0].set_ylabel("amplitude ratio to lowest frequency [dB]")
-        axes[1, 0].set_ylabel("phase [°]")
-        channel = sets[0].sweeps[0].channel.replace("_", " ")
-        figure.suptitle(f"Frequency response of the {channel}", fontsize=12)
-        return _save(figure, path)
+    figure, axes = _columns(sets, 2, height=7.0)
+    for one, column in zip(sets, axes.T, strict=True):
+        ratio, lag = column
+        for k, sweep in enumerate(one.sweeps):
+            colour = COLOURS[k]
+            for axis, name, level, values in (
+                (ratio, "frequency_minus_3_db", -3.0, sweep.amplitude_ratio),
+                (lag, "frequency_minus_90_deg", -90.0, -sweep.phase_lag),
+            ):
+                at = _value(sweep, name)
+                text = _amplitude(sweep) + ("" if at is None else f": {at:.0f} Hz")
+                axis.semilogx(sweep.frequency, values, color=colour, lw=_width(k, one.sweeps), label=text)
+                if at is not None:
+                    axis.plot(at, level, "o", ms=6, mfc="none", mew=1.4, color=colour, zorder=3)
+        for k, chirp in enumerate(one.chirps):
+            label = "chirps" if k == len(one.chirps) - 1 else None
+            keep = chirp.credible
+            style: Any = {"color": "k", "lw": 0.7, "ls": ":"}
+            ratio.semilogx(chirp.frequency[keep], chirp.amplitude_ratio[keep], label=label, **style)
+            lag.semilogx(chirp.frequency[keep], -chirp.phase_lag[keep], **style)
+        ratio.axhline(-3.0, color="0.5", lw=0.8, ls="--")
+        lag.axhline(-90.0, color="0.5", lw=0.8, ls="--")
+        ratio.set_title(f"oil at {one.oil_temperature:.4g} °C", loc="left")
+        ratio.legend(loc="lower left", title="sine, share of rated: at -3 dB", alignment="left")
+        lag.legend(loc="lower left", title="at -90°", alignment="left")
+        lag.set_yticks(np.arange(-360, 1, 45))
+        _hertz(lag)
+    lowest = min(float(np.min(sweep.amplitude_ratio)) for one in sets for sweep in one.sweeps)
+    farthest = max(float(np.max(sweep.phase_lag)) for one in sets for sweep in one.sweeps)
+    axes[0, 0].set_ylim(max(lowest - 2.0, -40.0), 3.0)
+    axes[1, 0].set_ylim(-min(45.0 * np.ceil(farthest / 45.0 + 0.2), 360.0), 8.0)
+    axes[0, 0].set_ylabel("amplitude ratio to lowest frequency [dB]")
+    axes[1, 0].set_ylabel("phase [°]")
+    channel = sets[0].sweeps[0].channel.replace("_", " ")
+    figure.suptitle(f"Frequency response of the {channel}", fontsize=12)
+    return figure
 
 
-def picture_distortion(sets: Sequence[ResponseSet], path: Path) -> Path:
+@styled
+def draw_distortion(sets: Sequence[ResponseSet]) -> Figure:
     """Harmonic distortion over frequency, a column each oil temperature."""
-    with matplotlib.rc_context(STYLE):
-        figure, axes = _columns(sets, 1, height=4.2)
-        for one, axis in zip(sets, axes[0], strict=True):
-            for k, sweep in enumerate(one.sweeps):
-                axis.loglog(
-                    sweep.frequency, 100.0 * sweep.distortion, ".-", ms=3, color=COLOURS[k], label=_amplitude(sweep)
-                )
-            axis.set_title(f"oil at {one.oil_temperature:.4g} °C", loc="left")
-            axis.legend(loc="best", title="sine, share of rated", alignment="left")
-            _hertz(axis)
-        axes[0, 0].set_ylabel("harmonics 2 to 5 over fundamental [%]")
-        figure.suptitle("Harmonic distortion", fontsize=12)
-        return _save(figure, path)
+    figure, axes = _columns(sets, 1, height=4.2)
+    for one, axis in zip(sets, axes[0], strict=True):
+        for k, sweep in enumerate(one.sweeps):
+            axis.loglog(
+                sweep.frequency, 100.0 * sweep.distortion, ".-", ms=3, color=COLOURS[k], label=_amplitude(sweep)
+            )
+        axis.set_title(f"oil at {one.oil_temperature:.4g} °C", loc="left")
+        axis.legend(loc="best", title="sine, share of rated", alignment="left")
+        _hertz(axis)
+        label_decades(axis.yaxis)
+    axes[0, 0].set_ylabel("harmonics 2 to 5 over fundamental [%]")
+    figure.suptitle("Harmonic distortion", fontsize=12)
+    return figure
 
 
-def picture_steps(sets: Sequence[ResponseSet], path: Path) -> Path:
+@styled
+def draw_steps(sets: Sequence[ResponseSet]) -> Figure:
     """Each step as a share of its own change, a column each oil temperature; 0-90 % time marked."""
-    with matplotlib.rc_context(STYLE):
-        figure, axes = _columns(sets, 1, height=4.6)
-        end = 1.6 * max((_value(s, "settling_time") or 0.0 for one in sets for s in one.steps), default=0.0) or None
-        for one, axis in zip(sets, axes[0], strict=True):
-            for k, step in enumerate(one.steps):
-                start = step.time[int(np.argmax(step.command != step.command[0]))]
-                change = _value(step, "change")
-                if change is None:
-                    continue
-                share = (step.output - step.output[0]) / change
-                unit, factor = DISPLAY.get(step.unit, (step.unit, 1.0))
-                ninety = _value(step, "time_to_90_percent")
-                text = f"{100 * step.share:.3g} %: {change * factor:.3g} {symbol(unit)}"
-                if ninety is not None:
-                    text += f", 90 % in {ninety * 1e3:.3g} ms"
-                    axis.plot(ninety * 1e3, 0.9, "o", ms=5, color=COLOURS[k], zorder=3)
-                axis.plot(
-                    (step.time - start) * 1e3, share, color=COLOURS[k], lw=_width(k, one.steps), label=text
-                )  # fmt: skip
-            for level, style in ((0.9, ":"), (0.95, "--"), (1.05, "--")):
-                axis.axhline(level, color="0.5", lw=0.8, ls=style)
-            axis.set_title(f"oil at {one.oil_temperature:.4g} °C", loc="left")
-            axis.set_xlabel("time after the step [ms]")
-            axis.legend(loc="lower right", title="step, share of rated", alignment="left")
-            if end:
-                axis.set_xlim(-0.05 * end * 1e3, end * 1e3)
-        axes[0, 0].set_ylabel("share of the change [-]")
-        channel = sets[0].steps[0].channel.replace("_", " ")
-        figure.suptitle(f"Step response of the {channel}; dashed: ±5 %", fontsize=12)
-        return _save(figure, path)
+    figure, axes = _columns(sets, 1, height=4.6)
+    end = 1.6 * max((_value(s, "settling_time") or 0.0 for one in sets for s in one.steps), default=0.0) or None
+    for one, axis in zip(sets, axes[0], strict=True):
+        for k, step in enumerate(one.steps):
+            start = step.time[int(np.argmax(step.command != step.command[0]))]
+            change = _value(step, "change")
+            if change is None:
+                continue
+            share = (step.output - step.output[0]) / change
+            unit, factor = DISPLAY.get(step.unit, (step.unit, 1.0))
+            ninety = _value(step, "time_to_90_percent")
+            text = f"{100 * step.share:.3g} %: {change * factor:.3g} {symbol(unit)}"
+            if ninety is not None:
+                text += f", 90 % in {ninety * 1e3:.3g} ms"
+                axis.plot(ninety * 1e3, 0.9, "o", ms=5, color=COLOURS[k], zorder=3)
+            axis.plot(
+                (step.time - start) * 1e3, share, color=COLOURS[k], lw=_width(k, one.steps), label=text
+            )  # fmt: skip
+        for level, style in ((0.9, ":"), (0.95, "--"), (1.05, "--")):
+            axis.axhline(level, color="0.5", lw=0.8, ls=style)
+        axis.set_title(f"oil at {one.oil_temperature:.4g} °C", loc="left")
+        axis.set_xlabel("time after the step [ms]")
+        axis.legend(loc="lower right", title="step, share of rated", alignment="left")
+        if end:
+            axis.set_xlim(-0.05 * end * 1e3, end * 1e3)
+    axes[0, 0].set_ylabel("share of the change [-]")
+    channel = sets[0].steps[0].channel.replace("_", " ")
+    figure.suptitle(f"Step response of the {channel}; dashed: ±5 %", fontsize=12)
+    return figure
 
 
-def picture_bandwidth(sets: Sequence[ResponseSet], path: Path) -> Path:
-    """-3 dB and -90 degree frequencies and the 0-90 % time over oil temperature, the class's figures shaded."""
-    published = {figure.name: figure for figure in class_figures()}
+@styled
+def draw_bandwidth(sets: Sequence[ResponseSet]) -> Figure:
+    """-3 dB and -90 degree frequencies and the 0-90 % time over oil temperature, those of the class shaded."""
+    published = {one.name: one for one in class_figures()}
     panels = (
         ("frequency_minus_3_db", "-3 dB frequency [Hz]", 1.0),
         ("frequency_minus_90_deg", "-90° frequency [Hz]", 1.0),
         ("time_to_90_percent", "0-90 % time [ms]", 1e3),
     )
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(11, 4.2))
-        axes = figure.subplots(1, 3)
-        figure.subplots_adjust(left=0.06, right=0.98, top=0.84, bottom=0.13, wspace=0.25)
-        temperature = [one.oil_temperature for one in sets]
-        for (name, label, factor), axis in zip(panels, axes, strict=True):
-            responses = [one.steps if name == "time_to_90_percent" else one.sweeps for one in sets]
-            rows = list(zip(*responses, strict=True))
-            for k, row in enumerate(rows):
-                values = [_value(response, name) for response in row]
-                shown = [np.nan if value is None else value * factor for value in values]
-                axis.plot(
-                    temperature, shown, "o-", ms=4, color=COLOURS[k], lw=_width(k, rows), label=_amplitude(row[0])
-                )
-            _shade(axis, published[name], factor)
-            axis.set_ylim(bottom=0.0)
-            axis.set_xlabel("oil temperature [°C]")
-            axis.set_ylabel(label)
-            axis.legend(loc="best", title="share of rated", alignment="left")
-        figure.suptitle("Bandwidth and step time over temperature; shaded: usual for the class", fontsize=12)
-        return _save(figure, path)
+    figure = Figure(figsize=(11, 4.2))
+    axes = figure.subplots(1, 3)
+    figure.subplots_adjust(left=0.06, right=0.98, top=0.84, bottom=0.13, wspace=0.25)
+    temperature = [one.oil_temperature for one in sets]
+    for (name, label, factor), axis in zip(panels, axes, strict=True):
+        responses = [one.steps if name == "time_to_90_percent" else one.sweeps for one in sets]
+        rows = list(zip(*responses, strict=True))
+        for k, row in enumerate(rows):
+            values = [_value(response, name) for response in row]
+            shown = [np.nan if value is None else value * factor for value in values]
+            axis.plot(temperature, shown, "o-", ms=4, color=COLOURS[k], lw=_width(k, rows), label=_amplitude(row[0]))
+        _shade(axis, published[name], factor)
+        axis.set_ylim(bottom=0.0)
+        axis.set_xlabel("oil temperature [°C]")
+        axis.set_ylabel(label)
+        axis.legend(loc="best", title="share of rated", alignment="left")
+    figure.suptitle("Bandwidth and step time over temperature; shaded: usual for the class", fontsize=12)
+    return figure
 
 
 def _columns(sets: Sequence[ResponseSet], rows: int, *, height: float) -> tuple[Figure, Any]:
@@ -187,7 +207,7 @@ def _columns(sets: Sequence[ResponseSet], rows: int, *, height: float) -> tuple[
 
 def _hertz(axis: Any) -> None:
     axis.set_xlabel("frequency [Hz]")
-    axis.xaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
+    label_decades(axis.xaxis)
 
 
 def _amplitude(response: StepResponse | FrequencyResponse) -> str:
@@ -200,9 +220,9 @@ def _width(k: int, lines: Sequence[Any]) -> float:
 
 
 def _value(response: StepResponse | FrequencyResponse, name: str) -> float | None:
-    """The figure of that name, None where it is absent."""
-    figure = next(figure for figure in response.figures if figure.name == name)
-    return None if isinstance(figure, Absent) else figure.value
+    """The figure of merit of that name, None where it is absent."""
+    merit = next(merit for merit in response.figures if merit.name == name)
+    return None if isinstance(merit, Absent) else merit.value
 
 
 def _shade(axis: Any, published: ClassFigure, factor: float) -> None:

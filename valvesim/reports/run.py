@@ -1,157 +1,174 @@
-"""Pictures of a run. Only this module and its kin `report_*` import matplotlib."""
+"""Pictures and page of a run."""
 
 from __future__ import annotations
 
+import datetime
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 
-from valvesim.characterisation.thermal_drift import Drift, reference_current
-from valvesim.io import write_atomically
-from valvesim.simulation.result import Result
+from valvesim.reports.html_page import Picture, Table, Text, section, write_html
+from valvesim.reports.plotting import COLOURS, Figure, cm, colors, styled, thin, write_picture
+from valvesim.reports.title_block import TitleBlock, valve_name
 from valvesim.units import symbol
-from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
-from valvesim.valve.equilibrium import static_solution
+from valvesim.valve.coefficients import PART_NAMES
 
-matplotlib.use("Agg")
-from matplotlib.figure import Figure  # noqa: E402 - the backend comes first
+if TYPE_CHECKING:
+    from valvesim.characterisation.rest_characteristic import RestCharacteristic
+    from valvesim.characterisation.thermal_drift import Drift
+    from valvesim.simulation.result import Result
+    from valvesim.simulation.scenario import Scenario
 
-STYLE: Any = {
-    "font.size": 9, "text.parse_math": False, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False,
-    "axes.spines.right": False, "lines.linewidth": 1.1, "legend.frameon": False, "legend.fontsize": 8,
-    "figure.dpi": 100,
-}  # fmt: skip
-COLOURS = ("#1f5fa8", "#d1495b", "#2e8b57", "#e09f3e", "#7a5195", "#5c677d", "#17a2b8", "#8d5524")
-MOST_POINTS = 1200  # of a line: beyond it the extremes of each stretch are drawn, which looks the same
+CAPTIONS = {
+    "run": "The whole run, and its end enlarged.",
+    "characteristic": "Armature angle, spool, flow and leakage over current; dashed: the valve at rest, 20 °C.",
+    "drift": "Drift against the same valve at 20 °C, in all and by route of the temperature.",
+}
+TEMPERATURES = tuple(f"{name}_temperature" for name in PART_NAMES)
 
 
-def picture_run(result: Result, path: Path) -> Path:
-    """The whole run left, its last cycles right: command, temperatures, angle, pressures, spool and flow."""
-    scenario, t = result.scenario, result.time
-    command = scenario.drive.command_name
-    temperatures = [f"{name}_temperature" for name in PART_NAMES]
-    rows: list[tuple[str, list[str]]] = [
-        ("command", [command]),
-        ("temperature", temperatures),
-        ("armature angle", ["armature_angle"]),
-        ("nozzle pressures", ["nozzle_pressure_1", "nozzle_pressure_2"]),
-        ("spool position", ["spool_position"]),
-        ("flow", ["load_flow", "internal_leakage"]),
-    ]
-    zoom = t >= t[-1] - (_cycles(result) or t[-1] / 20.0)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(11, 11))
-        axes = figure.subplots(len(rows), 2, sharex="col", gridspec_kw={"width_ratios": [2.2, 1]})
-        figure.subplots_adjust(left=0.08, right=0.86, top=0.93, bottom=0.05, wspace=0.18, hspace=0.14)
-        for (label, names), (whole, part) in zip(rows, axes, strict=True):
-            for axis, mask in ((whole, np.ones(t.shape, bool)), (part, zoom)):
-                for k, name in enumerate(names):
-                    values, unit = _display(result, name)
-                    text = name.removesuffix("_temperature").replace("_", " ")
-                    style = {"color": COLOURS[k % len(COLOURS)], "label": text, "alpha": 0.8}
-                    axis.plot(*_thin(t[mask], values[mask]), **style)
-            whole.set_ylabel(f"{label} [{unit}]")
-            if len(names) > 1:
-                part.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-        axes[0, 0].set_title("whole run", loc="left")
-        axes[0, 1].set_title("its end", loc="left")
-        for axis in axes[-1]:
-            axis.set_xlabel("time [s]")
-        figure.suptitle(scenario.title, fontsize=12)
-        return _save(figure, path)
+def title_block(scenario: Scenario, date: datetime.date) -> TitleBlock:
+    """The marks of a run's page and pictures."""
+    return TitleBlock(title=scenario.title, valve=valve_name(scenario.valve), date=date)
+
+
+def picture_run(result: Result, date: datetime.date, path: Path) -> Path:
+    """Write `draw_run`; its path."""
+    return write_picture(draw_run(result), title_block(result.scenario, date), path)
 
 
 def picture_drift(
-    drift: Drift, observed: tuple[np.ndarray, dict[str, np.ndarray]], title: str, path: Path
+    drift: Drift, observed: tuple[np.ndarray, dict[str, np.ndarray]], scenario: Scenario, date: datetime.date,
+    path: Path,
 ) -> Path:  # fmt: skip
+    """Write `draw_drift`; its path."""
+    return write_picture(draw_drift(drift, observed, scenario.title), title_block(scenario, date), path)
+
+
+def picture_characteristic(result: Result, rest: RestCharacteristic, date: datetime.date, path: Path) -> Path:
+    """Write `draw_characteristic`; its path."""
+    return write_picture(draw_characteristic(result, rest), title_block(result.scenario, date), path)
+
+
+def page_run(
+    rows: Sequence[Sequence[str]], pictures: Sequence[Path], scenario: Scenario, date: datetime.date, path: Path
+) -> Path:  # fmt: skip
+    """Write the page of a run: rows (channel, unit, least, greatest, at the end) and its pictures; its path."""
+    shown = [Picture(one.read_bytes(), CAPTIONS.get(one.stem, one.stem)) for one in pictures]
+    table = Table(("channel", "unit", "least", "greatest", "at the end"), rows, (2, 3, 4))
+    words = Text("Simulated by valvesim; no valve was measured.")
+    return write_html(path, title_block(scenario, date), (section("", words, table), section("", *shown)))
+
+
+@styled
+def draw_run(result: Result) -> Figure:
+    """The whole run left, its last cycles right: command, temperatures, angle, pressures, spool and flow."""
+    scenario, t = result.scenario, result.time
+    rows: list[tuple[str, tuple[str, ...]]] = [
+        ("command", (scenario.drive.command_name,)),
+        ("temperature", TEMPERATURES),
+        ("armature angle", ("armature_angle",)),
+        ("nozzle pressures", ("nozzle_pressure_1", "nozzle_pressure_2")),
+        ("spool position", ("spool_position",)),
+        ("flow", ("load_flow", "internal_leakage")),
+    ]
+    zoom = t >= t[-1] - (cycles(result) or t[-1] / 20.0)
+    figure = Figure(figsize=(11, 11))
+    axes = figure.subplots(len(rows), 2, sharex="col", gridspec_kw={"width_ratios": [2.2, 1]})
+    figure.subplots_adjust(left=0.08, right=0.86, top=0.93, bottom=0.05, wspace=0.18, hspace=0.14)
+    for (label, names), (whole, part) in zip(rows, axes, strict=True):
+        unit = ""
+        for axis, mask in ((whole, np.ones(t.shape, bool)), (part, zoom)):
+            for k, name in enumerate(names):
+                values, unit = _display(result, name)
+                text = name.removesuffix("_temperature").replace("_", " ")
+                style = {"color": COLOURS[k % len(COLOURS)], "label": text, "alpha": 0.8}
+                axis.plot(*thin(t[mask], values[mask]), **style)
+        whole.set_ylabel(f"{label} [{unit}]")
+        if len(names) > 1:
+            part.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.align_ylabels(axes[:, 0])
+    axes[0, 0].set_title("whole run", loc="left")
+    axes[0, 1].set_title("its end", loc="left")
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+    figure.suptitle(scenario.title, fontsize=12)
+    return figure
+
+
+@styled
+def draw_drift(drift: Drift, observed: tuple[np.ndarray, dict[str, np.ndarray]], title: str) -> Figure:
     """Drift over time in percent: the static solution with the run's own gain beside it, and the statics by route."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(13, 5.4))
-        axes = figure.subplots(1, 3, sharey=True)
-        figure.subplots_adjust(left=0.06, right=0.9, top=0.84, bottom=0.1, wspace=0.08)
-        total = axes[0]
-        for k, (name, shares) in enumerate(drift.total.items()):
-            text = name.replace("_", " ")
-            total.plot(drift.times, 100 * shares, color=COLOURS[k], label=f"{text} at rest")
-            total.plot(observed[0], 100 * observed[1][name], ".", color=COLOURS[k], label=f"{text} in the run")
-        total.set_title("all routes together", loc="left")
-        total.set_ylabel("drift from 20 °C [%]")
-        total.legend()
-        for axis, name in zip(axes[1:], drift.total, strict=True):
-            for k, (route, values) in enumerate(drift.by_route.items()):
-                axis.plot(drift.times, 100 * values[name], color=COLOURS[k % len(COLOURS)], label=route)
-            axis.plot(drift.times, 100 * drift.total[name], color="k", lw=2, label="all together")
-            axis.set_title(f"{name.replace('_', ' ')} at rest, by route", loc="left")
-        axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-        for axis in axes:
-            axis.axhline(0.0, color="0.6", lw=0.8)
-            axis.set_xlabel("time [s]")
-        low, high = drift.oil_temperature.min(), drift.oil_temperature.max()
-        heading = f"{title}: drift at {drift.current * 1e3:.3g} mA, oil from {low:.4g} to {high:.4g} °C"
-        figure.suptitle(heading, fontsize=12)
-        return _save(figure, path)
+    figure = Figure(figsize=(13, 5.4))
+    axes = figure.subplots(1, 3, sharey=True)
+    figure.subplots_adjust(left=0.06, right=0.9, top=0.84, bottom=0.1, wspace=0.08)
+    total = axes[0]
+    for k, (name, shares) in enumerate(drift.total.items()):
+        text = name.replace("_", " ")
+        total.plot(drift.times, 100 * shares, color=COLOURS[k], label=f"{text} at rest")
+        total.plot(observed[0], 100 * observed[1][name], ".", color=COLOURS[k], label=f"{text} in the run")
+    total.set_title("all routes together", loc="left")
+    total.set_ylabel("drift from 20 °C [%]")
+    total.legend()
+    for axis, name in zip(axes[1:], drift.total, strict=True):
+        for k, (route, values) in enumerate(drift.by_route.items()):
+            axis.plot(drift.times, 100 * values[name], color=COLOURS[k % len(COLOURS)], label=route)
+        axis.plot(drift.times, 100 * drift.total[name], color="k", lw=2, label="all together")
+        axis.set_title(f"{name.replace('_', ' ')} at rest, by route", loc="left")
+    axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    for axis in axes:
+        axis.axhline(0.0, color="0.6", lw=0.8)
+        axis.set_xlabel("time [s]")
+    low, high = drift.oil_temperature.min(), drift.oil_temperature.max()
+    heading = f"{title}: drift at {drift.current * 1e3:.3g} mA, oil from {low:.4g} to {high:.4g} °C"
+    figure.suptitle(heading, fontsize=12)
+    return figure
 
 
-def picture_characteristic(result: Result, path: Path) -> Path:
+@styled
+def draw_characteristic(result: Result, rest: RestCharacteristic) -> Figure:
     """Angle, spool, load flow and leakage over current; colour is oil temperature, dashes are the rest at 20 °C."""
-    scenario = result.scenario
-    top = reference_current(scenario)
-    currents = np.linspace(-top, top, 41)
-    cold = static_solution(
-        scenario.valve_at_start, current=currents, parts=PartTemperatures.uniform(20.0), routes=(), oil=scenario.oil
-    )  # fmt: skip
-    span, end = _cycles(result), float(result.time[-1])
+    span, end = cycles(result), float(result.time[-1])
     few = span is not None and span < 0.1 * end  # of many alike: six of them show the drift
     starts = np.linspace(0.0, end - (span or 0.0), 6) if few else np.array([0.0])
     windows = [(result.time >= start) & (result.time <= start + (span if few else end)) for start in starts]
     temperature = result.values["oil_temperature"]
-    scale = matplotlib.colors.Normalize(temperature.min(), max(temperature.max(), temperature.min() + 1.0))
-    colours = matplotlib.cm.ScalarMappable(scale, "coolwarm")
+    scale = colors.Normalize(temperature.min(), max(temperature.max(), temperature.min() + 1.0))
+    colours = cm.ScalarMappable(scale, "coolwarm")
     current, _ = _display(result, "current")
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10, 7))
-        axes = figure.subplots(2, 2, sharex=True)
-        figure.subplots_adjust(left=0.08, right=0.86, top=0.92, bottom=0.08, wspace=0.22, hspace=0.1)
-        names = ("armature_angle", "spool_position", "load_flow", "internal_leakage")
-        for axis, name in zip(axes.flat, names, strict=True):
-            values, unit = _display(result, name)
-            for window in windows:
-                axis.plot(current[window], values[window], color=colours.to_rgba(temperature[window].mean()))
-            if name in ("armature_angle", "spool_position"):
-                axis.plot(currents * 1e3, getattr(cold, name) * 1e3, "k--", lw=1, label="at rest, 20 °C")
-                axis.legend()
-            axis.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
-        for axis in axes[-1]:
-            axis.set_xlabel("current [mA]")
-        if np.ptp(temperature) > 0.0:
-            figure.colorbar(colours, cax=figure.add_axes((0.89, 0.15, 0.015, 0.7)), label="oil temperature [°C]")
-        figure.suptitle(f"{scenario.title}: over current", fontsize=12)
-        return _save(figure, path)
+    figure = Figure(figsize=(10, 7))
+    axes = figure.subplots(2, 2, sharex=True)
+    warms = np.ptp(temperature) > 0.0
+    figure.subplots_adjust(left=0.08, right=0.86 if warms else 0.97, top=0.92, bottom=0.08, wspace=0.22, hspace=0.1)
+    names = ("armature_angle", "spool_position", "load_flow", "internal_leakage")
+    dashed = {"armature_angle": rest.armature_angle, "spool_position": rest.spool_position}
+    for axis, name in zip(axes.flat, names, strict=True):
+        values, unit = _display(result, name)
+        for window in windows:
+            shade = colours.to_rgba(temperature[window].mean())
+            axis.plot(current[window], values[window], color=shade, lw=2.2 if name in dashed else 1.1)
+        if name in dashed:
+            axis.plot(rest.current * 1e3, dashed[name] * 1e3, "k--", lw=1, label="at rest, 20 °C")
+            axis.legend()
+        axis.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
+    for axis in axes[-1]:
+        axis.set_xlabel("current [mA]")
+    if warms:
+        figure.colorbar(colours, cax=figure.add_axes((0.89, 0.15, 0.015, 0.7)), label="oil temperature [°C]")
+    figure.suptitle(f"{result.scenario.title}: over current", fontsize=12)
+    return figure
 
 
-def _display(result: Result, name: str) -> tuple[np.ndarray, str]:
+def _display(result: Result, name: str) -> tuple[Any, str]:
     """(values, unit) as an axis shows them."""
     values, unit = result.display(name)
     return values, symbol(unit)
 
 
-def _cycles(result: Result) -> float | None:
+def cycles(result: Result) -> float | None:
     """A span at the end of the run, s, of about three cycles of the current; None where it has no such cycles."""
     values = result.values["current"]
     crossings = result.time[1:][np.diff(np.sign(values - values.mean())) != 0]
     return min(7.0 * float(crossings[-1] - crossings[-2]), float(result.time[-1])) if len(crossings) >= 8 else None
-
-
-def _thin(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest and highest value of each stretch of a long line, drawn at its start; a short line as it is."""
-    if len(t) <= MOST_POINTS:
-        return t, y
-    starts = np.linspace(0, len(t), MOST_POINTS // 2, endpoint=False).astype(int)
-    extremes = np.column_stack([np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)])
-    return np.append(np.repeat(t[starts], 2), t[-1]), np.append(extremes.ravel(), y[-1])
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    return write_atomically(path, lambda temporary: figure.savefig(temporary, pil_kwargs={"compress_level": 1}))

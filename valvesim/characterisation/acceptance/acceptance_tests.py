@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from valvesim.characterisation.acceptance.cycle import cycle
 from valvesim.characterisation.acceptance.flow import flow_figures
@@ -11,7 +12,7 @@ from valvesim.characterisation.acceptance.flow_load import flow_load_figures, fl
 from valvesim.characterisation.acceptance.leakage import leakage_figures
 from valvesim.characterisation.acceptance.null_shift import null_shift_figures
 from valvesim.characterisation.acceptance.pressure_gain import blocked_cycle, pressure_gain_figures
-from valvesim.characterisation.acceptance.record import AcceptanceRecord, part_of, record_of
+from valvesim.characterisation.acceptance.record import AcceptanceRecord, part_of, read_record, record_of
 from valvesim.characterisation.acceptance.rig import Rig
 from valvesim.characterisation.acceptance.threshold import threshold_figure
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit
@@ -47,6 +48,27 @@ def record_figures(
     if test == "flow-load":
         return flow_load_figures(record, resolution=resolution)
     raise unknown_name("test", test, TESTS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredTest:
+    """One measured test: its record, which of `TESTS` it is, and the figures of merit reduced from it."""
+
+    record: AcceptanceRecord
+    test: str
+    figures: FiguresOfMerit
+
+
+def measured_test(
+    file: Path, test: str, *, resolution: float | None = None, lag: float | None = None,
+    dead_zone: float | None = None, rated_current: float | None = None,
+) -> MeasuredTest:  # fmt: skip
+    """Read a measured CSV file and reduce it. Raises as `read_record` and `record_figures` do."""
+    record = read_record(file)
+    figures = record_figures(
+        record, test, resolution=resolution, lag=lag, dead_zone=dead_zone, rated_current=rated_current
+    )  # fmt: skip
+    return MeasuredTest(record=record, test=test, figures=figures)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from valvesim.characterisation.acceptance.cycle import Cycle
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
 
 BLOCKS = 10  # of the jackknife
+NULL_SHARE = 0.40  # of supply pressure, either way, over which pressure gain is told
 
 
 def weighted_line(i: np.ndarray, y: np.ndarray) -> tuple[float, float]:

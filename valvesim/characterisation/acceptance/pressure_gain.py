@@ -8,6 +8,7 @@ import numpy as np
 
 from valvesim.characterisation.acceptance.cycle import Cycle, loop
 from valvesim.characterisation.acceptance.metrics import (
+    NULL_SHARE,
     jackknife,
     loop_figures,
     merit,
@@ -22,8 +23,6 @@ from valvesim.errors import SolveError, ValidityWarning
 from valvesim.valve.coefficients import Coefficients
 from valvesim.valve.equations import FLOW_FORCE_FACTOR, main_stage
 from valvesim.valve.equilibrium import solve_rest
-
-NULL_SHARE = 0.40  # of supply pressure, either way, over which pressure gain is told
 
 
 def pressure_gain_figures(c: Cycle, *, rated_current: float | None = None, lag: float | None = None) -> FiguresOfMerit:

@@ -1,0 +1,186 @@
+"""A page as HTML: sections of text, tables and pictures, put into one template with one style sheet.
+
+The templates escape every text, so that no name is ever read as markup; pictures stand inside the page, which can so be
+mailed and needs no network.
+"""
+
+from __future__ import annotations
+
+import base64
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from valvesim.reports.plotting import DPI, write_bytes
+from valvesim.reports.title_block import TitleBlock
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph."""
+
+    text: str
+    strong: bool = False
+    macro: ClassVar[str] = "text"
+
+    def __bool__(self) -> bool:
+        return bool(self.text)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A cell of a table: text upon a bar of that share (0 to 1)."""
+
+    share: float
+    text: str
+
+    @property
+    def percent(self) -> str:
+        """Length of the bar."""
+        return f"{100.0 * np.clip(np.nan_to_num(self.share), 0.0, 1.0):.0f}%"
+
+    def __bool__(self) -> bool:
+        return bool(self.text)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table, columns of `numbers` to the right; columns that are empty in every row are left out."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str | Bar]]
+    numbers: Sequence[int] = ()
+    macro: ClassVar[str] = "table"
+
+    @property
+    def columns(self) -> list[int]:
+        """The columns that hold anything."""
+        return [k for k in range(len(self.headings)) if any(row[k] for row in self.rows)]
+
+    def __bool__(self) -> bool:
+        return bool(self.rows)
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Terms and what they are, without those that are empty; in a row, or one below the other."""
+
+    pairs: Sequence[tuple[str, str]]
+    in_a_row: bool = True
+    macro: ClassVar[str] = "terms"
+
+    def __bool__(self) -> bool:
+        return any(text for _, text in self.pairs)
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list."""
+
+    items: Sequence[str]
+    macro: ClassVar[str] = "bullets"
+
+    def __bool__(self) -> bool:
+        return bool(self.items)
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The text of a file, folded away under its name and what it is."""
+
+    name: str
+    words: str
+    text: str
+    macro: ClassVar[str] = "listing"
+
+    def __bool__(self) -> bool:
+        return bool(self.text)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG with its caption, which is also read out where it cannot be seen; none where there is no data."""
+
+    data: bytes
+    caption: str
+    dpi: float = DPI
+    macro: ClassVar[str] = "picture"
+
+    @property
+    def source(self) -> str:
+        """The picture as an address that holds it."""
+        return png_address(self.data)
+
+    @property
+    def width(self) -> int:
+        """In pixels of a page, so that the letters of all pictures have one size."""
+        return round(int.from_bytes(self.data[16:20], "big") * 96 / self.dpi)
+
+    def __bool__(self) -> bool:
+        return bool(self.data)
+
+
+@dataclass(frozen=True)
+class Prose:
+    """HTML that is made from our own Markdown."""
+
+    html: Markup
+    macro: ClassVar[str] = "prose"
+
+
+Block = Text | Table | Terms | Bullets | Listing | Picture | Prose
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading ("": none) with its blocks; without any that is filled it is left out."""
+
+    heading: str
+    blocks: Sequence[Block]
+
+    def __bool__(self) -> bool:
+        return any(self.blocks)
+
+
+@dataclass(frozen=True)
+class Banner:
+    """The outcome on top of a page, with the colours of its edge and ground."""
+
+    words: str
+    text: str
+    edge: str
+    ground: str
+
+
+def section(heading: str, *blocks: Block) -> Section:
+    """A section of these blocks."""
+    return Section(heading, blocks)
+
+
+def png_address(data: bytes) -> str:
+    """A PNG as a `data:` address."""
+    return f"data:image/png;base64,{base64.b64encode(data).decode('ascii')}"
+
+
+@functools.cache
+def _environment() -> Any:
+    return Environment(
+        loader=PackageLoader("valvesim.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+
+
+def page(block: TitleBlock, sections: Sequence[Section], *, banner: Banner | None = None) -> str:
+    """The whole page as HTML."""
+    return _environment().get_template("page.html").render(block=block, sections=sections, banner=banner)
+
+
+def write_html(path: Path, block: TitleBlock, sections: Sequence[Section], *, banner: Banner | None = None) -> Path:
+    """Write the page; its path. Raises InputError where that cannot be."""
+    return write_bytes(page(block, sections, banner=banner).encode("utf-8"), path)

@@ -1,0 +1,1 @@
+"""The page on the paper: published beside computed, with the reasons, a file a subject."""
