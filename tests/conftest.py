@@ -4,10 +4,14 @@ import sys
 import warnings
 
 import pytest
+from hidden_plant import draw, write_session
 from hypothesis import settings
 
 from valvesim.cli import main as cli
 from valvesim.errors import forget_warnings
+from valvesim.identification.nominal_fit import fit_nominal
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_study
 
 # derandomize: the same examples in every run, so that a failure is never a matter of luck
 settings.register_profile("valvesim", deadline=None, max_examples=50, derandomize=True, database=None)
@@ -27,6 +31,20 @@ def _validity_warnings_forgotten():
     forget_warnings()
     yield
     forget_warnings()
+
+
+@pytest.fixture(scope="session")
+def biased_session(tmp_path_factory):
+    """A session of the hidden plant in which the load flow sensor is far off."""
+    folder = tmp_path_factory.mktemp("biased")
+    write_session(draw(9, "sensor", name="sensor_bias"), folder)
+    return load_session(folder)
+
+
+@pytest.fixture(scope="session")
+def biased_fit(biased_session):
+    """The base fit of that session."""
+    return fit_nominal(prepare_study(biased_session))
 
 
 @pytest.fixture

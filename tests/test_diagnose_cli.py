@@ -15,6 +15,7 @@ from valvesim.cli.diagnose import ANSWER_FILES
 from valvesim.diagnosis import diagnose as diagnosis
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, NO_TEST, UNKNOWN
 from valvesim.io import read_columns
+from valvesim.reports import diagnosis as report_diagnosis
 from valvesim.valve.effect_files import load_effects
 
 EFFECT = """
@@ -54,10 +55,12 @@ def session(tmp_path):
 
 @pytest.fixture
 def found(monkeypatch):
-    """Let the diagnosis find an answer, or raise an error; `.session` is what it was given."""
+    """Let the diagnosis find an answer, or raise an error; `.session` is what it was given. Pictures only if asked."""
 
-    def found(result):
+    def found(result, *, pictures=False):
         seen = SimpleNamespace(session=None)
+        if not pictures:
+            monkeypatch.setattr(report_diagnosis, "draw", lambda diagnosis: {"errors": b"drawn"})
 
         def diagnose(session, *, progress):
             seen.session = session
@@ -73,7 +76,7 @@ def found(monkeypatch):
 
 
 def test_the_answer_is_written_and_said(call, found, session, tmp_path):
-    found(PLAIN)
+    found(PLAIN, pictures=True)
     code, out, err = call(session, "-o", tmp_path / "deep" / "out")
     assert (code, err) == (0, "")
     folder = tmp_path / "deep" / "out"
@@ -172,8 +175,6 @@ def test_whatever_fails_leaves_the_answer_before(call, found, session, tmp_path,
 
 
 def test_interrupted_while_writing_leaves_nothing(call, found, session, tmp_path, monkeypatch):
-    from valvesim.reports import diagnosis as report_diagnosis
-
     def write_report(diagnosis, folder):
         raise KeyboardInterrupt
 
@@ -215,6 +216,7 @@ def test_the_package_hands_out_the_diagnosis():
         _ = vs.diagnos
 
 
+@pytest.mark.slow
 def test_friction_of_the_hidden_plant_is_found_by_the_command(call, tmp_path):
     """A real run, at a strength where friction is clear (d' some tens) and the plant's own ways do not matter yet."""
     case = hidden_plant.draw(3, "effect", name="spool_coulomb_friction")
