@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 from hidden_plant import draw, write_session
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from valvesim.cli import main as cli
 from valvesim.errors import forget_warnings
@@ -13,8 +13,12 @@ from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_study
 
-# derandomize: the same examples in every run, so that a failure is never a matter of luck
-settings.register_profile("valvesim", deadline=None, max_examples=50, derandomize=True, database=None)
+# derandomize: the same examples in every run, so that a failure is never a matter of luck; nor of a busy machine,
+# on which examples take longer to draw
+settings.register_profile(
+    "valvesim", deadline=None, max_examples=50, derandomize=True, database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)  # fmt: skip
 settings.load_profile("valvesim")
 
 
