@@ -74,6 +74,7 @@ def test_a_biased_sensor_is_named_with_its_bias(tmp_path):
     assert max(found.errors["record_2"], key=found.errors["record_2"].get) == "load_flow"  # where it goes wrong
 
 
+@pytest.mark.slow
 def test_where_the_locked_records_have_no_such_fault_the_cause_stands_but_the_extension_is_not_offered(tmp_path):
     case = draw(9, "sensor", name="sensor_bias")
     for folder, strength in (("with", 1.0), ("without", 0.0)):
@@ -88,6 +89,7 @@ def test_where_the_locked_records_have_no_such_fault_the_cause_stands_but_the_ex
     assert any("do not show that the extension helps" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_an_effect_that_a_base_parameter_can_stand_for_is_found_in_what_that_has_taken_up(tmp_path):
     found, hidden = diagnosed(tmp_path, 22, "effect", "spool_lap", strength=1.47)
     assert found.verdict == CAUSE and found.causes == ("spool_lap",)
@@ -97,18 +99,21 @@ def test_an_effect_that_a_base_parameter_can_stand_for_is_found_in_what_that_has
     assert abs(shift.share_of_tolerance) < 1.0  # back within its tolerance
 
 
+@pytest.mark.slow
 def test_a_figure_beyond_its_tolerance_is_in_the_answer_with_what_cannot_be_told_from_it(tmp_path):
     found, hidden = diagnosed(tmp_path, 10, "parameter", "feedback_rod_stiffness")
     assert found.verdict in (CAUSE, AMBIGUOUS)
     assert set(hidden["causes"]) <= {name for answer in found.candidates if answer.in_set for name in answer.names}
 
 
+@pytest.mark.slow
 def test_two_at_once_are_found_together(tmp_path):
     found, hidden = diagnosed(tmp_path, 25, "pair")
     assert found.verdict == CAUSE and set(found.causes) == set(hidden["causes"])
     assert found.gain_claimed
 
 
+@pytest.mark.slow
 def test_what_the_catalogue_lacks_is_unknown_and_its_law_is_recovered(tmp_path):
     found, hidden = diagnosed(tmp_path, 21, "outside", "cubic_spool_spring")
     assert found.verdict == UNKNOWN and not found.causes
@@ -125,6 +130,7 @@ def test_with_too_little_excitation_the_truth_is_in_a_set_and_a_test_is_asked_fo
     assert set(hidden["causes"]) <= {name for answer in found.candidates if answer.in_set for name in answer.names}
 
 
+@pytest.mark.slow
 def test_the_same_session_gives_the_same_answer(tmp_path):
     case = draw(6, "none")
     write_session(case, tmp_path)
