@@ -88,6 +88,7 @@ def test_beginnings_read_what_the_whole_reads_there(session):
             np.testing.assert_allclose(read, own[name][:most], atol=1e-4 * np.ptp(own[name]))
 
 
+@pytest.mark.slow
 def test_a_short_session_is_searched_as_a_whole(session):
     nominal, known = fit_coarse_to_fine(prepare_study(session), lambda stage, share: None, options=DIAGNOSIS)
     assert known == ()

@@ -156,8 +156,9 @@ def code(name, way):
     if way == "compiled":
         machine = compile_model(model)
         return machine.derivative, machine.jacobian
-    module = compiled._load(model)
-    return module.derivative.py_func, module.jacobian.py_func
+    module = {}
+    exec(compiled.source(model), module)
+    return module["derivative"].py_func, module["jacobian"].py_func  # what numba would compile when called
 
 
 def values(name, way, state, inputs, c):
