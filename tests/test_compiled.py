@@ -297,7 +297,7 @@ def test_code_is_kept_in_the_named_folder_and_found_again(tmp_path, monkeypatch,
     assert not list(temporary.iterdir())
 
 
-@pytest.mark.parametrize("below", ["", "below"])
+@pytest.mark.parametrize("below", [pytest.param("", marks=pytest.mark.slow), "below"])
 def test_folder_that_cannot_be_written_falls_back_to_memory(tmp_path, monkeypatch, temporary, below):
     file = tmp_path / "file"
     file.write_text("not a folder")

@@ -216,7 +216,6 @@ def test_the_package_hands_out_the_diagnosis():
         _ = vs.diagnos
 
 
-@pytest.mark.slow
 def test_friction_of_the_hidden_plant_is_found_by_the_command(call, tmp_path):
     """A real run, at a strength where friction is clear (d' some tens) and the plant's own ways do not matter yet."""
     case = hidden_plant.draw(3, "effect", name="spool_coulomb_friction")

@@ -125,7 +125,6 @@ def test_what_the_catalogue_lacks_is_unknown_and_its_law_is_recovered(tmp_path):
     assert found.gain_claimed
 
 
-@pytest.mark.slow
 def test_with_too_little_excitation_the_truth_is_in_a_set_and_a_test_is_asked_for(tmp_path):
     found, hidden = diagnosed(tmp_path, 24, "poor")
     assert found.verdict == AMBIGUOUS and found.next_test.power >= 0.8
