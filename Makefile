@@ -12,7 +12,7 @@ PYTEST := $(VENV)/bin/python -m pytest -q -n auto --dist worksteal
 launch: $(STAMP)
 	$(VENV)/bin/valvesim run scenarios/launch_shock.toml -o results/launch_shock
 
-# The quick tests, which run every branch that any test runs.
+# The quick tests; what they leave out: docs/tests.md.
 test: $(STAMP)
 	$(PYTEST)
 
