@@ -4,13 +4,25 @@ VENV ?= .venv
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check
 STAMP := $(VENV)/.valvesim-installed
 
-.PHONY: launch test lint lock clean
+# Neighbours in a file stay on one worker, which has compiled their models and made what they share.
+PYTEST := $(VENV)/bin/python -m pytest -q -n auto --dist worksteal
+
+.PHONY: launch test test-all coverage lint lock clean
 
 launch: $(STAMP)
 	$(VENV)/bin/valvesim run scenarios/launch_shock.toml -o results/launch_shock
 
+# The quick tests; what they leave out: docs/tests.md.
 test: $(STAMP)
-	$(VENV)/bin/python -m pytest -n auto -q
+	$(PYTEST)
+
+# The slow ones too: more cases of the same, and whole diagnoses.
+test-all: $(STAMP)
+	$(PYTEST) -m ""
+
+# By branch, of the quick tests.
+coverage: $(STAMP)
+	$(PYTEST) --cov=valvesim --cov-branch --cov-report=term-missing:skip-covered
 
 lint: $(STAMP)
 	$(VENV)/bin/python -m ruff check .
@@ -29,7 +41,7 @@ lock: | $(VENV)/bin/pip-compile
 
 # Leaves the venv and results/ alone.
 clean:
-	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage
 	find valvesim tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(STAMP): requirements.lock pyproject.toml | $(VENV)/bin/python

@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/accuracy.py [--seed 1] [--count 1000] [--workers 2] [--write]
 
-The reference runs at a tolerance of `TIGHT`, on coefficient knots a hundred times finer, with idle breaks added at
+The reference runs at a tolerance of `TIGHT`, on coefficient knots with a tenth of the error, with idle breaks added at
 random; `INDEPENDENT` of the scenarios without memory are compared with scipy's Radau over `Model.rhs` as well. An
 error is the largest over all samples as a share of the channel's span. Wherever a held, isothermal valve without
 effects has had time, it must rest on the static solution. Batches are compared with their members run alone.
@@ -59,7 +59,7 @@ def with_idle_breaks(command: vs.Command, duration: float, seed: int) -> vs.Comm
 
 def reference_of(scenario: vs.Scenario, seed: int) -> vs.Result:
     """The same scenario, far tighter."""
-    with patch.object(KNOTS, "KNOT_ERROR", KNOTS.KNOT_ERROR / 100.0):
+    with patch.object(KNOTS, "KNOT_ERROR", KNOTS.KNOT_ERROR / 10.0):
         return vs.simulate(
             replace(scenario, tolerance=TIGHT, command=with_idle_breaks(scenario.command, scenario.duration, seed))
         )

@@ -32,7 +32,7 @@ from valvesim.identification.hypothesis_fit import fit_hypothesis
 from valvesim.identification.noise_model import NoiseModel
 from valvesim.identification.nominal_fit import linearise_nominal
 from valvesim.identification.predictor import prepare_record
-from valvesim.identification.study import prepare_study
+from valvesim.identification.study import prepare_session
 from valvesim.valve.coefficients import PartTemperatures
 from valvesim.valve.equations import main_stage
 from valvesim.valve.equilibrium import solve_rest
@@ -297,7 +297,7 @@ def answer_lines(title: str, name: str, diagnosis: Diagnosis) -> list[str]:
 def pair_lines(folder: Path) -> list[str]:
     """Markdown of loop and lag together, fitted to a session by hand: what naming them would gain."""
     session = vs.load_session(folder)
-    study = prepare_study(session)
+    study = prepare_session(session)
     white = NoiseModel(LEAKAGE_MISFIT, (), False, "what the land law can be trusted to")
     study = replace(study, noise={(name, b.record.pace): white for b in study.predictors for name in b.record.outputs})
     start_point = np.zeros(len(study.nominal.parameters))

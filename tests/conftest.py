@@ -1,16 +1,27 @@
 """What every test starts from: no validity warning given yet, none an error, hypothesis without clock or dice."""
 
+import os
 import sys
 import warnings
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded: there is a worker to each core
+
 import pytest
-from hypothesis import settings
+from hidden_plant import draw, write_session
+from hypothesis import HealthCheck, settings
 
 from valvesim.cli import main as cli
 from valvesim.errors import forget_warnings
+from valvesim.identification.nominal_fit import fit_nominal
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_session
 
-# derandomize: the same examples in every run, so that a failure is never a matter of luck
-settings.register_profile("valvesim", deadline=None, max_examples=50, derandomize=True, database=None)
+# derandomize: the same examples in every run, so that a failure is never a matter of luck; nor of a busy machine,
+# on which examples take longer to draw
+settings.register_profile(
+    "valvesim", deadline=None, max_examples=50, derandomize=True, database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)  # fmt: skip
 settings.load_profile("valvesim")
 
 
@@ -27,6 +38,20 @@ def _validity_warnings_forgotten():
     forget_warnings()
     yield
     forget_warnings()
+
+
+@pytest.fixture(scope="session")
+def biased_session(tmp_path_factory):
+    """A session of the hidden plant in which the load flow sensor is far off."""
+    folder = tmp_path_factory.mktemp("biased")
+    write_session(draw(9, "sensor", name="sensor_bias"), folder)
+    return load_session(folder)
+
+
+@pytest.fixture(scope="session")
+def biased_fit(biased_session):
+    """The base fit of that session."""
+    return fit_nominal(prepare_session(biased_session))
 
 
 @pytest.fixture

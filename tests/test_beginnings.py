@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_plant import draw, write_session
+from hidden_plant import draw
 
 from valvesim import diagnose
 from valvesim.diagnosis import coarse_to_fine as leading_segments  # noqa: E402
@@ -15,19 +15,15 @@ from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.options import CoarseToFineOptions, DiagnosisOptions
 from valvesim.errors import SolveError
 from valvesim.identification.fit import predict_readings
-from valvesim.identification.nominal_fit import fit_nominal, fit_nominal_near
+from valvesim.identification.nominal_fit import fit_nominal_near
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.options import FitOptions, IdentificationOptions
-from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session, restricted_session
 
 
-@pytest.fixture(scope="module")
-def session(tmp_path_factory):
-    """A session in which the load flow sensor is far off."""
-    folder = tmp_path_factory.mktemp("biased")
-    write_session(draw(9, "sensor", name="sensor_bias"), folder)
-    return load_session(folder)
+@pytest.fixture
+def session(biased_session):
+    return biased_session
 
 
 LONG = DiagnosisOptions(
@@ -103,6 +99,7 @@ def test_the_beginnings_of_a_long_session_are_long_only_where_they_are_so_themse
         assert restricted_session(whole, parts).is_long is is_long
 
 
+@pytest.mark.slow
 def test_a_short_session_is_searched_as_a_whole(session):
     nominal, known = fit_coarse_to_fine(prepare_session(session), lambda stage, share: None, options=DIAGNOSIS)
     assert known == ()
@@ -137,8 +134,8 @@ def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkey
     assert fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG) == (whole, ())
 
 
-def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(session):
-    afar = fit_nominal(prepare_session(session))
+def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(session, biased_fit):
+    afar = biased_fit
     assert not afar.study.weights
     for full_weight in (True, False):
         near = fit_nominal_near(prepare_session(session), afar.fit.point, full_weight=full_weight)

@@ -1,5 +1,6 @@
 """The traced and compiled model against `Model.rhs`, finite differences and the oracle, and where its code is kept."""
 
+import functools
 import sys
 import tempfile
 
@@ -54,7 +55,9 @@ CASES = {
     "all effects": (Model(effects=FULL.effects), active_effects()),
     "voltage and all effects": (FULL, active_effects()),
 }
-COMPILED = ("nominal", "voltage and all effects")  # of each model's terms; compiling takes seconds
+ALL = "voltage and all effects"
+WAYS = [("nominal", "compiled"), (ALL, "printed"), pytest.param(ALL, "compiled", marks=pytest.mark.slow)]
+"""The code of a model as it is printed, run by Python, and compiled: what takes long for every term there is."""
 
 
 def flat(name, temperature=20.0):
@@ -146,35 +149,48 @@ def test_open_loop_modes_are_those_of_the_oracle_and_about_the_published():
 # ---------------------------------------------------------------- compiled functions
 
 
-def compiled_values(name, state, inputs, c):
-    """Rates and Jacobian in SI from the compiled, scaled functions."""
-    machine = compile_model(CASES[name][0])
-    n = len(machine.scale)
-    rates, jacobian = np.empty(n), np.empty((n, n))
-    machine.derivative(state / machine.scale, inputs, c, rates)
-    machine.jacobian(state / machine.scale, inputs, c, jacobian)
-    return rates * machine.scale, jacobian * machine.scale[:, None] / machine.scale
+@functools.cache
+def code(name, way):
+    """`derivative` and `jacobian` of a model."""
+    model, _ = CASES[name]
+    if way == "compiled":
+        machine = compile_model(model)
+        return machine.derivative, machine.jacobian
+    module = {}
+    exec(compiled.source(model), module)
+    return module["derivative"].py_func, module["jacobian"].py_func  # what numba would compile when called
 
 
-@pytest.mark.parametrize("name", COMPILED)
+def values(name, way, state, inputs, c):
+    """Rates and Jacobian in SI from the scaled functions."""
+    derivative, slope = code(name, way)
+    scale = np.array([channel.scale for channel in CASES[name][0].state_channels])
+    rates, jacobian = np.empty(len(scale)), np.empty((len(scale), len(scale)))
+    derivative(state / scale, inputs, c, rates)
+    slope(state / scale, inputs, c, jacobian)
+    return rates * scale, jacobian * scale[:, None] / scale
+
+
+@pytest.mark.parametrize("name, way", WAYS)
 @pytest.mark.parametrize("seed", range(10))
-def test_compiled_derivative_is_that_of_the_model(name, seed):
+def test_derivative_of_the_code_is_that_of_the_model(name, way, seed):
     model, _ = CASES[name]
     state, inputs = random_point(model, seed)
     c = flat(name)
-    rates, _ = compiled_values(name, state, inputs, c)
+    rates, _ = values(name, way, state, inputs, c)
     assert rates == pytest.approx(np.array(model.rhs(state, inputs, c), dtype=float), rel=1e-8, abs=1e-9)
 
 
+@pytest.mark.parametrize("way", ["printed", pytest.param("compiled", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", [e.name for e in ACTING])
-def test_each_effect_in_the_compiled_model_of_all_acts_as_in_a_model_of_its_own(name):
+def test_each_effect_in_the_code_of_all_acts_as_in_a_model_of_its_own(name, way):
     (effect,) = (e for e in ACTING if e.name == name)
     own = Model(drive=VoltageDrive(), effects=(effect,))
     c20 = valve.at(PartTemperatures.uniform(20.0))
     state, inputs = random_point(FULL, 7)
     everything, alone = active_effects(name), [a for a in active_effects(name) if a.effect is effect]
     c = np.array(FULL.flat_coefficients(c20, everything), dtype=float)
-    rates, _ = compiled_values("voltage and all effects", state, inputs, c)
+    rates, _ = values(ALL, way, state, inputs, c)
     names = [channel.name for channel in FULL.state_channels]
     at = [names.index(channel.name) for channel in own.state_channels]
     expected = np.array(own.rhs(state[at], inputs, own.flat_coefficients(c20, alone)), dtype=float)
@@ -183,26 +199,26 @@ def test_each_effect_in_the_compiled_model_of_all_acts_as_in_a_model_of_its_own(
     assert not np.allclose(rates[:7], nominal, rtol=1e-6, atol=0.0)
 
 
-@pytest.mark.parametrize("name", COMPILED)
+@pytest.mark.parametrize("name, way", WAYS)
 @pytest.mark.parametrize("seed", range(10))
-def test_compiled_jacobian_is_the_traced_one(name, seed):
+def test_jacobian_of_the_code_is_the_traced_one(name, way, seed):
     model, _ = CASES[name]
     state, inputs = random_point(model, seed)
     c = flat(name)
-    _, jacobian = compiled_values(name, state, inputs, c)
+    _, jacobian = values(name, way, state, inputs, c)
     traced = np.array(derivatives(model)(state, inputs, c)[0])
     scale = np.array([channel.scale for channel in model.state_channels])
     assert close(jacobian, traced, np.zeros(len(state)), scale) < 1e-10
 
 
-@pytest.mark.parametrize("name", COMPILED)
+@pytest.mark.parametrize("name, way", WAYS)
 @pytest.mark.parametrize("beyond", [-1.0, 1.0])
-def test_compiled_derivative_is_that_of_the_model_on_its_stops(name, beyond):
+def test_derivative_of_the_code_is_that_of_the_model_on_its_stops(name, way, beyond):
     model, _ = CASES[name]
     state, inputs = random_point(model, 3)
     state[0], state[4] = beyond * 4.5e-3, beyond * 4.3e-4
     c = flat(name)
-    rates, jacobian = compiled_values(name, state, inputs, c)
+    rates, jacobian = values(name, way, state, inputs, c)
     assert rates == pytest.approx(np.array(model.rhs(state, inputs, c), dtype=float), rel=1e-8, abs=1e-9)
     scale = np.array([channel.scale for channel in model.state_channels])
     numeric = differences(lambda x: np.array(model.rhs(x, inputs, c), dtype=float), state, 0.1 * scale)
@@ -281,7 +297,7 @@ def test_code_is_kept_in_the_named_folder_and_found_again(tmp_path, monkeypatch,
     assert not list(temporary.iterdir())
 
 
-@pytest.mark.parametrize("below", ["", "below"])
+@pytest.mark.parametrize("below", [pytest.param("", marks=pytest.mark.slow), "below"])
 def test_folder_that_cannot_be_written_falls_back_to_memory(tmp_path, monkeypatch, temporary, below):
     file = tmp_path / "file"
     file.write_text("not a folder")
@@ -311,5 +327,5 @@ def test_valve_figures_are_no_part_of_the_compiled_code():
     # one compiled model serves every valve: a wider nozzle changes the coefficients only
     wider = np.array(Valve(nozzle_diameter=0.33e-3).at(PartTemperatures.uniform(20.0)), dtype=float)
     state, inputs = random_point(NOMINAL, 1)
-    rates, _ = compiled_values("nominal", state, inputs, wider)
+    rates, _ = values("nominal", "compiled", state, inputs, wider)
     assert rates == pytest.approx(np.array(NOMINAL.rhs(state, inputs, wider), dtype=float), rel=1e-8, abs=1e-9)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import hidden_plant
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from test_answer import answer
 
 import valvesim as vs
@@ -15,6 +16,7 @@ from valvesim.cli.diagnose import ANSWER_FILES
 from valvesim.diagnosis import diagnose as diagnosis
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, NO_TEST, UNKNOWN
 from valvesim.io import read_columns
+from valvesim.reports.diagnosis import page as report_diagnosis
 from valvesim.valve.effect_files import load_effects
 
 EFFECT = """
@@ -54,10 +56,12 @@ def session(tmp_path):
 
 @pytest.fixture
 def found(monkeypatch):
-    """Let the diagnosis find an answer, or raise an error; `.session` is what it was given."""
+    """Let the diagnosis find an answer, or raise an error; `.session` is what it was given. Pictures only if asked."""
 
-    def found(result):
+    def found(result, *, pictures=False):
         seen = SimpleNamespace(session=None)
+        if not pictures:
+            monkeypatch.setattr(report_diagnosis, "draw", lambda diagnosis: {"errors": Figure()})
 
         def diagnose(session, *, progress):
             seen.session = session
@@ -73,7 +77,7 @@ def found(monkeypatch):
 
 
 def test_the_answer_is_written_and_said(call, found, session, tmp_path):
-    found(PLAIN)
+    found(PLAIN, pictures=True)
     code, out, err = call(session, "-o", tmp_path / "deep" / "out")
     assert (code, err) == (0, "")
     folder = tmp_path / "deep" / "out"
@@ -172,8 +176,6 @@ def test_whatever_fails_leaves_the_answer_before(call, found, session, tmp_path,
 
 
 def test_interrupted_while_writing_leaves_nothing(call, found, session, tmp_path, monkeypatch):
-    from valvesim.reports.diagnosis import page as report_diagnosis
-
     def write_report(diagnosis, folder, **marks):
         raise KeyboardInterrupt
 

@@ -23,6 +23,7 @@ from hidden_plant import (
     truth,
     write_session,
 )  # fmt: skip
+from marks import slow_but
 
 from valvesim.inputs import Constant, Table
 from valvesim.io import read_columns
@@ -74,8 +75,12 @@ def test_with_nothing_hidden_plant_and_model_agree_far_below_the_noise(name, sca
 
 @pytest.mark.parametrize(
     "kind, name",
-    [("effect", name) for name in EFFECTS] + [("outside", name) for name in OUTSIDE]
-    + [("parameter", name) for name in PARAMETERS] + [("sensor", name) for name in SENSOR_FAULTS],
+    slow_but(
+        [("effect", "spool_coulomb_friction"), ("outside", "cubic_spool_spring"), ("parameter", "spool_area"),
+         ("sensor", "sensor_bias")],
+        [("effect", name) for name in EFFECTS] + [("outside", name) for name in OUTSIDE]
+        + [("parameter", name) for name in PARAMETERS] + [("sensor", name) for name in SENSOR_FAULTS],
+    ),
 )  # fmt: skip
 def test_what_is_hidden_shows_and_grows_with_its_strength(kind, name):
     case = draw(4, kind, name=name, noise=0.003)

@@ -102,6 +102,7 @@ def test_the_fit_explains_the_records_and_is_what_its_variant_reads(nominal, fou
     assert found.chi_square >= float(residual[:, 0] @ residual[:, 0]) + float(found.point @ found.point)
 
 
+@pytest.mark.slow
 def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
     u = np.linspace(-3e-4, 3e-4, 121)
     pull = -2.0 * np.sin(2 * np.pi * u / 75e-6)  # N
@@ -115,6 +116,7 @@ def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
     assert np.linalg.norm(np.array(term.value) - true) < 0.1 * np.linalg.norm(true)
 
 
+@pytest.mark.slow
 def test_a_slight_term_gets_few_knots():
     nominal = fit_nominal(prepare_session(session_of(cubic(0.2))))
     found = recover_term(nominal, score_test(nominal, nominal.fit, options=DIAGNOSIS))

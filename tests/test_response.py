@@ -27,7 +27,11 @@ from valvesim.valve.thermal_network import NODES
 valve = vs.reference_valve()
 DAY = datetime.date(2026, 1, 2)
 TAU = 2e-3  # s, of the first-order system
-RNG = np.random.default_rng(5)
+
+
+def rng():
+    """The same dice in every test, whatever ran before it."""
+    return np.random.default_rng(5)
 
 
 def figures(of):
@@ -106,7 +110,7 @@ def test_a_command_that_ramps_steps_at_its_half():
 
 def test_noise_leaves_the_times_and_takes_the_dead_time():
     t, u, y = first_order()
-    of = step_figures(t, u, y + 1e-2 * RNG.standard_normal(len(t)))
+    of = step_figures(t, u, y + 1e-2 * rng().standard_normal(len(t)))
     assert value(of, "time_to_90_percent") == pytest.approx(TAU * np.log(10), rel=0.1)
     assert "noise" in reason(of, "dead_time")
 
@@ -120,10 +124,10 @@ def test_noise_leaves_the_times_and_takes_the_dead_time():
         (lambda t, u, y: (t[:1006], u[:1006], y[:1006]), "samples after the step"),
         (lambda t, u, y: (t[990:1003], u[990:1003], y[990:1003]), "only 13 samples"),
         (lambda t, u, y: (t, u, np.zeros_like(t)), "does not move"),
-        (lambda t, u, y: (t, u, 1e-3 * RNG.standard_normal(len(t))), "does not move|rest"),
+        (lambda t, u, y: (t, u, 1e-3 * rng().standard_normal(len(t))), "does not move|rest"),
         (lambda t, u, y: (t[:1300], u[:1300], y[:1300]), "come to rest"),
         (lambda t, u, y: (t, u, y + 0.2 * np.sin(5e3 * t) * u), "come to rest"),
-        (lambda t, u, y: (t, u, np.minimum(y + 1e-3 * RNG.standard_normal(len(t)), 0.7)), "clipped"),
+        (lambda t, u, y: (t, u, np.minimum(y + 1e-3 * rng().standard_normal(len(t)), 0.7)), "clipped"),
     ],
 )
 def test_a_record_that_gives_no_figure_says_why(change, message):
@@ -197,7 +201,7 @@ def test_a_sine_gives_its_gain_and_lag(frequency, per_cycle):
 
 def test_a_sine_need_not_be_sampled_evenly():
     t, u, y = sine_record()
-    keep = np.sort(RNG.choice(len(t) - 2, len(t) // 40, replace=False)) + 1
+    keep = np.sort(rng().choice(len(t) - 2, len(t) // 40, replace=False)) + 1
     move = np.zeros(len(t))
     move[keep] = 0.3 * (t[1] - t[0])
     t2 = t + move
@@ -337,7 +341,7 @@ def chirp_record(noise=0.0, end=20.0, corner=80.0):
     swept = signal.chirp(np.clip(t - 1, 0, end), 1.0, end, 400.0, phi=-90)
     u = 0.01 * np.where((t > 1) & (t < 1 + end), swept, 0.0)
     b, a = signal.butter(2, corner, fs=RATE)
-    return t, u, 1.0 + 3.0 * signal.lfilter(b, a, u) + noise * RNG.standard_normal(len(t)), (b, a)
+    return t, u, 1.0 + 3.0 * signal.lfilter(b, a, u) + noise * rng().standard_normal(len(t)), (b, a)
 
 
 def test_a_chirp_gives_the_gain_the_corner_and_the_lag_of_a_known_filter():

@@ -229,7 +229,9 @@ def test_slopes_of_states_are_exact_and_those_of_signals_differences():
     assert np.abs(flow[:, [0, 1, 2, 3, 5]]).max() < 1e-3 * np.abs(flow[:, 4]).max()
 
 
-@pytest.mark.parametrize("active", [FRICTION, HYSTERESIS], ids=["friction", "hysteresis"])
+@pytest.mark.parametrize(
+    "active", [pytest.param(FRICTION, id="friction"), pytest.param(HYSTERESIS, id="hysteresis", marks=pytest.mark.slow)]
+)
 def test_a_valve_with_memory_is_linear_about_its_course_too(active):
     """The record begins with a hold, where a memory of a path rests."""
     variant = nominal_variant().with_effect(active)

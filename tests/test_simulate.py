@@ -342,6 +342,7 @@ def every_effect():
     return tuple(e(**{e.amplitude.name: 0.3 * e.amplitude.typical}) for e in acting)
 
 
+@pytest.mark.slow
 def test_a_run_with_every_effect_starts_from_rest_with_its_memories():
     drive, voltage = vs.VoltageDrive(), vs.Constant(value=3e-3 * VALVE.coil_resistance)
     result = run(voltage, 0.02, effects=every_effect(), drive=drive, tolerance=1e-6)

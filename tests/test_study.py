@@ -25,13 +25,10 @@ from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import PreparedSession, Study, prepare_session, restricted_session
 
 
-@pytest.fixture(scope="module")
-def biased(tmp_path_factory):
+@pytest.fixture
+def biased(biased_fit):
     """The base fit of a session in which the load flow sensor is far off, and its true bias."""
-    folder = tmp_path_factory.mktemp("biased")
-    case = draw(9, "sensor", name="sensor_bias")
-    write_session(case, folder)
-    return fit_nominal(prepare_session(load_session(folder))), dict(case.hidden)["sensor_bias"]["bias"]
+    return biased_fit, dict(draw(9, "sensor", name="sensor_bias").hidden)["sensor_bias"]["bias"]
 
 
 def at(nominal, name):
