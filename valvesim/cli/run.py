@@ -31,7 +31,6 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
     from valvesim.simulation.result import check_channels
     from valvesim.simulation.run import simulate
     from valvesim.simulation.scenario_toml import load_scenario
-    from valvesim.solver.codegen import compile_model
 
     case = load_scenario(scenario, settings=settings)
     check_channels(case)
@@ -39,9 +38,11 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
     check_folder(folder)
     with _artist(wanted=not no_pictures) as draw, progress_bar() as bar:
         stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
-        compile_model(case.model)
-        bar.update(stage, description="integrating", total=1.0)
-        result = simulate(case, progress=lambda share: bar.update(stage, completed=share))
+
+        def integrated(share: float) -> None:
+            bar.update(stage, description="integrating", total=1.0, completed=share)
+
+        result = simulate(case, progress=integrated)
         bar.update(stage, description="writing result.nc", total=None)
         written = [result.select(case.channels).to_netcdf(folder / "result.nc")]
         varies = temperature_varies(case)

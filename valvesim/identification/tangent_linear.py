@@ -22,7 +22,7 @@ import numpy as np
 
 from valvesim.channels import Inputs
 from valvesim.identification.predictor import RecordPredictor, Trajectory
-from valvesim.solver.codegen import compile_model
+from valvesim.solver.codegen import absent_coefficients, compile_model
 from valvesim.valve.valve_model import ValveModel
 
 ENDLESS = 1e100  # scaled: squares of what is larger overflow
@@ -163,7 +163,7 @@ def linearise_along(
 
     `model` has those states, and `along` are its flat coefficients on the grid.
     """
-    compiled = compile_model(trajectory.model)
+    compiled = compile_model(trajectory.model, absent_coefficients(trajectory.model, trajectory.coefficients))
     scale = compiled.scale
     n, s = trajectory.states.shape
     A = np.empty((n, s, s))
