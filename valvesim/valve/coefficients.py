@@ -114,12 +114,20 @@ def coefficients_at(
     for name in PART_NAMES:
         if not np.all(np.isfinite(getattr(parts, name))):
             raise InputError(f"temperature of the {name.replace('_', ' ')} is nan or infinite")
+    c = coefficient_formulas(valve, parts, oil, routes)
+    if any(np.min(getattr(c, name)) <= 0.0 for name in CLEARANCES):
+        raise _closed_clearance(valve, parts, oil, c)
+    return c
+
+
+def coefficient_formulas(valve: Any, parts: PartTemperatures, oil: Oil, routes: frozenset[str]) -> Coefficients:
+    """What `coefficients_at` gives, without its checks: quantities and temperatures may be traced symbols."""
 
     def rise(route: str, temperature):
         """dT = T - 20 °C along an active route, else zero."""
-        return (np.asarray(temperature, dtype=float) - REFERENCE_TEMPERATURE) * (route in routes)
+        return (np.asarray(temperature) - REFERENCE_TEMPERATURE) * (route in routes)
 
-    flow_temperature = np.where("flow" in routes, parts.oil, REFERENCE_TEMPERATURE)
+    flow_temperature = parts.oil if "flow" in routes else REFERENCE_TEMPERATURE + 0.0 * np.asarray(parts.oil)
     pilot = pilot_flow(
         valve.flow_coefficients, flow_temperature, valve.fixed_orifice_length, valve.fixed_orifice_diameter
     )
@@ -130,7 +138,7 @@ def coefficients_at(
     cold_density = oil.density(flow_temperature, mean_pressure)
     cold_viscosity = cold_density * oil.viscosity(flow_temperature, mean_pressure)
     held = cold_viscosity / viscosity * np.sqrt(density / cold_density)
-    c = Coefficients(
+    return Coefficients(
         **{name: getattr(valve, name) for name in _INDEPENDENT},
         **_torque_motor(valve, parts, rise),
         **_pilot_stage(valve, rise("orifice", parts.pilot_metal)),
@@ -145,9 +153,6 @@ def coefficients_at(
         bulk_modulus_at_zero=oil.bulk_modulus_at_zero(parts.oil),
         bulk_modulus_slope=oil.bulk_modulus_slope,
     )
-    if any(np.min(getattr(c, name)) <= 0.0 for name in _CLEARANCES):
-        raise _closed_clearance(valve, parts, oil, c)
-    return c
 
 
 _INDEPENDENT = (
@@ -159,7 +164,7 @@ _INDEPENDENT = (
 """Coefficients that are the valve's quantities of the same name at every temperature."""
 
 
-def _torque_motor(valve: Valve, parts: PartTemperatures, rise: Callable[[str, Any], Any]) -> dict[str, Any]:
+def _torque_motor(valve: Any, parts: PartTemperatures, rise: Callable[[str, Any], Any]) -> dict[str, Any]:
     """Air gaps, magnetic circuit, coil and springs; `rise(route, temperature)` is dT along a route."""
     gap_motor, gap_tube = rise("gap", parts.torque_motor), rise("gap", parts.spring_tube)
     length_7 = valve.length_5 + valve.length_6 - valve.length_4
@@ -175,7 +180,7 @@ def _torque_motor(valve: Valve, parts: PartTemperatures, rise: Callable[[str, An
         1.0 + valve.pole_expansion * gap_motor
     )
     magnet = rise("reluctance", parts.torque_motor)
-    coil_rise = np.asarray(parts.torque_motor, dtype=float) - REFERENCE_TEMPERATURE
+    coil_rise = np.asarray(parts.torque_motor) - REFERENCE_TEMPERATURE
     return {
         "upper_air_gap_1": upper_gap + valve.air_gap_difference / 2,
         "upper_air_gap_2": upper_gap - valve.air_gap_difference / 2,
@@ -195,7 +200,7 @@ def _torque_motor(valve: Valve, parts: PartTemperatures, rise: Callable[[str, An
     }
 
 
-def _pilot_stage(valve: Valve, metal) -> dict[str, Any]:
+def _pilot_stage(valve: Any, metal) -> dict[str, Any]:
     """Gaps, nozzles and orifices, whose metal is warmer by `metal` K along its route."""
     nozzle_narrowing = 2.0 * valve.nozzle_length * valve.pilot_expansion * metal
     orifice_narrowing = 2.0 * valve.fixed_orifice_length * valve.pilot_expansion * metal
@@ -211,11 +216,11 @@ def _pilot_stage(valve: Valve, metal) -> dict[str, Any]:
     }
 
 
-def _spool(valve: Valve, parts: PartTemperatures) -> dict[str, Any]:
+def _spool(valve: Any, parts: PartTemperatures) -> dict[str, Any]:
     """Circumference and clearance of the spool in its sleeve."""
     spool_diameter = np.sqrt(4.0 * valve.spool_area / np.pi)
-    spool_rise = np.asarray(parts.spool, dtype=float) - REFERENCE_TEMPERATURE
-    sleeve_rise = np.asarray(parts.sleeve, dtype=float) - REFERENCE_TEMPERATURE
+    spool_rise = np.asarray(parts.spool) - REFERENCE_TEMPERATURE
+    sleeve_rise = np.asarray(parts.sleeve) - REFERENCE_TEMPERATURE
     growth = valve.sleeve_expansion * sleeve_rise - valve.spool_expansion * spool_rise
     return {
         "spool_circumference": np.pi * spool_diameter,
@@ -226,7 +231,7 @@ def _spool(valve: Valve, parts: PartTemperatures) -> dict[str, Any]:
 def _closed_clearance(valve: Valve, parts: PartTemperatures, oil: Oil, c: Coefficients) -> InputError:
     """Which clearance closes, and at which temperature of which part: each is linear in its temperatures."""
     cold = coefficients_at(valve, PartTemperatures.uniform(REFERENCE_TEMPERATURE), oil=oil, routes=())
-    for name, driving in _CLEARANCES.items():
+    for name, driving in CLEARANCES.items():
         if np.min(getattr(c, name)) > 0.0:
             continue
         values = np.broadcast_arrays(
@@ -247,7 +252,7 @@ def _closed_clearance(valve: Valve, parts: PartTemperatures, oil: Oil, c: Coeffi
 
 
 _PILOT, _MOTOR = ("pilot_metal",), ("torque_motor", "spring_tube")
-_CLEARANCES: dict[str, tuple[str, ...]] = {  # what can close, and the parts whose temperatures do it
+CLEARANCES: dict[str, tuple[str, ...]] = {  # what can close, and the parts whose temperatures do it
     "null_gap_1": _PILOT,
     "null_gap_2": _PILOT,
     "nozzle_diameter_1": _PILOT,

@@ -99,6 +99,8 @@ class Effect:
     `coefficients(c, p, parts) -> Coefficients` changes coefficients;
     `balance(situation, p, memory) -> (Ports, memory rates)` adds terms;
     `reading(reading, p) -> values` changes what the sensor of `channel` gives (see `on`).
+    `lag(p)` is the time constant (s) where `temperatures` or `reading` is a first-order lag of what comes in, for those
+    that carry it as a state.
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
@@ -115,6 +117,7 @@ class Effect:
     coefficients: Callable[[Coefficients, Any, PartTemperatures], Coefficients] | None = None
     balance: Callable[[Situation, Any, tuple], tuple[Ports, tuple]] | None = None
     reading: Callable[[Reading, Any], Any] | None = None
+    lag: Callable[[Any], Any] | None = None
     channel: str = ""
     figure: str = ""
     plainer: str = ""

@@ -124,7 +124,7 @@ def chamber_pressure(orifice, nozzle, gap, c: Coefficients, supply_pressure, ret
     span = high - low
     for turn in range(80):
         z = p + 1e-30j
-        surplus = fixed_orifice_flow(orifice, supply_pressure - z, c) - nozzle_flow(nozzle, gap, z - return_pressure, c)
+        surplus = chamber_surplus(orifice, nozzle, gap, z, c, supply_pressure, return_pressure)
         value, slope = surplus.real, surplus.imag * 1e30
         low, high = np.where(value >= 0.0, p, low), np.where(value <= 0.0, p, high)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -144,6 +144,12 @@ def chamber_pressure(orifice, nozzle, gap, c: Coefficients, supply_pressure, ret
     )
 
 
+def chamber_surplus(orifice, nozzle, gap, pressure, c: Coefficients, supply_pressure, return_pressure):
+    """What the fixed orifice lets into a chamber beyond what the nozzle lets out, m^3/s: falls with the pressure."""
+    inflow = fixed_orifice_flow(orifice, supply_pressure - pressure, c)
+    return inflow - nozzle_flow(nozzle, gap, pressure - return_pressure, c)
+
+
 def _rest(theta, current, c: Coefficients, supply_pressure, return_pressure, load_pressure, friction):
     """(torque residual, x_v, p1, p2) at a held angle: pressures and spool follow from their own balances."""
     x_f = c.nozzle_arm * theta
@@ -156,21 +162,28 @@ def _rest(theta, current, c: Coefficients, supply_pressure, return_pressure, loa
         chamber_pressure(orifice, nozzle, gap, c, supply_pressure, return_pressure, guess)
         for orifice, nozzle, gap, guess in sides
     )
+    residual, x_v = balances_at_rest(
+        theta, current, p1, p2, c, supply_pressure, return_pressure, load_pressure, friction
+    )
+    return residual, x_v, p1, p2
+
+
+def balances_at_rest(theta, current, p1, p2, c: Coefficients, supply_pressure, return_pressure, load_pressure, friction):
+    """(torque residual N m, x_v m) at a held angle and the pressures that go with it: floats, arrays or symbols."""
+    x_f = c.nozzle_arm * theta
     arm, K_f = c.nozzle_arm + c.feedback_arm, c.feedback_rod_stiffness
     force = c.spool_area * (p1 - p2) - K_f * arm * theta - friction
     # the flow force is 0.43 w (p_s x - p_L |x|): its stiffness depends on the side to which the force pushes
     side = np.sign(force)
     stiffness = K_f + FLOW_FORCE_FACTOR * c.port_width * (supply_pressure - side * load_pressure)
-    x_v = force / stiffness
-    k_stop = c.spool_stop_stiffness
-    on_stop = (force + side * k_stop * c.spool_stroke) / (stiffness + k_stop)
-    x_v = np.where(np.abs(x_v) > c.spool_stroke, on_stop, x_v)
+    free, k_stop = force / stiffness, c.spool_stop_stiffness
+    beyond = np.maximum(np.abs(free) - c.spool_stroke, 0.0)  # of the stroke, were there no stop
+    x_v = free - side * beyond * k_stop / (stiffness + k_stop)
     T_nozzles, T_jets = flapper_torques(theta, p1, p2, supply_pressure, return_pressure, c)
     T_rod = -arm * K_f * (arm * theta + x_v)
     T_drive = drive_torque(theta, c.coil_turns * current, c)
     T_stop = c.nozzle_arm * contact_force(x_f, 0.0, -c.null_gap_2, c.null_gap_1, c.flapper_stop_stiffness, 0.0)
-    residual = T_drive - c.spring_tube_stiffness * theta + T_rod + T_nozzles + T_jets + T_stop
-    return residual, x_v, p1, p2
+    return T_drive - c.spring_tube_stiffness * theta + T_rod + T_nozzles + T_jets + T_stop, x_v
 
 
 def static_solution(

@@ -26,6 +26,7 @@ import numpy as np
 
 from valvesim.errors import InputError, warn_once
 from valvesim.valve.fluid import MIL_PRF_5606, viscosity_yan_2019
+from valvesim.valve.laws import is_number
 
 TABLE_3 = np.array(
     [
@@ -53,7 +54,14 @@ def flow_coefficients_yan_2019(oil_temperature):
     Below -20 °C it rests on one row of the paper's CFD that no smooth law meets (model.md 6.9), and below -40 °C the
     formula soon turns negative and is held: one warning, with the law for the cold. Beyond 150 °C it is flat.
     """
-    coldest = float(np.min(oil_temperature))
+    if is_number(oil_temperature):
+        _warn_of_cold(float(np.min(oil_temperature)))
+    t = np.maximum(oil_temperature, -40.0)
+    return 0.663 - 0.00136 * np.exp(-0.1473 * t), 0.752 - 0.1143 * np.exp(-0.03569 * t)
+
+
+def _warn_of_cold(coldest: float) -> None:
+    """Warn once of Eq. 19 below `EQ_19_COLD`."""
     if coldest < EQ_19_COLD:
         held = "; held at -40 °C below that" if coldest < -40.0 else ""
         warn_once(
@@ -61,8 +69,6 @@ def flow_coefficients_yan_2019(oil_temperature):
             f"CFD run and swing the null pressure{held}; for cold oil set valve.flow_law = '{COLD_LAW}'",
             about="flow coefficients, cold",
         )
-    t = np.maximum(oil_temperature, -40.0)
-    return 0.663 - 0.00136 * np.exp(-0.1473 * t), 0.752 - 0.1143 * np.exp(-0.03569 * t)
 
 
 EQ_19_COLD = -20.0  # °C, below which Eq. 19 follows Table 3's row at -40 °C
@@ -196,6 +202,12 @@ class ReynoldsFlowLaw:
         """(C_df, C_d0); beyond the Reynolds numbers of Table 3 with a warning."""
         nozzle = reynolds_number(oil_temperature, NOZZLE_HYDRAULIC_DIAMETER, viscosity=self.viscosity)
         orifice = reynolds_number(oil_temperature, ORIFICE_HYDRAULIC_DIAMETER, viscosity=self.viscosity)
+        if is_number(oil_temperature):
+            self._warn_of_range(nozzle)
+        return self.nozzle(nozzle), self.fixed_orifice(orifice)
+
+    def _warn_of_range(self, nozzle) -> None:
+        """Warn once of Reynolds numbers of the nozzle beyond Table 3."""
         highest = float(reynolds_number(TABLE_3[-1, 0], NOZZLE_HYDRAULIC_DIAMETER))
         if np.min(nozzle) < self.nozzle.lowest * (1.0 - 1e-4):
             warn_once(
@@ -209,7 +221,6 @@ class ReynoldsFlowLaw:
                 f"{highest:.3g} of Table 3; held near its limit",
                 about="flow coefficients (Reynolds law), hot",
             )
-        return self.nozzle(nozzle), self.fixed_orifice(orifice)
 
 
 def fit_orifice_law(reynolds: np.ndarray, coefficients: np.ndarray, *, hump: bool, lowest: float | None = None):

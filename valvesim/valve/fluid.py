@@ -19,6 +19,7 @@ import numpy as np
 
 from valvesim.errors import InputError, warn_once
 from valvesim.units import check_bounds, quantity
+from valvesim.valve.laws import straight_segments
 
 ATMOSPHERE = 101325.0
 KELVIN = 273.15
@@ -54,11 +55,7 @@ class WaltherViscosity:
         return float(np.max(-np.diff(log_log) / np.diff(log_kelvin)))
 
     def __call__(self, temperature):
-        log_kelvin, log_log = _d341_axes(self.table, self.full)
-        slopes = np.diff(log_log) / np.diff(log_kelvin)
-        x = np.log10(np.asarray(temperature, dtype=float) + KELVIN)
-        segment = np.clip(np.searchsorted(log_kelvin, x) - 1, 0, len(slopes) - 1)
-        y = log_log[segment] + slopes[segment] * (x - log_kelvin[segment])
+        y = straight_segments(np.log10(np.asarray(temperature) + KELVIN), *_d341_axes(self.table, self.full))
         plain = 10.0**10.0**y - 0.7
         return (plain - _thin(plain) if self.full else plain) * 1e-6
 
@@ -94,14 +91,12 @@ class LogLinear:
 
     def __call__(self, temperature):
         at, logs = np.array([t for t, _ in self.table]), np.log([value for _, value in self.table])
-        t = np.asarray(temperature, dtype=float)
-        k = np.clip(np.searchsorted(at, t) - 1, 0, len(at) - 2)
-        return np.exp(logs[k] + np.diff(logs)[k] / np.diff(at)[k] * (t - at[k]))
+        return np.exp(straight_segments(np.asarray(temperature), at, logs))
 
 
 def viscosity_yan_2019(temperature):
     """The paper's Eq. 18 read in °C (model.md 6.3): 48.46 exp(-0.03 T) mm^2/s, in m^2/s. Unphysical above 150 °C."""
-    return 48.46e-6 * np.exp(-0.03 * np.asarray(temperature, dtype=float))
+    return 48.46e-6 * np.exp(-0.03 * np.asarray(temperature))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +168,7 @@ class Oil:
 
         The coefficient is one of dynamic viscosity; the oil's compression (1 % at 21 MPa) is far within its doubt.
         """
-        fall = -self.pressure_viscosity_decay * (np.asarray(temperature, dtype=float) - 40.0)
+        fall = -self.pressure_viscosity_decay * (np.asarray(temperature) - 40.0)
         rise = np.exp(self.pressure_viscosity_at_40 * np.exp(fall) * pressure)
         return self.viscosity_law(temperature) * rise
 
@@ -201,7 +196,7 @@ class Oil:
 
     def vapour_pressure(self, temperature):
         """Pa, absolute: Clausius-Clapeyron through two figures."""
-        kelvin = np.asarray(temperature, dtype=float) + KELVIN
+        kelvin = np.asarray(temperature) + KELVIN
         return self.vapour_pressure_at_100 * np.exp(self.vapour_temperature * (1.0 / (100.0 + KELVIN) - 1.0 / kelvin))
 
     def specific_heat(self, temperature):
@@ -210,7 +205,7 @@ class Oil:
 
     def throttling_rise(self, temperature, pressure_drop):
         """Temperature rise of the oil over a throttle, K: dp (1 - alpha T)/(rho cp), T in kelvin. field.md 2."""
-        kelvin = np.asarray(temperature, dtype=float) + KELVIN
+        kelvin = np.asarray(temperature) + KELVIN
         capacity = self.density(temperature) * self.specific_heat(temperature)
         return pressure_drop * (1.0 - self.thermal_expansion * kelvin) / capacity
 

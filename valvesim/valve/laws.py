@@ -104,6 +104,23 @@ def play(displacement, half_width):
     return displacement - np.minimum(np.maximum(displacement, -half_width), half_width)
 
 
+def is_number(x) -> bool:
+    """False of a traced symbol, which has no value yet: what is checked or warned of by value is left to numbers."""
+    return not type(x).__module__.startswith("casadi")
+
+
+def straight_segments(x, at, values):
+    """Straight lines between the points (at, values), (m,) each with m > 1 and `at` rising, and on beyond both ends.
+
+    A line with a bend at each inner point, without a search for the segment, so that a symbol passes through.
+    """
+    slopes = np.diff(values) / np.diff(at)
+    y = values[0] + slopes[0] * (x - at[0])
+    for k in range(1, len(slopes)):
+        y = y + (slopes[k] - slopes[k - 1]) * np.maximum(x - at[k], 0.0)
+    return y
+
+
 def lagged(times, values, time_constant):
     """A first-order lag of values (n,) at times (n,), from rest: exact for straight lines between them.
 

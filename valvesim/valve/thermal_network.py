@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from valvesim.valve.parameters import PART_NAMES, PartTemperatures
 
 MOST_KNOTS = 1_000_000  # of a temperature path: 0.4 GB of coefficients
 NODES = tuple(name for name in PART_NAMES if name != "oil")
+SOURCES = ("oil", "ambient")
 
 
 def _estimate(value: float, unit: str, doc: str, *, floor: float = 0.0):
@@ -62,24 +64,30 @@ class ThermalNetwork:
 
     def matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """(M, N) of T' = M T + N [T_oil, T_ambient]; T in the order of `NODES`, M in 1/s."""
-        sources = ("oil", "ambient")
-        M, N = np.zeros((len(NODES), len(NODES))), np.zeros((len(NODES), len(sources)))
-        for name in self.__dataclass_fields__:
-            one, _, other = name.partition("_to_")
-            if not other:
-                continue
-            conductance = getattr(self, name)
-            for here, there in ((one, other), (other, one)):
-                if here not in NODES:
-                    continue
-                k = NODES.index(here)
-                gain = conductance / getattr(self, here + "_capacity")
-                M[k, k] -= gain
-                if there in NODES:
-                    M[k, NODES.index(there)] += gain
-                else:
-                    N[k, sources.index(there)] += gain
-        return M, N
+        every = (*NODES, *SOURCES)
+        gains = np.zeros((len(NODES), len(every)))
+        for here, there, gain in self.exchanges():
+            k = NODES.index(here)
+            gains[k, k] -= gain
+            gains[k, every.index(there)] += gain
+        return gains[:, : len(NODES)], gains[:, len(NODES) :]
+
+    def exchanges(self) -> list[tuple[str, str, Any]]:
+        """(part, the other part or source, G/C in 1/s) of every conductance, once from each end that has a capacity."""
+        ends = [(name, *name.split("_to_")) for name in self.__dataclass_fields__ if "_to_" in name]
+        return [
+            (here, there, getattr(self, name) / getattr(self, here + "_capacity"))
+            for name, one, other in ends
+            for here, there in ((one, other), (other, one))
+            if here in NODES
+        ]
+
+    def rates(self, temperatures: Mapping[str, Any]) -> dict[str, Any]:
+        """T' of every part, K/s, from the temperatures (°C) of `NODES` and `SOURCES`: numbers, arrays or symbols."""
+        rates = dict.fromkeys(NODES, 0.0)
+        for here, there, gain in self.exchanges():
+            rates[here] = rates[here] + gain * (temperatures[there] - temperatures[here])
+        return rates
 
 
 @dataclass(frozen=True, kw_only=True)

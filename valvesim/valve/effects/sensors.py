@@ -36,9 +36,10 @@ def _temperature_drift(r: Reading, p):
     return r.values + p.drift * (r.oil_temperature - REFERENCE_TEMPERATURE)
 
 
-def _sensor(name: str, doc: str, signature: str, amplitude: Parameter, reading) -> Effect:
+def _sensor(name: str, doc: str, signature: str, amplitude: Parameter, reading, lag=None) -> Effect:
     return Effect(
-        name=name, doc=doc, location="sensor", signature=signature, parameters=(amplitude,), reading=reading
+        name=name, doc=doc, location="sensor", signature=signature, parameters=(amplitude,), reading=reading,
+        lag=lag,
     )  # fmt: skip
 
 
@@ -63,6 +64,7 @@ SENSORS = (
         "one channel late and smaller at high frequency, right at rest",
         amplitude_parameter("time_constant", "s", "tau", (0.0, 10.0), 1e-3, ordinary=AMPLIFIER_LAG),
         _lag,
+        lag=lambda p: p.time_constant,
     ),
     _sensor(
         "sensor_delay",

@@ -29,5 +29,6 @@ THERMAL = (
         signature="drift comes late in a temperature transient; nothing once temperatures hold",
         parameters=(amplitude_parameter("time_constant", "s", "tau", (0.0, 1e4), 5.0),),
         temperatures=_thermal_lag,
+        lag=lambda p: p.time_constant,
     ),
 )
