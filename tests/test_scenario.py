@@ -466,7 +466,7 @@ WRONG_COMMANDS = {
         "[command.current]\n",
         "line 2: command.current: needs a command, one of constant, step",
     ),
-    "text for a section": ('valve = "big"\n', "line 2: valve: expected a table, got 'big'"),
+    "text for a section": ('oil = "big"\n', "line 2: oil: expected a table, got 'big'"),
     "drive": ("[command.curent]\n", "line 2: command: unknown key 'curent'; did you mean 'current'?"),
     "command": (
         "[command.current]\nsin = {}\n",
@@ -816,9 +816,9 @@ def test_a_wrong_line_is_not_blamed_on_a_setting(refused):
 
 
 def test_tables_of_valve_and_oil_are_read_from_settings_alone():
-    valve, oil = read_tables(["valve.null_gap=0.03 mm", "oil.name=yh12_paper"])
-    assert valve.null_gap == pytest.approx(3e-5) and oil.name == "yh12_paper"
-    assert dataclasses.replace(valve, null_gap=vs.Valve().null_gap) == vs.Valve()
+    own = read_tables(["valve.null_gap=0.03 mm", "oil.name=yh12_paper"])
+    assert own.valve.null_gap == pytest.approx(3e-5) and own.oil.name == "yh12_paper"
+    assert dataclasses.replace(own.valve, null_gap=vs.Valve().null_gap) == vs.Valve()
     with pytest.raises(InputError, match="--set: unknown key 'solver'"):
         read_tables(["solver.tolerance=1e-3"])
 

@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
+    "characterisation.specification": "Limit Specification Verdict judge load_specification",
     "diagnosis.diagnose": "diagnose",
     "diagnosis.result": "Diagnosis",
     "errors": "InputError SolveError ValidityWarning ValvesimError",
@@ -32,6 +33,7 @@ _HOMES = {
     "valve.fluid": "MIL_PRF_5606 YH12_PAPER Oil",
     "valve.oils": "OILS",
     "valve.parameters": "Valve reference_valve",
+    "valve.valve_file": "ValveFile load_valve save_valve valve_to_toml",
     "valve.thermal_network": "ThermalNetwork temperature_path",
 }
 """Modules with the names that this package gives; each is loaded when one of its names is asked for."""

@@ -20,7 +20,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from valvesim.errors import InputError, nearest
+from valvesim.errors import InputError, nearest, unknown_name
 from valvesim.units import convert
 
 MOST_BYTES = 256_000_000  # of a file of columns
@@ -88,6 +88,28 @@ def _check_nesting(table: dict[str, Any], path: Path) -> None:
             return
         level = deeper
     raise InputError(f"nested more than {DEEPEST} deep", file=path, key=level[0][0].partition(".")[0])
+
+
+def check_known(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:
+    """InputError for the first key of a table that is not one of `names`."""
+    for name in table:
+        if name not in names:
+            raise unknown_name("key", name, names, where)
+
+
+def check_tables(table: Mapping[str, Any], names: Sequence[str]) -> None:
+    """InputError for a section that is no table; the effects may be a list of tables."""
+    for name in names:
+        given = table.get(name, {})
+        if not isinstance(given, dict) and not (name == "effects" and isinstance(given, list)):
+            raise InputError(f"expected a table, got {given!r}", key=name)
+
+
+def read_names(given: Any, where: str, what: str) -> tuple[str, ...]:
+    """InputError unless `given` is a list of text; `what` they are the names of."""
+    if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
+        raise InputError(f"expected a list of {what} names, got {given!r}", key=where)
+    return tuple(given)
 
 
 def check_printable(text: Any, where: str) -> None:

@@ -15,6 +15,7 @@ from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
 from valvesim.characterisation.lumped_figures import beside_class
 from valvesim.characterisation.response_set import ResponseSet, measure_responses
 from valvesim.simulation.scenario import Scenario, Thermal
+from valvesim.valve.effect import ActiveEffect
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
 
@@ -35,14 +36,15 @@ class Datasheet:
 
 
 def measure(
-    valve: Valve, oil: Oil, *, oil_temperatures: Sequence[float], progress: Callable[[float], None] | None = None
+    valve: Valve, oil: Oil, *, oil_temperatures: Sequence[float], effects: Sequence[ActiveEffect] = (),
+    progress: Callable[[float], None] | None = None,
 ) -> Datasheet:  # fmt: skip
-    """Run every test at every oil temperature, all parts at it. `progress` is told the share that is done.
+    """Run every test at every oil temperature, all parts at it, with `effects` in service.
 
-    Raises as `acceptance_tests` and `response.measure_responses` do.
+    `progress` is told the share that is done. Raises as `acceptance_tests` and `response.measure_responses` do.
     """
     temperatures = tuple(float(t) for t in oil_temperatures)
-    base = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None))
+    base = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None), effects=tuple(effects))
     benches: list[AcceptanceTests] = []
     responses: list[ResponseSet] = []
     for k, temperature in enumerate(temperatures):
@@ -52,7 +54,10 @@ def measure(
                 progress((k + start + part * share) / len(temperatures))
 
         benches.append(
-            acceptance_tests(valve, oil_temperature=temperature, oil=oil, progress=partial(tell, part=0.25, start=0.0))
+            acceptance_tests(
+                valve, oil_temperature=temperature, oil=oil, effects=effects,
+                progress=partial(tell, part=0.25, start=0.0),
+            )  # fmt: skip
         )
         responses += measure_responses(
             base, oil_temperatures=(temperature,), chirp=False, progress=partial(tell, part=0.75, start=0.25)

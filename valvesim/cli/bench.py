@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from valvesim.cli.display import print_table, print_written, progress_bar
-from valvesim.cli.options import output_option, settings_option, temperatures_option
+from valvesim.cli.options import output_option, settings_option, temperatures_option, valve_option
 
 
 @click.command()
@@ -19,10 +19,11 @@ from valvesim.cli.options import output_option, settings_option, temperatures_op
 @click.option("--dead-zone", help="Dead zone of the meter, such as '0.2 L/min' [estimated].")
 @click.option("--rated-current", help="Rated current of the measured valve [the largest in the record].")
 @temperatures_option
+@valve_option
 @settings_option
 def bench(
     output: Path, measured: tuple[Path, ...], kind: str | None, lag: str | None, dead_zone: str | None,
-    rated_current: str | None, oil_temperature: str, settings: tuple[str, ...],
+    rated_current: str | None, oil_temperature: str, valve: str | None, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of measured records.
 
@@ -58,13 +59,13 @@ def bench(
         return
     if given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]:
         raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
-    valve, oil = read_tables(settings)
+    own = read_tables(settings, valve=valve)
     paths: list[Path] = []
     for temperature in parse_list(oil_temperature, "degC", "--oil-temperature"):
         with progress_bar() as bar:
             stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
             result = acceptance_tests(
-                valve, oil_temperature=float(temperature), oil=oil,
+                own.valve, oil_temperature=float(temperature), oil=own.oil, effects=own.effects,
                 progress=lambda share: bar.update(stage, completed=share),  # noqa: B023 - called within this turn
             )  # fmt: skip
         paths += acceptance_report(result, output / f"bench_{temperature:g}_degC.png", date=date.today())

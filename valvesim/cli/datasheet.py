@@ -8,14 +8,15 @@ from pathlib import Path
 import click
 
 from valvesim.cli.display import print_written, progress_bar
-from valvesim.cli.options import output_option, settings_option, temperatures_option
+from valvesim.cli.options import output_option, settings_option, temperatures_option, valve_option
 
 
 @click.command()
 @output_option("results/datasheet")
 @temperatures_option
+@valve_option
 @settings_option
-def datasheet(output: Path, oil_temperature: str, settings: tuple[str, ...]) -> None:
+def datasheet(output: Path, oil_temperature: str, valve: str | None, settings: tuple[str, ...]) -> None:
     """The datasheet of a valve at any oil temperatures: datasheet.html and datasheet.pdf, pictures inside."""
     from valvesim.characterisation.datasheet import measure
     from valvesim.io import check_folder
@@ -23,13 +24,14 @@ def datasheet(output: Path, oil_temperature: str, settings: tuple[str, ...]) -> 
     from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse_list
 
-    valve, oil = read_tables(settings)
+    own = read_tables(settings, valve=valve)
     temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
     check_folder(output)
     with progress_bar() as bar:
         stage = bar.add_task("testing the valve", total=1.0)
         sheet = measure(
-            valve, oil, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
-        )
+            own.valve, own.oil, effects=own.effects, oil_temperatures=temperatures,
+            progress=lambda share: bar.update(stage, completed=share),
+        )  # fmt: skip
         written = datasheet_report(sheet, output, date=date.today())
     print_written(written)

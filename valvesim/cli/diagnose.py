@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from valvesim.cli.display import console, print_written, progress_bar
-from valvesim.cli.options import output_option
+from valvesim.cli.options import output_option, valve_option
 from valvesim.cli.output_folder import all_or_nothing
 
 
@@ -20,7 +20,8 @@ from valvesim.cli.output_folder import all_or_nothing
 @click.option(
     "--effects", "own", multiple=True, type=click.Path(path_type=Path), help="A Python file of your own effects."
 )
-def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...]) -> None:
+@valve_option
+def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...], valve: str | None) -> None:
     """What the simulation gets wrong in a measured SESSION: cause, extended model, gain on hold-out records.
 
     Writes diagnosis.json, report.html with its pictures, extended.toml (a scenario for `valvesim run`) and, where one
@@ -31,7 +32,7 @@ def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...
         from valvesim.diagnosis.diagnose import diagnose as find
         from valvesim.identification.session_toml import load_session
 
-        read = load_session(session, seed=seed, effects=own)
+        read = load_session(session, seed=seed, effects=own, valve=valve)
         found = find(
             read,
             progress=lambda text, share: bar.update(stage, description=text, completed=share),

@@ -20,15 +20,15 @@ def oils(name: str | None, file: Path | None, form: str) -> None:
     from rich.markup import escape
 
     from valvesim.errors import InputError
-    from valvesim.simulation.scenario_toml import Reader
     from valvesim.valve.oils import OILS, property_table, read_oil
+    from valvesim.valve.valve_toml import read_oil_table
 
     if name is not None and file is not None:
         raise InputError("oils: give a NAME or --file, not both")
     if name is None and file is None:
         chosen = [(each, property_table(each, (-40.0, 40.0, 100.0))) for each in OILS.values()]
     else:
-        own = read_oil({"name": name}, "oils") if file is None else Reader(file.parent).oil({"file": file.name})
+        own = read_oil({"name": name}, "oils") if file is None else read_oil_table({"file": file.name}, file.parent)
         chosen = [(own, property_table(own))]
     if form != "table":
         rows = [

@@ -11,6 +11,9 @@ import click
 settings_option = click.option(
     "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Override a figure: valve.null_gap='0.03 mm'."
 )
+valve_option = click.option(
+    "--valve", metavar="FILE", help="A valve file, or a valve of the package by name [the reference valve]."
+)
 temperatures_option = click.option(
     "--oil-temperature", default="20 degC", show_default=True, help="One or more: '20,100,200 degC'."
 )

@@ -9,18 +9,21 @@ from typing import Any
 import click
 
 from valvesim.cli.display import print_table, print_written, progress_bar
-from valvesim.cli.options import output_option, settings_option
+from valvesim.cli.options import output_option, settings_option, valve_option
 
 
 @click.command()
 @click.argument("scenario", type=click.Path(path_type=Path), required=False)
 @output_option("results/response")
 @click.option("--oil-temperature", help="One or more: '20,100,200 degC' [the scenario's own at its start, or 20 degC].")
+@valve_option
 @settings_option
-def response(scenario: Path | None, output: Path, oil_temperature: str | None, settings: tuple[str, ...]) -> None:
+def response(
+    scenario: Path | None, output: Path, oil_temperature: str | None, valve: str | None, settings: tuple[str, ...]
+) -> None:  # fmt: skip
     """Step and frequency response at 25, 40 and 100 % of rated current: figures and pictures.
 
-    Of the reference valve, or of the valve, oil, drive and effects of a SCENARIO.
+    Of the reference valve, of --valve, or of the valve, oil, drive and effects of a SCENARIO.
     """
     from valvesim.characterisation.figure_of_merit import table
     from valvesim.characterisation.response_set import measure_responses
@@ -32,10 +35,10 @@ def response(scenario: Path | None, output: Path, oil_temperature: str | None, s
     from valvesim.units import parse_list
 
     if scenario is None:
-        valve, oil = read_tables(settings)
-        source = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None))
+        own = read_tables(settings, valve=valve)
+        source = Scenario(valve=own.valve, oil=own.oil, effects=own.effects, thermal=Thermal(network=None))
     else:
-        source = load_scenario(scenario, settings=settings)
+        source = load_scenario(scenario, settings=settings, valve=valve)
     check_folder(output)
     given = oil_temperature
     temperatures = None if given is None else parse_list(given, "degC", "--oil-temperature").tolist()

@@ -14,16 +14,19 @@ from typing import Any
 import click
 
 from valvesim.cli.display import console, print_written, progress_bar, titled_table
-from valvesim.cli.options import settings_option
+from valvesim.cli.options import settings_option, valve_option
 
 
 @click.command()
 @click.argument("scenario", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder of the results [results/SCENARIO].")
+@valve_option
 @settings_option
 @click.option("--csv", "with_csv", is_flag=True, help="Write result.csv beside result.nc.")
 @click.option("--no-pictures", is_flag=True, help="Leave the pictures out.")
-def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv: bool, no_pictures: bool) -> None:
+def run(
+    scenario: Path, output: Path | None, valve: str | None, settings: tuple[str, ...], with_csv: bool, no_pictures: bool
+) -> None:  # fmt: skip
     """Simulate a SCENARIO file: a table, result.nc and pictures."""
     from valvesim.characterisation.rest_characteristic import rest_characteristic
     from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift, temperature_varies
@@ -32,7 +35,7 @@ def run(scenario: Path, output: Path | None, settings: tuple[str, ...], with_csv
     from valvesim.simulation.run import simulate
     from valvesim.simulation.scenario_toml import load_scenario
 
-    case = load_scenario(scenario, settings=settings)
+    case = load_scenario(scenario, settings=settings, valve=valve)
     check_channels(case)
     folder = output or Path("results") / scenario.stem
     check_folder(folder)

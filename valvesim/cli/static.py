@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from valvesim.cli.display import console, print_rows, titled_table
-from valvesim.cli.options import format_option, settings_option
+from valvesim.cli.options import format_option, settings_option, valve_option
 
 
 @click.command()
@@ -13,9 +13,12 @@ from valvesim.cli.options import format_option, settings_option
 @click.option("--oil-temperature", required=True, help="One or more: '20,100,270 degC'.")
 @click.option("--routes", help="Only these temperature routes vary: 'flow,mmf'; '' for none [all].")
 @format_option("table", "json", "csv")
+@valve_option
 @settings_option
-def static(current: str, oil_temperature: str, routes: str | None, form: str, settings: tuple[str, ...]) -> None:
-    """Where the reference valve rests, at every current and temperature (isothermal, the paper's TAD solution)."""
+def static(
+    current: str, oil_temperature: str, routes: str | None, form: str, valve: str | None, settings: tuple[str, ...]
+) -> None:  # fmt: skip
+    """Where a valve without effects rests, at every current and temperature (isothermal, the paper's TAD solution)."""
     from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse_list
     from valvesim.valve.coefficients import ROUTES
@@ -24,8 +27,10 @@ def static(current: str, oil_temperature: str, routes: str | None, form: str, se
     currents = parse_list(current, "A", "--current")
     temperatures = parse_list(oil_temperature, "degC", "--oil-temperature")
     chosen = ROUTES if routes is None else tuple(name.strip() for name in routes.split(",") if name.strip())
-    valve, oil = read_tables(settings)
-    rest = static_solution(valve, current=currents[:, None], temperature=temperatures, routes=chosen, oil=oil)
+    own = read_tables(settings, valve=valve)
+    rest = static_solution(
+        own.valve, current=currents[:, None], temperature=temperatures, routes=chosen, oil=own.oil
+    )
     fields = {
         "current_A": rest.current, "oil_temperature_degC": rest.temperature, "armature_angle_rad": rest.armature_angle,
         "spool_position_m": rest.spool_position, "pilot_differential_pressure_Pa": rest.pilot_differential_pressure,

@@ -29,12 +29,11 @@ from valvesim.identification.record_audit import (
 )
 from valvesim.identification.record_csv import even_clock, read_values
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session
-from valvesim.io import check_printable, located, read_toml
-from valvesim.simulation.command_toml import check_known
-from valvesim.simulation.scenario_toml import Reader, check_tables, read_names, read_valve
-from valvesim.units import parse, quantities
-from valvesim.valve.effect_files import load_effects_files
-from valvesim.valve.parameters import REFERENCE_TEMPERATURE, Valve
+from valvesim.io import check_known, check_printable, check_tables, located, read_toml
+from valvesim.simulation.scenario_toml import Reader, valve_argument
+from valvesim.units import parse
+from valvesim.valve.parameters import REFERENCE_TEMPERATURE
+from valvesim.valve.valve_toml import read_tolerance
 
 _TABLES = ("valve", "oil", "thermal", "effects", "tolerances", "sensors")
 _ROLES = ("train", "test")
@@ -45,11 +44,13 @@ def load_session(
     *,
     seed: int | None = None,
     effects: Sequence[str | Path] = (),
+    valve: str | Path | None = None,
     options: IdentificationOptions = DEFAULT_IDENTIFICATION,
 ) -> Session:
     """Read a session folder and audit it.
 
-    `seed` takes the place of the session's own; `effects` are further files of a user's own effects.
+    `seed` and `valve` (a valve file or a preset's name) take the place of the session's own; `effects` are further
+    files of a user's own effects.
 
     Raises InputError (file, line, key) for a missing or broken `session.toml`, unknown keys, and records that make no
     sense: see the module's tests for every case.
@@ -57,6 +58,8 @@ def load_session(
     folder = Path(folder)
     path = folder / "session.toml"
     text, table = read_toml(path, "a session is a folder with session.toml and CSV records")
+    if valve is not None:
+        table["valve"] = valve_argument(valve)
     with located(path, text, document="session"):
         session = _settings(folder, table, tuple(Path(file).absolute() for file in effects))
         if seed is not None:
@@ -86,27 +89,26 @@ def _settings(folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...
     """Everything in `session.toml` but sensors and records, with more files of effects."""
     reader = Reader(folder)
     check_known(table, ("title", "seed", "effects_files", "records", *_TABLES), "session")
-    check_tables(table, _TABLES)
+    check_tables(table, _TABLES[1:])
     title = table.get("title", folder.resolve().name)
     check_printable(title, "title")
     if "oil_temperature" in table.get("thermal", {}):
         problem = "comes from the records (column 'oil_temperature [degC]')"
         raise InputError(problem, key="thermal.oil_temperature")
-    valve = read_valve(table.get("valve", {}))
-    named = read_names(table.get("effects_files", []), "effects_files", "file")
-    files: tuple[str | Path, ...] = (*named, *more_effects)
-    own = load_effects_files(folder, files)
+    described = reader.valve(table, more_effects)
+    listed = table.get("tolerances", {})
+    stated = {n: read_tolerance(described.valve, n, text, f"tolerances.{n}") for n, text in listed.items()}
     return Session(
         folder=folder,
         title=title,
         seed=_seed(table.get("seed", 0)),
-        valve=valve,
-        oil=reader.oil(table.get("oil", {})),
+        valve=described.valve,
+        oil=described.oil,
         thermal=reader.thermal(table.get("thermal", {})),
-        effects=reader.effects(table.get("effects", {}), own),
-        user_effects=own,
-        effects_files=tuple(folder.absolute() / file for file in files),
-        tolerances={name: _tolerance(valve, name, text) for name, text in table.get("tolerances", {}).items()},
+        effects=described.effects,
+        user_effects=described.own,
+        effects_files=described.effects_files,
+        tolerances=dict(described.tolerances) | stated,
         sensors={},
         records=(),
         notes=(),
@@ -117,24 +119,6 @@ def _seed(given: Any) -> int:
     if isinstance(given, bool) or not isinstance(given, int) or given < 0:
         raise InputError(f"expected a whole number, 0 or more, got {given!r}", key="seed")
     return given
-
-
-def _tolerance(valve: Valve, name: str, text: Any) -> float:
-    """The half-width of a valve parameter in SI, from a share of its value or a quantity."""
-    declared, where = quantities(valve), f"tolerances.{name}"
-    if name not in declared:
-        raise unknown_name("valve parameter", name, declared, "tolerances")
-    if isinstance(text, str) and text.rstrip().endswith("%"):
-        size = abs(getattr(valve, name))
-        if size == 0.0:
-            unit = declared[name].metadata["unit"]
-            raise InputError(f"{name} is zero, so a share of it is nothing; give an absolute one in {unit}", key=where)
-        half_width = parse(text, "1", where) * size
-    else:
-        half_width = parse(text, declared[name].metadata["unit"], where)
-    if half_width <= 0.0:
-        raise InputError(f"{text!r} must be positive", key=where)
-    return half_width
 
 
 def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:

@@ -36,7 +36,9 @@ class TitleBlock:
 
 
 def valve_name(valve: Valve) -> str:
-    """The valve in words: the reference valve, with what differs from it where that is little."""
+    """The valve in words: its name, or the reference valve with what differs from it where that is little."""
+    if valve.name:
+        return valve.name
     reference, changes = reference_valve(), []
     for name, field_ in quantities(valve).items():
         value = getattr(valve, name)

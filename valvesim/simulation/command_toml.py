@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from valvesim.errors import InputError, unknown_name
 from valvesim.inputs import COMMANDS, VALUE, Command, Constant, Sum, Table, read_table
+from valvesim.io import check_known
 from valvesim.units import exact_text, out_of_range, parse, parse_list, quantities
 
 TABLE, SUM = "table", "sum"
@@ -48,13 +49,6 @@ def read_command(given: Any, unit: str, where: str, *, column: str, folder: Path
     if len(terms) > 1:
         check_levels(given, unit, where)
     return terms[0] if len(terms) == 1 else Sum(tuple(terms))
-
-
-def check_known(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:
-    """InputError for the first key of a table that is not one of `names`."""
-    for name in table:
-        if name not in names:
-            raise unknown_name("key", name, names, where)
 
 
 def read_switch(value: Any, where: str) -> bool:

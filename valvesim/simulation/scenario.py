@@ -6,10 +6,8 @@ Keys in errors are those of a scenario file (`scenario_toml`).
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +16,7 @@ from valvesim.inputs import PIECE_WIDTH, Command, Constant, Scaled, Sum, evaluat
 from valvesim.io import check_printable
 from valvesim.units import POSITIVE, check_bounds, quantities, quantity
 from valvesim.valve.coefficients import ROUTES, check_routes
-from valvesim.valve.effect import ActiveEffect
+from valvesim.valve.effect import ActiveEffect, check_listed_once
 from valvesim.valve.equations import CurrentDrive, Drive, Model
 from valvesim.valve.fluid import COMPUTED_RANGE, MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
@@ -209,25 +207,3 @@ class Scenario:
                 f"command: up to {top * 1e3:.4g} mA (t = {when:.4g} s) is beyond the rated current of "
                 f"{np.min(rated) * 1e3:.4g} mA; spool and flapper may reach their stops"
             )
-
-
-MOST_ON_A_CHANNEL = 8  # sensor effects of one name: a stated error, what a diagnosis adds, and some more
-
-
-def check_listed_once(effects: Sequence[ActiveEffect]) -> None:
-    """InputError for an effect that acts twice in one place, where its figures (and states) would be lost or mixed.
-
-    The place is its `side` where it has one. Effects on a sensor act one after the other, as one that a diagnosis finds
-    beside a stated one does: up to `MOST_ON_A_CHANNEL` of a name on a channel.
-    """
-    seen: Counter[tuple[Any, ...]] = Counter()
-    for active in effects:
-        one, side = active.effect, getattr(active.values, "side", None)
-        place = (one.name, one.channel, None if side is None else np.asarray(side, dtype=float).tobytes())
-        seen[place] += 1
-        if one.reading is not None and seen[place] > MOST_ON_A_CHANNEL:
-            problem = f"acts more than {MOST_ON_A_CHANNEL} times on {one.channel}"
-            raise InputError(problem, key=f"effects.{one.name}")
-        if one.reading is None and seen[place] > 1:
-            where = "" if side is None else f" on side {side:g}"
-            raise InputError(f"acts twice{where}; give it once", key=f"effects.{one.name}")

@@ -13,24 +13,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from valvesim.errors import InputError, unknown_name
+from valvesim.errors import InputError
 from valvesim.inputs import Command
-from valvesim.io import DEEPEST, MOST_TEXT, located, read_toml
-from valvesim.simulation.command_toml import TABLE, check_known, command_entries, read_command, read_switch
-from valvesim.simulation.scenario import Scenario, Thermal, check_listed_once
+from valvesim.io import DEEPEST, MOST_TEXT, check_known, check_tables, located, read_names, read_toml
+from valvesim.simulation.command_toml import TABLE, command_entries, read_command, read_switch
+from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.units import change, exact_text, parse, quantities
-from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.coefficients import ROUTES, check_routes
-from valvesim.valve.effect import ActiveEffect, Effect
+from valvesim.valve.effect import Effect, check_listed_once
 from valvesim.valve.effect_files import load_effects_files
 from valvesim.valve.equations import DRIVES
-from valvesim.valve.flow_coefficients import FLOW_LAWS
-from valvesim.valve.fluid import Oil
-from valvesim.valve.oils import OILS, own_columns, read_oil
-from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import NODES, ThermalNetwork
+from valvesim.valve.valve_file import PRESETS, ValveFile, read_valve_entry
+from valvesim.valve.valve_toml import (
+    add_effects,
+    add_section,
+    differing,
+    oil_lines,
+    on_lines,
+    on_one_line,
+    read_effects,
+    read_oil_table,
+    valve_lines,
+)
 
 PRESSURES = ("supply", "return", "load")
 SECTIONS = ("valve", "oil", "thermal", "command", "pressures", "effects", "outputs", "solver")
@@ -44,50 +49,38 @@ _THERMAL_KEYS = (
 # ---------------------------------------------------------------- reading
 
 
-def load_scenario(path: str | Path, *, settings: Sequence[str] = ()) -> Scenario:
+def load_scenario(path: str | Path, *, settings: Sequence[str] = (), valve: str | Path | None = None) -> Scenario:
     """Read a scenario file; `settings` such as `valve.null_gap=0.03 mm` override or add keys.
 
-    Raises InputError for a missing file, broken TOML, or any key or figure that makes no sense.
+    `valve` (a valve file or a preset's name) takes the place of the file's own. Raises InputError for a missing file,
+    broken TOML, or any key or figure that makes no sense.
     """
     path = Path(path)
     text, table = read_toml(path)
+    if valve is not None:
+        table["valve"] = valve_argument(valve)
     for setting in settings:
         _override(table, setting)
     with located(path, text, document="scenario", settings=settings):
         return Reader(path.parent).scenario(table)
 
 
-def read_tables(settings: Sequence[str]) -> tuple[Valve, Oil]:
-    """The reference valve and oil with settings such as `valve.null_gap=0.03 mm`; nothing else may be set."""
-    table: dict[str, Any] = {}
+def read_tables(settings: Sequence[str], *, valve: str | Path | None = None) -> ValveFile:
+    """The reference valve, or that of a valve file or preset, with settings such as `valve.null_gap=0.03 mm`.
+
+    Settings are of `valve`, `oil` and `effects`; nothing else may be set.
+    """
+    table: dict[str, Any] = {} if valve is None else {"valve": valve_argument(valve)}
     for setting in settings:
         _override(table, setting)
-    check_known(table, ("valve", "oil"), "--set")
-    return read_valve(table.get("valve", {})), Reader(Path()).oil(table.get("oil", {}))
+    check_known(table, ("valve", "oil", "effects"), "--set")
+    check_tables(table, ("oil", "effects"))
+    return Reader(Path()).valve(table)
 
 
-def read_valve(table: Mapping[str, Any]) -> Valve:
-    """The reference valve with figures from a table; `flow_law` names the law of the pilot's flow coefficients."""
-    figures = dict(table)
-    law = figures.pop("flow_law", "yan_2019")
-    if law not in FLOW_LAWS:
-        raise unknown_name("flow law", str(law), FLOW_LAWS, "valve.flow_law")
-    return dataclasses.replace(change(Valve(), figures, "valve"), flow_coefficients=FLOW_LAWS[law])
-
-
-def check_tables(table: Mapping[str, Any], names: Sequence[str]) -> None:
-    """InputError for a section that is no table; the effects may be a list of tables."""
-    for name in names:
-        given = table.get(name, {})
-        if not isinstance(given, dict) and not (name == "effects" and isinstance(given, list)):
-            raise InputError(f"expected a table, got {given!r}", key=name)
-
-
-def read_names(given: Any, where: str, what: str) -> tuple[str, ...]:
-    """InputError unless `given` is a list of text; `what` they are the names of."""
-    if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
-        raise InputError(f"expected a list of {what} names, got {given!r}", key=where)
-    return tuple(given)
+def valve_argument(valve: str | Path) -> dict[str, str]:
+    """The table `valve` for a valve file or preset that a caller names, whatever folder its document is in."""
+    return {"file": str(valve) if str(valve) in PRESETS else str(Path(valve).absolute())}
 
 
 def _override(table: dict[str, Any], setting: str) -> None:
@@ -95,6 +88,8 @@ def _override(table: dict[str, Any], setting: str) -> None:
     names = [name.strip() for name in key.split(".")]
     if not equals or not all(names):
         raise InputError("expected KEY=VALUE, such as valve.null_gap='0.03 mm'", setting=setting)
+    if names[0] == "valve" and len(names) > 1 and isinstance(table.get("valve"), str):
+        table["valve"] = {"file": table["valve"]}
     for name in names[:-1]:
         table = table.setdefault(name, {})
         if not isinstance(table, dict):
@@ -116,7 +111,7 @@ class Reader:
     def scenario(self, table: dict[str, Any]) -> Scenario:
         """The scenario of a whole file."""
         check_known(table, ("title", "duration", "effects_files", *SECTIONS), "scenario")
-        check_tables(table, SECTIONS)
+        check_tables(table, SECTIONS[1:])
         if "duration" not in table:
             raise InputError("duration is missing, such as duration = '1 s'")
         thermal = dict(table.get("thermal", {}))
@@ -128,7 +123,7 @@ class Reader:
             raise InputError("give either [command.current] or [command.voltage]", key="command")
         ((drive, command),) = commands.items()
         check_known(pressures, PRESSURES, "pressures")
-        valve = read_valve(table.get("valve", {}))
+        valve = self.valve(table)
         check_known(outputs, ("rate", "channels"), "outputs")
         check_known(solver, ("tolerance",), "solver")
         options: dict[str, Any] = {}
@@ -147,12 +142,12 @@ class Reader:
         try:
             return Scenario(
                 title=table.get("title", "valve"),
-                valve=valve,
-                oil=self.oil(table.get("oil", {})),
+                valve=valve.valve,
+                oil=valve.oil,
                 thermal=self.thermal(thermal),
                 command=self.command(command, DRIVES[drive].command_unit, f"command.{drive}", drive),
                 drive=DRIVES[drive],
-                effects=self.effects(table.get("effects", {}), self.own_effects(table)),
+                effects=valve.effects,
                 channels=read_names(outputs.get("channels", []), "outputs.channels", "channel"),
                 **options,
             )
@@ -165,22 +160,21 @@ class Reader:
         """A command of this file, see `read_command`."""
         return read_command(given, unit, where, column=column, folder=self.folder)
 
-    def oil(self, table: dict[str, Any]) -> Oil:
-        """The oil of a table, or of the file that it names; keys beside `file` take the place of the file's."""
-        if "file" not in table:
-            return read_oil(table)
-        name = table["file"]
-        if not isinstance(name, str) or not name:
-            raise InputError(f"expected the name of a TOML file, got {name!r}", key="oil.file")
-        path = self.folder / name
-        try:
-            text, own = read_toml(path, "oil.file names it")
-            whole = set(own) == {"oil"} and isinstance(own["oil"], dict)
-            with located(path, text):
-                read_oil(own["oil"] if whole else own, "oil" if whole else "")
-        except InputError as error:
-            raise InputError(str(error), key="oil.file") from None
-        return read_oil((own["oil"] if whole else own) | {key: table[key] for key in table if key != "file"})
+    def valve(self, table: Mapping[str, Any], more_effects: Sequence[Path] = ()) -> ValveFile:
+        """The valve of a document, with its oil and effects: of a valve file that it names, and of its own sections.
+
+        An oil of the document takes the place of the valve file's; its effects act beside that file's. `more_effects`
+        are further files of a user's own effects.
+        """
+        named = read_valve_entry(table.get("valve", {}), self.folder)
+        files = read_names(table.get("effects_files", []), "effects_files", "file")
+        paths = (*named.effects_files, *map(Path, files), *more_effects)
+        own = load_effects_files(self.folder, paths)
+        absolute = tuple(self.folder.absolute() / path for path in paths)
+        effects = (*named.effects, *read_effects(table.get("effects", {}), own))
+        check_listed_once(effects)
+        oil = read_oil_table(table["oil"], self.folder) if "oil" in table else named.oil
+        return dataclasses.replace(named, oil=oil, effects=effects, effects_files=absolute, own=own)
 
     def thermal(self, table: dict[str, Any]) -> Thermal:
         """How the parts follow the oil; the temperature of the oil itself has been taken out of the table."""
@@ -212,44 +206,6 @@ class Reader:
             check_known(given, NODES, where)
             return {name: parse(text, "degC", f"{where}.{name}") for name, text in given.items()}
         return None if given is None else parse(given, "degC", where)
-
-    def own_effects(self, table: dict[str, Any]) -> tuple[Effect, ...]:
-        """The user's own effects, of the files that the top-level key `effects_files` names."""
-        files = read_names(table.get("effects_files", []), "effects_files", "file")
-        return load_effects_files(self.folder, files)
-
-    def effects(self, given: Any, own: Sequence[Effect] = ()) -> tuple[ActiveEffect, ...]:
-        """The active effects, of the catalogue or the user's own: a table by name, or a list of tables with `name`.
-
-        A table by name holds one of them or, as [[effects.sensor_bias]], several; a list keeps any order.
-        """
-        active, known = [], CATALOGUE | {effect.name: effect for effect in own}
-        for name, figures, where, key in _listed_effects(given):
-            if name not in known:
-                raise unknown_name("effect", name, known, key)
-            if not isinstance(figures, dict):
-                raise InputError(f"expected a table of its parameters, got {figures!r}", key=where)
-            active.append(known[name].read(figures, where))
-        check_listed_once(active)
-        return tuple(active)
-
-
-def _listed_effects(given: Any) -> list[tuple[str, Any, str, str]]:
-    """(name, figures, key, key of the name) of each effect of the section."""
-    if isinstance(given, dict):
-        return [
-            (name, one, f"effects.{name}.{k}" if isinstance(figures, list) and len(figures) > 1 else f"effects.{name}",
-             "effects")
-            for name, figures in given.items()
-            for k, one in enumerate(figures if isinstance(figures, list) else [figures], start=1)
-        ]  # fmt: skip
-    listed = []
-    for k, one in enumerate(given, start=1):
-        where = f"effects.{k}"
-        if not isinstance(one, dict) or not isinstance(one.get("name"), str):
-            raise InputError(f"expected a table with the name of an effect, got {one!r}", key=where)
-        listed.append((one["name"], {key: one[key] for key in one if key != "name"}, where, f"{where}.name"))
-    return listed
 
 
 # ---------------------------------------------------------------- writing
@@ -299,102 +255,25 @@ def scenario_document(
     document.add("duration", exact_text(scenario.duration, "s"))
     if effects_files:
         document.add("effects_files", list(effects_files))
-    _add(document, "valve", _valve_lines(scenario.valve))
-    _add(document, "oil", _oil_lines(scenario.oil))
-    thermal = _add(document, "thermal", _thermal_lines(scenario.thermal), always=True)
-    _add(thermal, "oil_temperature", _inline(write(scenario.oil_temperature, "degC", "thermal.oil_temperature")))
+    add_section(document, "valve", valve_lines(scenario.valve))
+    add_section(document, "oil", oil_lines(scenario.oil))
+    thermal = add_section(document, "thermal", _thermal_lines(scenario.thermal), always=True)
+    oil_temperature = write(scenario.oil_temperature, "degC", "thermal.oil_temperature")
+    add_section(thermal, "oil_temperature", on_lines(oil_temperature))
     commands = tomlkit.table(is_super_table=True)
     where = f"command.{drive.command_name}"
-    _add(commands, drive.command_name, _inline(write(scenario.command, drive.command_unit, where)))
+    add_section(commands, drive.command_name, on_lines(write(scenario.command, drive.command_unit, where)))
     document.add(tomlkit.nl())
     document.add("command", commands)
     given = {name: getattr(scenario, f"{name}_pressure") for name in PRESSURES}
     pressures = {name: write(each, "Pa", f"pressures.{name}") for name, each in given.items() if each is not None}
-    _add(document, "pressures", _inline(pressures))
-    _add_effects(document, scenario.effects, own)
+    add_section(document, "pressures", on_lines(pressures))
+    add_effects(document, scenario.effects, own)
     outputs: dict[str, Any] = {"rate": exact_text(scenario.output_rate, "Hz")}
-    _add(document, "outputs", outputs | ({"channels": list(scenario.channels)} if scenario.channels else {}))
+    add_section(document, "outputs", outputs | ({"channels": list(scenario.channels)} if scenario.channels else {}))
     if scenario.tolerance != defaults["tolerance"]:
-        _add(document, "solver", {"tolerance": float(scenario.tolerance)})
+        add_section(document, "solver", {"tolerance": float(scenario.tolerance)})
     return document
-
-
-def _add(parent: Any, name: str, lines: Mapping[str, Any], *, always: bool = False) -> Any:
-    """A section with its lines, of which a pair is a value with its comment; none where there is nothing to say."""
-    import tomlkit
-
-    section = tomlkit.table()
-    for key, value in lines.items():
-        value, comment = value if isinstance(value, tuple) else (value, "")
-        section.add(key, value)
-        if comment:
-            section[key].comment(comment)
-    if lines or always:
-        if len(parent):
-            parent.add(tomlkit.nl())
-        parent.add(name, section)
-    return section
-
-
-def _inline(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables within a section, each on a line of its own."""
-    return {key: _on_one_line(value) for key, value in entries.items()}
-
-
-def _on_one_line(value: Any) -> Any:
-    import tomlkit
-
-    if isinstance(value, dict):
-        line = tomlkit.inline_table()
-        for key, inner in value.items():
-            line.append(key, _on_one_line(inner))
-        return line
-    if isinstance(value, list):
-        several = tomlkit.array()
-        for inner in value:
-            several.append(_on_one_line(inner))
-        return several
-    return value
-
-
-def _differing(instance: Any, reference: Any, where: str) -> dict[str, Any]:
-    """Each quantity that differs from the reference, with how far it does."""
-    lines: dict[str, Any] = {}
-    for name, declared in quantities(reference).items():
-        if np.ndim(getattr(instance, name)):
-            raise InputError(
-                "is an array, a batch of valves: a scenario file holds one", key=f"{where}.{name}", joint=" "
-            )
-        value, usual = float(getattr(instance, name)), float(getattr(reference, name))
-        if value != usual:
-            unit = declared.metadata["unit"]
-            by = f"{100.0 * (value / usual - 1.0):+.3g} %" if usual and unit != "degC" else ""
-            lines[name] = (exact_text(value, unit), by)
-    return lines
-
-
-def _valve_lines(valve: Valve) -> dict[str, Any]:
-    law = next((name for name, law in FLOW_LAWS.items() if law is valve.flow_coefficients), None)
-    if law is None:
-        problem = f"the valve has a law of its own; a scenario knows {', '.join(FLOW_LAWS)}"
-        raise InputError(problem, key="valve.flow_law")
-    named = {} if FLOW_LAWS[law] is Valve().flow_coefficients else {"flow_law": law}
-    return named | _differing(valve, Valve(), "valve")
-
-
-def _oil_lines(oil: Oil) -> dict[str, Any]:
-    own = OILS.get(oil.name)
-    columns: dict[str, Any] = {"name": oil.name}
-    if own is None or own.viscosity_law != oil.viscosity_law:
-        columns |= dict(own_columns(oil))
-    read = read_oil(columns)
-    lines = columns | _differing(oil, read, "oil")
-    figures = {name: getattr(oil, name) for name in quantities(oil)}
-    if dataclasses.replace(read, **figures) != oil:
-        raise InputError(
-            f"{oil.name!r} has laws that no table holds; a scenario knows {', '.join(OILS)}", key="oil.name"
-        )
-    return lines
 
 
 def _thermal_lines(thermal: Thermal) -> dict[str, Any]:
@@ -405,59 +284,8 @@ def _thermal_lines(thermal: Thermal) -> dict[str, Any]:
         lines["throttling_heat"] = True
     initial = thermal.initial_temperature
     if isinstance(initial, Mapping):
-        lines["initial_temperature"] = _on_one_line({name: exact_text(t, "degC") for name, t in initial.items()})
+        lines["initial_temperature"] = on_one_line({name: exact_text(t, "degC") for name, t in initial.items()})
     elif initial is not None:
         lines["initial_temperature"] = exact_text(initial, "degC")
-    lines |= _differing(thermal, Thermal(), "thermal")
-    return lines if thermal.network is None else lines | _differing(thermal.network, ThermalNetwork(), "thermal")
-
-
-def _add_effects(document: Any, effects: Sequence[ActiveEffect], own: Sequence[Effect]) -> None:
-    """The effects: by name where that keeps their order, else as a list."""
-    import tomlkit
-
-    known = CATALOGUE | {effect.name: effect for effect in own}
-    for active in effects:
-        effect, channel = known.get(active.effect.name), active.effect.channel
-        if effect is None or (effect.on(channel) if channel and effect.reading else effect) != active.effect:
-            problem = "comes from no file that a scenario could name (effects_files)"
-            raise InputError(problem, key=f"effects.{active.effect.name}")
-    names = [active.effect.name for active in effects]
-    if sorted(names, key=names.index) != names:
-        listed = tomlkit.aot()
-        for active in effects:
-            listed.append(_table({"name": active.effect.name} | _effect_lines(active)))
-        document.add(tomlkit.nl())
-        document.add("effects", listed)
-        return
-    section = tomlkit.table(is_super_table=True)
-    for name in dict.fromkeys(names):
-        several = [active for active in effects if active.effect.name == name]
-        if len(several) == 1 and not several[0].effect.channel:
-            _add(section, name, _effect_lines(several[0]))
-            continue
-        listed = tomlkit.aot()
-        for active in several:
-            listed.append(_table(_effect_lines(active)))
-        if len(section):
-            section.add(tomlkit.nl())
-        section.add(name, listed)
-    if effects:
-        document.add(tomlkit.nl())
-        document.add("effects", section)
-
-
-def _table(lines: Mapping[str, Any]) -> Any:
-    import tomlkit
-
-    table = tomlkit.table()
-    for key, value in lines.items():
-        table.add(key, value)
-    return table
-
-
-def _effect_lines(active: ActiveEffect) -> dict[str, Any]:
-    effect = active.effect
-    figures = zip(effect.parameters, active.numbers, strict=True)
-    lines = {parameter.name: exact_text(value, parameter.unit) for parameter, value in figures}
-    return ({"channel": effect.channel} if effect.channel else {}) | lines
+    lines |= differing(thermal, Thermal(), "thermal")
+    return lines if thermal.network is None else lines | differing(thermal.network, ThermalNetwork(), "thermal")

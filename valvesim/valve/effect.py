@@ -9,8 +9,8 @@ their bounds, and the neutral value at which it vanishes. A user's effect is an 
 from __future__ import annotations
 
 import functools
-from collections import namedtuple
-from collections.abc import Callable, Iterator
+from collections import Counter, namedtuple
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -225,3 +225,25 @@ class ActiveEffect:
     def values(self) -> Any:
         """The parameters by name."""
         return self.effect.values(self.numbers)
+
+
+MOST_ON_A_CHANNEL = 8  # sensor effects of one name: a stated error, what a diagnosis adds, and some more
+
+
+def check_listed_once(effects: Sequence[ActiveEffect]) -> None:
+    """InputError for an effect that acts twice in one place, where its figures (and states) would be lost or mixed.
+
+    The place is its `side` where it has one. Effects on a sensor act one after the other, as one that a diagnosis finds
+    beside a stated one does: up to `MOST_ON_A_CHANNEL` of a name on a channel.
+    """
+    seen: Counter[tuple[Any, ...]] = Counter()
+    for active in effects:
+        one, side = active.effect, getattr(active.values, "side", None)
+        place = (one.name, one.channel, None if side is None else np.asarray(side, dtype=float).tobytes())
+        seen[place] += 1
+        if one.reading is not None and seen[place] > MOST_ON_A_CHANNEL:
+            problem = f"acts more than {MOST_ON_A_CHANNEL} times on {one.channel}"
+            raise InputError(problem, key=f"effects.{one.name}")
+        if one.reading is None and seen[place] > 1:
+            where = "" if side is None else f" on side {side:g}"
+            raise InputError(f"acts twice{where}; give it once", key=f"effects.{one.name}")

@@ -12,7 +12,7 @@ Side 1 is the nozzle that positive current closes. A difference between sides is
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -173,6 +173,7 @@ class Valve:
     return_pressure: float = quantity(0.5e6, "Pa", "p_0 behind the nozzles", (0.0, 1e8), "model.md 5")
     load_pressure: float = quantity(0.0, "Pa", "p_L across the load", (-1e8, 1e8), "model.md 5")
     flow_coefficients: FlowLaw = flow_coefficients_yan_2019
+    name: str = field(default="", compare=False)  # of a valve that has one: pages and pictures are marked with it
 
     def __post_init__(self):
         check_bounds(self)
