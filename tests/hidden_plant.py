@@ -279,10 +279,10 @@ def _rates(t, y, u, supply, back, load, c, k, at_step, stops, dy, flows):
 
 
 @njit(cache=True)
-def _integrate(y, command, rate, supply, back, load, table, now, view, knobs, each, stride, out):
+def _integrate(y, command, rate, supply, ripple, back, load, table, now, view, knobs, each, stride, out):
     """Runge-Kutta on `y` in place: `each` steps to a sample of the command (straight in between), `out` every `stride`.
 
-    `table` holds the figures in one row, or in one for each sample; `now` is room for those of a step, `view` the same
+    `ripple` (amplitude Pa, frequency Hz, phase) comes upon the supply, constant over a step. `table` holds the figures in one row, or in one for each sample; `now` is room for those of a step, `view` the same
     room as an array.
     """
     n, h = len(command), 1.0 / rate / each
@@ -298,20 +298,21 @@ def _integrate(y, command, rate, supply, back, load, table, now, view, knobs, ea
                 view[j] = table[sample, j] + share * (table[sample + 1, j] - table[sample, j])
         t, slope = step * h, (command[sample + 1] - command[sample]) / each
         u = command[sample] + slope * (step - sample * each)
-        _rates(t, y, u, supply, back, load, c, k, at_step, stops, k1, flows)
+        now_supply = supply + ripple[0] * math.sin(2.0 * math.pi * ripple[1] * t + ripple[2])
+        _rates(t, y, u, now_supply, back, load, c, k, at_step, stops, k1, flows)
         if step % stride == 0:
             row = step // stride
             out[row, 0], out[row, 1], out[row, 2], out[row, 3] = y[0], y[2], y[3], y[4]
             out[row, 4], out[row, 5], out[row, 6] = flows[0], flows[1], y[6]
         for j in range(STATES):
             trial[j] = y[j] + 0.5 * h * k1[j]
-        _rates(t + 0.5 * h, trial, u + 0.5 * slope, supply, back, load, c, k, at_step, stops, k2, flows)
+        _rates(t + 0.5 * h, trial, u + 0.5 * slope, now_supply, back, load, c, k, at_step, stops, k2, flows)
         for j in range(STATES):
             trial[j] = y[j] + 0.5 * h * k2[j]
-        _rates(t + 0.5 * h, trial, u + 0.5 * slope, supply, back, load, c, k, at_step, stops, k3, flows)
+        _rates(t + 0.5 * h, trial, u + 0.5 * slope, now_supply, back, load, c, k, at_step, stops, k3, flows)
         for j in range(STATES):
             trial[j] = y[j] + h * k3[j]
-        _rates(t + h, trial, u + slope, supply, back, load, c, k, at_step, stops, k4, flows)
+        _rates(t + h, trial, u + slope, now_supply, back, load, c, k, at_step, stops, k4, flows)
         for j in range(STATES):
             y[j] += h / 6.0 * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j])
         y[9], y[10] = _clamp(y[9], k.bristle), _clamp(y[10], 1.0)
@@ -337,6 +338,7 @@ class Run:
     load: float
     role: str = "train"
     repeats: str = ""
+    ripple: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the supply: Pa, Hz, phase
 
     @property
     def time(self) -> np.ndarray:
@@ -373,6 +375,7 @@ class Case:
     unit: Mapping[str, float]
     drive: str = "current"
     isothermal: bool = True
+    network: ThermalNetwork = field(default_factory=ThermalNetwork)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -836,7 +839,7 @@ def _parts(case: Case, run: Run, lag: float) -> dict[str, np.ndarray]:
     oil = run.oil
     if case.isothermal or np.ptp(oil) == 0.0 and abs(oil[0] - 20.0) < 1e-9:
         return dict.fromkeys(PART_NAMES, oil)
-    network, nodes, h = ThermalNetwork(), [name for name in PART_NAMES if name != "oil"], 1.0 / run.rate
+    network, nodes, h = case.network, [name for name in PART_NAMES if name != "oil"], 1.0 / run.rate
     A, b_oil, b_air = np.zeros((len(nodes), len(nodes))), np.zeros(len(nodes)), np.zeros(len(nodes))
     for name in (each.name for each in fields(network)):
         here, _, there = name.partition("_to_")
@@ -921,10 +924,10 @@ def _simulate(case: Case, run: Run, hidden: list[tuple[str, dict[str, Any]]]) ->
     settle = np.full(int(0.06 * run.rate) + 1, command[0])
     scratch = np.empty((len(settle) * each // stride + 1, len(RECORDED)))
     room = (now, now.view(float))
-    _integrate(y, settle, run.rate, run.supply, back, run.load, free, *room, quiet, each, stride, scratch)
+    _integrate(y, settle, run.rate, run.supply, (0.0, 0.0, 0.0), back, run.load, free, *room, quiet, each, stride, scratch)
     y[9], y[10], y[11] = 0.0, 0.0, 1.0
     out = np.empty(((len(command) - 1) * each // stride, len(RECORDED)))
-    _integrate(y, command, run.rate, run.supply, back, run.load, table, *room, knobs, each, stride, out)
+    _integrate(y, command, run.rate, run.supply, run.ripple, back, run.load, table, *room, knobs, each, stride, out)
     return np.arange(len(out)) * stride * step, out
 
 
@@ -1028,6 +1031,11 @@ _INPUT_UNITS = {
 
 def write_session(case: Case, folder: str | Path, strength: float = 1.0) -> None:
     """Write session.toml and one CSV for each record; nothing in them tells what is hidden."""
+    write_files(case, noisy(case, strength), folder)
+
+
+def write_files(case: Case, written: list[dict[str, np.ndarray]], folder: str | Path) -> None:
+    """A session.toml and one CSV for each record, of columns in SI; NaN is an empty cell."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     lines = ['title = "Bench session"', "", "[thermal]", f"isothermal = {str(case.isothermal).lower()}"]
@@ -1038,14 +1046,15 @@ def write_session(case: Case, folder: str | Path, strength: float = 1.0) -> None
             lines.append(f'noise = "{meter.noise * factor:.6g} {unit}"')
         if meter.lag > 0.0:
             lines.append(f'lag = "{meter.lag * 1e3:.6g} ms"')
-    for run, record in zip(case.runs, noisy(case, strength), strict=True):
+    for run, record in zip(case.runs, written, strict=True):
         lines += ["", "[[records]]", f'file = "{run.name}.csv"', f'role = "{run.role}"']
         if run.repeats:
             lines.append(f'repeats = "{run.repeats}"')
         units = {name: UNITS.get(name) or _INPUT_UNITS[name] for name in record}
         header = ",".join(f"{name} [{unit}]" for name, (unit, _) in units.items())
         columns = np.column_stack([record[name] * factor for name, (_, factor) in units.items()])
-        np.savetxt(folder / f"{run.name}.csv", columns, "%.10g", ",", header=header, comments="")
+        rows = [",".join("" if np.isnan(value) else f"{value:.10g}" for value in row) for row in columns]
+        (folder / f"{run.name}.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
     (folder / "session.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

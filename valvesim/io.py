@@ -11,7 +11,7 @@ import tempfile
 import tomllib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from itertools import chain
@@ -202,10 +202,12 @@ def split_heading(text: str) -> tuple[str, str] | None:
     return name.strip(), unit
 
 
-def read_columns(path: Path, wanted: dict[str, str], *, most_rows: int = MOST_ROWS) -> dict[str, np.ndarray]:
+def read_columns(
+    path: Path, wanted: dict[str, str], *, most_rows: int = MOST_ROWS, gaps: Container[str] = ()
+) -> dict[str, np.ndarray]:
     """Columns of a CSV file whose header reads `name [unit], ...`, converted to the wanted units.
 
-    Blank lines are skipped. Raises InputError for a missing file, column, unit or value, with the line, and for a file
+    Blank lines are skipped; in the columns `gaps` an empty cell or `nan` is NaN, elsewhere an error. Raises InputError for a missing file, column, unit or value, with the line, and for a file
     of more than `most_rows` lines or `MOST_BYTES`, before it is held.
     """
     check_file(path, MOST_BYTES)
@@ -233,7 +235,9 @@ def read_columns(path: Path, wanted: dict[str, str], *, most_rows: int = MOST_RO
         if len(row) > len(names):
             raise InputError(f"{len(row)} cells under {len(names)} columns; is a comma a point?", file=path, line=line)
         for name, column in numbers.items():
-            column.append(_number(path, line, row, header[name][0], name))
+            at = header[name][0]
+            missing = name in gaps and (at >= len(row) or row[at].strip().lower() in ("", "nan"))
+            column.append(np.nan if missing else _number(path, line, row, at, name))
     columns = {}
     for name, column in numbers.items():
         try:

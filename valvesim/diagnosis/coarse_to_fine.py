@@ -15,6 +15,7 @@ import numpy as np
 from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
+from valvesim.identification.bad_samples import without_outliers
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near
 from valvesim.identification.session import Record
@@ -42,8 +43,17 @@ def fit_coarse_to_fine(
                 prepared, isolation.nominal.fit.point, full_weight=not isolation.nominal.study.weights
             )
             known = isolation.answer_set or isolation.found[: options.coarse_to_fine.taken_along]
-            return nominal, [one.fit for one in known if one.fit.fitted]
-    return fit_nominal(prepared, lambda share: progress(stage, share)), ()
+            return _without_outliers(prepared, nominal), [one.fit for one in known if one.fit.fitted]
+    nominal = fit_nominal(prepared, lambda share: progress(stage, share))
+    return _without_outliers(prepared, nominal), ()
+
+
+def _without_outliers(prepared: PreparedSession, nominal: NominalFit) -> NominalFit:
+    """The nominal fit without single readings far off it, if there are such."""
+    cleaned = without_outliers(prepared, nominal.study, nominal.fit, nominal.linearised)
+    if cleaned is prepared:
+        return nominal
+    return fit_nominal_near(cleaned, nominal.fit.point, full_weight=not nominal.study.weights)
 
 
 def _isolate_in_segments(

@@ -57,6 +57,18 @@ class AuditOptions:
         "share of a channel's span: a finer grid is the writing of the file, not the sensor",
         "files of five digits",
     )
+    corrupt_reach: float = option(
+        3.0, "1", "times the range of all others by which a corrupt reading stands apart from them", JUDGEMENT
+    )
+    corrupt_share: float = option(0.01, "1", "most of a channel's readings that may stand apart", JUDGEMENT)
+    corrupt_run: int = option(3, "1", "most of them in a row", JUDGEMENT)
+    least_spread: float = option(
+        0.01, "1", "share of its size that a channel is taken to range over, where it stands still", JUDGEMENT
+    )
+    longest_bridge: int = option(
+        10, "1", "samples in a row that an input may miss: a straight line takes their place", JUDGEMENT
+    )
+    samples_told: int = option(5, "1", "corrupt samples of a channel that are told one by one", JUDGEMENT)
     overshoot: float = option(
         0.02, "1", "share of the supply by which a measured load pressure may exceed it", JUDGEMENT
     )
@@ -114,6 +126,14 @@ class PredictorOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class InputOptions:
+    """What inputs do that their samples do not tell."""
+
+    jump: float = option(0.02, "1", "share of its span that a command moves in one interval where it jumps", JUDGEMENT)
+    jump_ratio: float = option(5.0, "1", "times what it moves in either interval beside", JUDGEMENT)
+
+
+@dataclass(frozen=True, kw_only=True)
 class PriorOptions:
     """Priors of the nuisance parameters, and candidates."""
 
@@ -165,6 +185,12 @@ class NoiseOptions:
         0.2, "1", "share of the samples of replicates that none has lost: of fewer their noise is not taken", JUDGEMENT
     )
     most_lags: int = option(8, "1", "highest order of the autoregression", JUDGEMENT)
+    outlier: float = option(
+        8.0, "1", "noise deviations from its neighbours at which a single residual is an outlier", "never by chance"
+    )
+    outlier_ratio: float = option(
+        3.0, "1", "times the range of its neighbours by which it must differ from them", JUDGEMENT
+    )
     samples_per_lag: int = option(
         20, "1", "samples for each lag that is estimated; half of them with their past unbroken", JUDGEMENT
     )
@@ -258,6 +284,7 @@ class IdentificationOptions:
 
     audit: AuditOptions = AuditOptions()
     predictor: PredictorOptions = PredictorOptions()
+    input: InputOptions = InputOptions()
     prior: PriorOptions = PriorOptions()
     sensitivity: SensitivityOptions = SensitivityOptions()
     noise: NoiseOptions = NoiseOptions()

@@ -133,7 +133,8 @@ def audited_sensors(
     for name in measured_channels:
         sensor = stated.get(name, Sensor(name, UNITS[name]))
         if sensor.resolution == 0.0:
-            step = _grid([record.values[name] for record in records if name in record.outputs], options=options)
+            readings = [record.values[name][record.usable[name]] for record in records if name in record.outputs]
+            step = _grid(readings, options=options)
             if step > 0.0:
                 notes.append(
                     f"{name}: readings sit on a grid of {value_text(step, sensor.unit)}, taken as the resolution"
@@ -170,12 +171,14 @@ def usable_record(
             notes.append(f"{record.name}: {name} is stuck at {value_text(values[0], UNITS[name])} while the "
                          f"{record.command} moves, and is left out")  # fmt: skip
             continue
-        good = ~_saturated(record, sensors[name], options=options)
-        bad = 1.0 - float(np.mean(good))
-        if bad > 0.0:
-            left_out = " and is left out" if bad > 0.5 else ""
-            notes.append(f"{record.name}: {name} is saturated in {bad:.2%} of the samples{left_out}")
-        if bad <= 0.5:
+        saturated = _saturated(record, sensors[name], options=options)
+        good = record.usable[name] & ~saturated
+        left_out = " and is left out" if np.mean(good) < 0.5 else ""
+        if saturated.any():
+            notes.append(f"{record.name}: {name} is saturated in {np.mean(saturated):.2%} of the samples{left_out}")
+        elif left_out:
+            notes.append(f"{record.name}: {name} has readings in {np.mean(good):.2%} of the samples{left_out}")
+        if not left_out:
             usable[name] = good
     if not usable:
         notes.append(f"{record.name}: has no output channel left and is left out")

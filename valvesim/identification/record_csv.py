@@ -16,7 +16,7 @@ from valvesim.units import convert
 
 
 def read_values(path: Path, *, options: IdentificationOptions) -> dict[str, np.ndarray]:
-    """All columns of a record in SI: numbers in bulk, and `read_columns` where anything is odd, for its messages."""
+    """All columns of a record in SI, NaN where one has no reading: in bulk, and by `read_columns` where anything is odd."""
     line, header = _header(path)
     for name in header:
         if name not in UNITS:
@@ -34,7 +34,7 @@ def read_values(path: Path, *, options: IdentificationOptions) -> dict[str, np.n
     except ValueError:
         table = np.empty((0, 0))
     if table.shape[1] != len(header) or not np.isfinite(table).all():
-        values = read_columns(path, {name: UNITS[name] for name in header})
+        values = read_columns(path, {name: UNITS[name] for name in header}, gaps=set(header) - {"time"})
     else:
         try:
             values = {

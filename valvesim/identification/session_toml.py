@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.errors import InputError, nearest, unknown_name
+from valvesim.identification.bad_samples import measured_samples
 from valvesim.identification.holdout import hold_out
 from valvesim.identification.options import DEFAULT_IDENTIFICATION, IdentificationOptions
 from valvesim.identification.record_audit import (
@@ -201,7 +202,7 @@ def _read_record(
     *,
     options: IdentificationOptions,
 ) -> Record:
-    """One record, audited on its own; every output channel still counts as usable throughout."""
+    """One record, audited on its own; every reading of an output channel still counts as usable."""
     path, name = folder / file, _called(file)
     values = read_values(path, options=options)
     time = even_clock(path, values.pop("time"), options=options)
@@ -213,7 +214,10 @@ def _read_record(
         raise InputError(f"no output channel; expected one or more of {', '.join(OUTPUTS[:-1])}", file=path)
     if "body_temperature" in values:
         notes.append(f"{name}: body_temperature is not used: the parts follow the oil as [thermal] says")
-    record = Record(name, time, values, {n: np.ones(len(time), dtype=bool) for n in outputs}, role, repeats, path)
+    command = "voltage" if "voltage" in values else "current"
+    rated = (command, input_scale(command, session.valve))
+    usable = measured_samples(path, name, values, outputs, rated, notes, options=options)
+    record = Record(name, time, values, usable, role, repeats, path)
     for column in record.inputs:
         if is_at_rest(values[column], input_scale(column, session.valve), options=options):
             values[column] = np.full(len(time), np.mean(values[column]))

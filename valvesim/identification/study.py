@@ -155,6 +155,19 @@ def restricted_session(whole: PreparedSession, records: Sequence[Record]) -> Pre
     )
 
 
+def with_records(prepared: PreparedSession, records: Sequence[Record], notes: Sequence[str]) -> PreparedSession:
+    """The same with other samples usable in the training records, in their order, and more notes."""
+    session = prepared.session
+    found = {record.name: record for record in records}
+    session = replace(
+        session,
+        records=tuple(found.get(record.name, record) for record in session.records),
+        notes=(*session.notes, *notes),
+    )
+    predictors = tuple(replace(one, record=found[one.record.name]) for one in prepared.predictors)
+    return replace(prepared, session=session, predictors=predictors)
+
+
 def residual_of(record: Record, readings: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Measured minus read, by channel, as columns (n, 1)."""
     return {name: (record.values[name] - readings[name])[:, None] for name in record.outputs}

@@ -1,0 +1,125 @@
+"""Samples that are no measurement: gaps and corrupt readings are left out, and told by record, line and channel."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_plant import draw_bench, write_bench_session
+from marks import slow_but
+
+import valvesim as vs
+from valvesim.identification.bad_samples import _single_outliers, _standing_apart, without_outliers
+from valvesim.identification.nominal_fit import fit_nominal
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_session
+
+TIME = np.arange(400) / 1e3
+WAVE = np.sin(2.0 * np.pi * 10.0 * TIME)
+NOISE = np.random.default_rng(0).normal(size=(3, len(TIME)))
+SPOOL = 0.2 * WAVE + 1e-3 * NOISE[0]
+
+
+def loaded(folder, **changed):
+    """A session of one record whose columns are `changed`, at rows of data."""
+    columns = {"time [s]": TIME, "current [mA]": 5.0 * WAVE, "supply_pressure [bar]": 210.0 + 0.0 * TIME,
+               "spool_position [mm]": SPOOL}  # fmt: skip
+    for name, readings in changed.items():
+        heading = next(heading for heading in columns if heading.startswith(name))
+        columns[heading] = columns[heading].copy()
+        for row, value in readings.items():
+            columns[heading][row] = value
+    cells = ["" if np.isnan(v) else f"{v:.9g}" for row in np.column_stack(list(columns.values())) for v in row]
+    rows = [",".join(cells[k : k + 4]) for k in range(0, len(cells), 4)]
+    (folder / "a.csv").write_text("\n".join([",".join(columns), *rows, ""]), encoding="utf-8")
+    (folder / "session.toml").write_text("", encoding="utf-8")
+    return load_session(folder)
+
+
+@pytest.mark.parametrize("value", [32767.0, -32768.0, 2.0])
+def test_a_corrupt_reading_is_left_out_and_named_by_record_line_and_channel(tmp_path, value):
+    session = loaded(tmp_path, spool_position={70: value})
+    (record,) = session.records
+    assert np.flatnonzero(~record.usable["spool_position"]).tolist() == [70]
+    assert abs(record.values["spool_position"][70] - 1e-3 * (SPOOL[69] + SPOOL[71]) / 2.0) < 1e-9
+    (note,) = [note for note in session.notes if "corrupt" in note]
+    assert note.startswith(f"a, line 72: spool_position of {value:.4g} mm is corrupt")
+
+
+def test_several_corrupt_readings_are_found_whatever_their_side():
+    readings = 0.2 * WAVE + 1e-3 * NOISE[1]
+    wrong = [5, 90, 91, 200]
+    readings[wrong] = [32767.0, 32767.0, -32768.0, 9.0]
+    assert np.flatnonzero(_standing_apart(readings, options=OPTIONS)).tolist() == wrong
+
+
+def test_what_a_valve_does_is_not_corrupt():
+    peaks = 2.0 + np.exp(-((np.mod(TIME, 0.1) - 0.05) ** 2) / 1e-6)  # leakage about null, a sample wide
+    step = np.where(TIME < 0.2, 0.0, 1.0)
+    for readings in (WAVE, peaks, step, step[::-1], 0.0 * TIME, 1e-3 * NOISE[0], np.where(TIME < 0.39, 0.0, 5.0)):
+        assert not _standing_apart(readings, options=OPTIONS).any()
+
+
+@pytest.mark.parametrize("column, value", [("supply_pressure", 32767.0), ("current", 32767.0), ("current", np.nan)])
+def test_in_an_input_a_straight_line_takes_the_place_of_a_corrupt_or_missing_sample(tmp_path, column, value):
+    session = loaded(tmp_path, **{column: {70: value}})
+    (record,) = session.records
+    expected = {"supply_pressure": 210e5, "current": 2.5e-3 * (WAVE[69] + WAVE[71])}[column]
+    assert record.values[column][70] == pytest.approx(expected) and record.usable["spool_position"].all()
+    (note,) = [note for note in session.notes if "line 72" in note]
+    assert column in note and ("corrupt" in note) == np.isfinite(value)
+
+
+def test_a_gap_in_one_channel_is_not_measured(tmp_path):
+    session = loaded(tmp_path, spool_position=dict.fromkeys(range(100, 160), np.nan))
+    (record,) = session.records
+    assert np.flatnonzero(~record.usable["spool_position"]).tolist() == list(range(100, 160))
+    assert np.isfinite(record.values["spool_position"]).all()
+    assert "a, line 102: no reading of spool_position for 60 samples; they are left out" in session.notes
+
+
+def test_a_channel_that_is_mostly_not_there_is_left_out(tmp_path):
+    with pytest.raises(vs.InputError, match="spool_position has readings in 37.50% of the samples and is left out"):
+        loaded(tmp_path, spool_position=dict.fromkeys(range(100, 350), np.nan))
+
+
+def test_a_single_residual_off_its_neighbours_is_an_outlier_and_a_misfit_is_not():
+    least = np.full(len(TIME), 8.0)
+    for misfit in (0.0 * TIME, 30.0 * WAVE, 50.0 * np.exp(-(((TIME - 0.2) / 2e-3) ** 2))):
+        left = misfit + NOISE[2]
+        assert not _single_outliers(left, least, OPTIONS.noise.outlier_ratio).any()
+    left[100] += 40.0
+    assert np.flatnonzero(_single_outliers(left, least, OPTIONS.noise.outlier_ratio)).tolist() == [100]
+
+
+def test_a_reading_off_the_fit_is_left_out_with_its_line_and_no_other(tmp_path):
+    case, bench = draw_bench(500, "none", duration=0.3)
+    write_bench_session(case, bench, tmp_path)
+    prepared = prepare_session(load_session(tmp_path))
+    nominal = fit_nominal(prepared)
+    assert without_outliers(prepared, nominal.study, nominal.fit, nominal.linearised) is prepared
+    record, channel = prepared.predictors[1].record, case.channels[0]
+    values = {**record.values, channel: record.values[channel].copy()}
+    values[channel][150] += 15.0 * nominal.study.noise[channel, record.pace].deviation
+    predictors = list(nominal.linearised)
+    predictors[1] = replace(
+        predictors[1], predictor=replace(predictors[1].predictor, record=replace(record, values=values))
+    )
+    cleaned = without_outliers(prepared, nominal.study, nominal.fit, predictors)
+    assert [np.count_nonzero(~one.record.usable[channel]) for one in cleaned.predictors].count(1) == 1
+    (note,) = cleaned.session.notes[len(prepared.session.notes) :]
+    assert note.startswith(f"{record.name}, line 152: {channel} of ") and "noise deviations off" in note
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("imperfection", ["gap", "corrupt"])
+@pytest.mark.parametrize("name", slow_but(["spool_coulomb_friction"], [None, "spool_coulomb_friction"]))
+def test_a_session_with_such_samples_is_diagnosed_as_one_without(tmp_path, imperfection, name):
+    case, bench = draw_bench(500, "effect" if name else "none", name=name, imperfections=(imperfection,))
+    write_bench_session(case, bench, tmp_path)
+    found = vs.diagnose(tmp_path)
+    if name is None:
+        assert found.verdict == "no_discrepancy"
+    else:
+        assert name in {each for answer in found.candidates if answer.in_set for each in answer.names}
+    assert any(("corrupt" if imperfection == "corrupt" else "no reading of") in note for note in found.notes)

@@ -1,0 +1,146 @@
+"""Samples that are no measurement: not recorded, or corrupt. They are found, left out of the fit, and told.
+
+Corrupt are, before any fit, readings that stand apart from all others of their channel and are gone after a few
+samples (a word of the logger such as 32767); after a fit, single readings far off the model whose neighbours are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from valvesim.errors import InputError
+from valvesim.identification.between_samples import command_jumps
+from valvesim.identification.fit import Fit
+from valvesim.identification.linearised_record import LinearisedRecord
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.record_csv import file_line
+from valvesim.identification.session import UNITS, Record, value_text
+from valvesim.identification.study import PreparedSession, Study, with_records
+
+
+def measured_samples(
+    path: Path, name: str, values: dict[str, np.ndarray], outputs: Sequence[str], command: tuple[str, float],
+    notes: list[str], *, options: IdentificationOptions,
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """True for the samples (n,) of each output channel of record `name` that are measurements.
+
+    In `values` the others get what a straight line between their neighbours gives, in place; in an input too, for which
+    only a few in a row may be missing (InputError). A `command` (column, rated value) may stand apart as long as it is
+    within twice its rated value.
+    """
+    usable = {}
+    for column, read in values.items():
+        there = np.isfinite(read)
+        if not there.any():
+            raise InputError(f"column {column!r} has no reading at all", file=path)
+        corrupt = np.zeros(len(read), dtype=bool)
+        corrupt[there] = _standing_apart(read[there], options=options)
+        if column == command[0]:
+            corrupt &= np.abs(np.where(there, read, 0.0)) > 2.0 * command[1]
+        for k in np.flatnonzero(corrupt)[: options.audit.samples_told]:
+            others = read[there & ~corrupt]
+            span = f"{value_text(others.min(), UNITS[column])} to {value_text(others.max(), UNITS[column])}"
+            notes.append(
+                f"{name}, line {file_line(path, int(k))}: {column} of {value_text(read[k], UNITS[column])} is corrupt, "
+                f"for all others are {span}; it is left out"
+            )
+        if (more := int(corrupt.sum()) - options.audit.samples_told) > 0:
+            notes.append(f"{name}: {more} more samples of {column} are corrupt and left out")
+        good = there & ~corrupt
+        for start, end in _runs(~good):
+            missing = np.count_nonzero(~there[start:end])
+            where = f"{name}, line {file_line(path, int(start))}: no reading of {column} for {end - start} samples"
+            if column not in outputs and end - start > options.audit.longest_bridge:
+                problem = f"no reading of {column} for {end - start} samples; an input may miss at most "
+                raise InputError(
+                    f"{problem}{options.audit.longest_bridge} in a row", file=path, line=file_line(path, int(start))
+                )
+            if missing:
+                notes.append(f"{where}; {'they are' if end - start > 1 else 'it is'} {_treatment(column in outputs)}")
+        if not good.all():
+            at = np.arange(len(read))
+            values[column] = np.interp(at, at[good], read[good])
+        if column in outputs:
+            usable[column] = good
+    return usable
+
+
+def _treatment(is_output: bool) -> str:
+    return "left out" if is_output else "taken from a straight line between the neighbours"
+
+
+def _standing_apart(read: np.ndarray, *, options: IdentificationOptions) -> np.ndarray:
+    """True for readings (n,) that are few, in short runs, and further from all others than these are from each other.
+
+    Leakage has sharp peaks, but not so far beyond its own range.
+    """
+    off = np.abs(read - np.median(read))
+    order = np.argsort(off, kind="stable")
+    inner = len(read)
+    while True:  # each turn the largest gap among the furthest few of those that are left
+        first = max(len(read) - max(int(options.audit.corrupt_share * len(read)), 1), 1)
+        gaps = np.diff(off[order[first - 1 : inner]])
+        if not len(gaps):
+            break
+        k = first + int(np.argmax(gaps))
+        others = read[order[:k]]
+        room = max(float(np.ptp(others)), options.audit.least_spread * float(np.max(np.abs(others))))
+        if not gaps[k - first] > options.audit.corrupt_reach * room:
+            break
+        inner = k
+    apart = np.zeros(len(read), dtype=bool)
+    apart[order[inner:]] = True
+    for start, end in _runs(apart):
+        if end - start > options.audit.corrupt_run:
+            apart[start:end] = False
+    return apart
+
+
+def _runs(marked: np.ndarray) -> np.ndarray:
+    """(runs, 2): first and one past the last sample of each run of True in (n,)."""
+    return np.flatnonzero(np.diff(marked.astype(int), prepend=0, append=0)).reshape(-1, 2)
+
+
+def without_outliers(
+    prepared: PreparedSession, study: Study, fit: Fit, linearised: Sequence[LinearisedRecord]
+) -> PreparedSession:
+    """The prepared session with single readings far off a fit, whose neighbours are not, left out and told.
+
+    Not next to a jump of the command, nor where the reading itself has a peak: there a model errs for a sample, too.
+    """
+    options, records, notes = study.options, list[Record](), list[str]()
+    for linear, read in zip(linearised, fit.readings, strict=True):
+        record = linear.predictor.record
+        curvature = linear.predictor.curvatures(linear.trajectory, linear.variant)
+        usable = dict(record.usable)
+        still = np.ones(len(record.time), dtype=bool)
+        for k in command_jumps(record.values[record.command], options=options):
+            still[max(k - 1, 0) : k + 4] = False
+        for name in record.outputs:
+            left = np.where(record.usable[name], record.values[name] - read[name], np.nan)
+            least = np.hypot(study.noise[name, record.pace].innovation, options.fit.peak_share * curvature[name])
+            outlying = _single_outliers(left, options.noise.outlier * least, options.noise.outlier_ratio) & still
+            usable[name] = record.usable[name] & ~outlying
+            for k in np.flatnonzero(outlying):
+                line = "" if record.path is None else f", line {file_line(record.path, int(k))}"
+                size = abs(float(left[k])) / study.noise[name, record.pace].deviation
+                notes.append(
+                    f"{record.name}{line}: {name} of {value_text(float(record.values[name][k]), UNITS[name])} is "
+                    f"{size:.0f} noise deviations off, and its neighbours are not; it is left out"
+                )
+        records.append(replace(record, usable=usable))
+    return with_records(prepared, records, notes) if notes else prepared
+
+
+def _single_outliers(left: np.ndarray, least: np.ndarray, ratio: float) -> np.ndarray:
+    """True for residuals (n,) that are `least` (n,) off their four neighbours' median, `ratio` times as far as these."""
+    out = np.zeros(len(left), dtype=bool)
+    around = np.stack([left[:-4], left[1:-3], left[3:-1], left[4:]])
+    middle = np.median(around, axis=0)
+    off, spread = np.abs(left[2:-2] - middle), np.max(np.abs(around - middle), axis=0)
+    out[2:-2] = (off > least[2:-2]) & (off > ratio * spread)  # never with NaN among them
+    return out
