@@ -2,18 +2,25 @@
 
 import valvesim as vs
 
-valve = vs.reference_valve()
-vs.static_solution(valve, current=1e-3, temperature=20.0).spool_position     # m
-result = vs.simulate(vs.load_scenario("scenarios/launch_shock.toml"))
-result["spool_position"]                                                     # over time, with its unit
-vs.diagnose("my_session").summary                                            # what measured records show of its errors
+valve = vs.reference_valve()                      # or vs.Valve(null_gap="0.03 mm"): text, pint or SI
+vs.static_solution(valve, current="1 mA", temperature="20 degC").spool_position     # m
+result = vs.simulate("launch.toml")               # or vs.simulate(vs.Scenario(command="5 mA", duration="60 ms"))
+result["spool_position"]                          # over time, with its unit; result.plot(), .bode(), .to_pandas()
+vs.bench(valve)                                   # static acceptance tests; vs.responses, vs.linearise, vs.datasheet
+vs.diagnose("my_session").summary                 # what measured records show of the simulation's errors
 """
 
-from importlib import import_module
-from typing import Any
+from importlib import import_module as _load
+from typing import Any as _Any
 
 _HOMES = {
     "characterisation.specification": "Limit Specification Verdict judge load_specification",
+    "characterisation.acceptance.acceptance_tests": "bench:acceptance_tests measured_test",
+    "characterisation.datasheet": "datasheet:measure",
+    "characterisation.frequency_response": "frequency_response",
+    "characterisation.linearisation": "linearise modes operating_point",
+    "characterisation.response_set": "responses:measure_responses",
+    "characterisation.step_response": "step_response",
     "diagnosis.diagnose": "diagnose",
     "diagnosis.result": "Diagnosis",
     "errors": "InputError SolveError ValidityWarning ValvesimError",
@@ -36,19 +43,31 @@ _HOMES = {
     "valve.valve_file": "ValveFile load_valve save_valve valve_to_toml",
     "valve.thermal_network": "ThermalNetwork temperature_path",
 }
-"""Modules with the names that this package gives; each is loaded when one of its names is asked for."""
-_HOME = {name: module for module, names in _HOMES.items() for name in names.split()}
+"""Modules with the names that this package gives; each is loaded when one of its names is asked for.
+
+`bench:acceptance_tests` is `acceptance_tests` of the module, given as `bench`.
+"""
+_HOME = {
+    given: (module, own or given)
+    for module, names in _HOMES.items()
+    for given, _, own in (name.partition(":") for name in names.split())
+}
 
 __all__ = sorted(_HOME)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> _Any:
+    if name == "__version__":
+        from valvesim.version import package_version
+
+        return package_version()
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    module, own = _HOME[name]
+    value = getattr(_load(f"{__name__}.{module}"), own)
     globals()[name] = value  # found at once from now on
     return value
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return [*__all__, "__version__"]

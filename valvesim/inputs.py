@@ -20,12 +20,66 @@ from typing import Any, Protocol
 import numpy as np
 
 from valvesim.errors import InputError
-from valvesim.units import POSITIVE, check_bounds, quantity
+from valvesim.units import POSITIVE, check_bounds, has_unit, in_si, quantities, quantity
 
 MOST_PIECES = 1_000_000  # of a command within a run: with all that is made of them some 300 MB
 PIECE_WIDTH, WAVE_WIDTH = 3, 5  # (start, offset, slope), then (amplitude, frequency, rate, growth, phase) per wave
 
 VALUE = "value"  # the unit of such a figure is that of what is commanded
+COMMANDED = ("A", "V", "Pa", "degC")  # what a command may be of: current, voltage, pressure, temperature
+
+
+def unit_of_figure(declared: str, unit: str) -> str:
+    """The unit of a figure of a command, where `unit` is that of what is commanded."""
+    difference = "delta_degC" if unit == "degC" else unit
+    return {VALUE: unit, f"{VALUE}_difference": difference, f"{VALUE}/s": f"{difference}/s"}.get(declared, declared)
+
+
+def read_levels(command: Any) -> None:
+    """Levels that are text with a unit, or quantities, become numbers in SI; the command keeps the unit as `unit`.
+
+    Raises InputError for what is no current, voltage, pressure or temperature, or for two of them in one command.
+    """
+    for name, declared in quantities(command).items():
+        given, unit = getattr(command, name), declared.metadata["unit"]
+        if unit.startswith(VALUE) and has_unit(given):
+            key = f"{type(command).__name__.lower()}.{name}"
+            object.__setattr__(command, name, _read_level(command, given, unit, key))
+
+
+def _read_level(command: Any, given: Any, declared: str, key: str, *, several: bool = False) -> Any:
+    """A level in SI; `command.unit` is what its other levels were given in, or "" so far."""
+    own = getattr(command, "unit", "")
+    for unit in (own,) if own else COMMANDED:
+        try:
+            value = in_si(given, unit_of_figure(declared, unit), key, several=several)
+        except InputError:
+            if own or unit == COMMANDED[-1]:
+                what = f"in {own!r} as its other levels" if own else "a current, voltage, pressure or temperature"
+                raise InputError(f"{str(given)!r} is not {what}", key=key, joint=" = ") from None
+            continue
+        object.__setattr__(command, "unit", unit)
+        return value
+    return given
+
+
+def as_command(given: Any, unit: str, where: str) -> Command:
+    """A command as it is; a number, text with a unit or a quantity as a constant one, in `unit`.
+
+    Raises InputError for a command whose levels were given in another unit, and for what is no command.
+    """
+    if isinstance(given, (int, float, str, np.number)) or has_unit(given):
+        value = in_si(given, unit, where)
+        if np.ndim(value):
+            raise InputError("several values; give a command over time, such as Table or Staircase", key=where)
+        return Constant(value=float(value))
+    if not hasattr(given, "pieces"):
+        raise InputError(f"expected a command, a number or text with a unit, got {given!r}", key=where)
+    for one in (given, *getattr(given, "terms", ())):
+        own = getattr(one, "unit", "")
+        if own not in ("", unit):
+            raise InputError(f"{type(one).__name__} is given in {own!r}; {unit!r} is expected", key=where)
+    return given
 
 
 def piece_value(row, t):
@@ -224,6 +278,7 @@ class Constant:
     value: float = quantity(0.0, VALUE, "value", (-np.inf, np.inf), "")
 
     def __post_init__(self):
+        read_levels(self)
         check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
@@ -239,6 +294,7 @@ class Step:
     time: float = quantity(0.0, "s", "time of the jump", (0.0, np.inf), "")
 
     def __post_init__(self):
+        read_levels(self)
         check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
@@ -255,6 +311,7 @@ class Ramp:
     time: float = quantity(0.0, "s", "time of the start", (0.0, np.inf), "")
 
     def __post_init__(self):
+        read_levels(self)
         check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
@@ -275,6 +332,7 @@ class Sine:
     time: float = quantity(0.0, "s", "time of the start", (0.0, np.inf), "")
 
     def __post_init__(self):
+        read_levels(self)
         check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
@@ -299,6 +357,7 @@ class Chirp:
     logarithmic: bool = field(default=False, metadata={"doc": "even in octaves instead of in hertz"})
 
     def __post_init__(self):
+        read_levels(self)
         check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
@@ -328,6 +387,7 @@ class Pulse:
     period: float = quantity(np.inf, "s", "from pulse to pulse", (POSITIVE, np.inf), "")
 
     def __post_init__(self):
+        read_levels(self)
         check_bounds(self)
         if self.period <= self.width:
             raise InputError(
@@ -361,6 +421,7 @@ class Staircase:
     hold: float = quantity(0.1, "s", "duration of a level", (POSITIVE, np.inf), "")
 
     def __post_init__(self):
+        read_levels(self)
         check_bounds(self)
         if self.steps != int(self.steps):
             raise InputError(f"{self.steps:g} must be a whole number in [1, 1e+06]", key="staircase.steps", joint=" = ")
@@ -387,6 +448,12 @@ class Table:
     where: str = field(default="table", compare=False)  # what messages call it
 
     def __post_init__(self):
+        if has_unit(self.times):
+            times = in_si(self.times, "s", self.where, several=True)
+            object.__setattr__(self, "times", tuple(np.ravel(times).tolist()))
+        if has_unit(self.values):
+            values = _read_level(self, self.values, VALUE, self.where, several=True)
+            object.__setattr__(self, "values", tuple(np.ravel(values).tolist()))
         t, y = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
         if t.shape != y.shape or t.ndim != 1 or len(t) < 2:
             raise InputError("needs two or more points, with as many times as values", key=self.where)

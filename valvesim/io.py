@@ -332,6 +332,11 @@ def check_folder(folder: Path) -> None:
         raise InputError(f"cannot be written ({reason(error)})", file=folder) from None
 
 
+def write_text(path: Path, text: str) -> None:
+    """Fill a file with text, UTF-8."""
+    path.write_text(text, encoding="utf-8")
+
+
 def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
     """Let `write` fill a temporary file beside `path`, then move it into place. InputError where that cannot be.
 

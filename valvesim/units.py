@@ -8,13 +8,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import math
 import re
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
 from valvesim.errors import InputError, unknown_name
+
+P = ParamSpec("P")
+F = TypeVar("F")
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)")
 # What a unit may look like. Nothing else reaches pint, which would work out a text such as 9**9**9 for days.
@@ -125,6 +130,59 @@ def parse(text: Any, unit: str, where: str = "") -> float:
     return float(convert(number, _difference(source) if unit.startswith("delta_") else source, unit, where))
 
 
+def in_si(value: Any, unit: str, where: str = "", *, several: bool = False) -> Any:
+    """A number or array as it is; text with a unit and a pint quantity as a number (or array) in `unit`.
+
+    With `several` a text may be a list, "20, 100 degC". Raises InputError for a wrong dimension, an unknown unit, and
+    text without one.
+    """
+    if isinstance(value, str):
+        numbers = parse_list(value, unit, where) if several else np.array([parse(value, unit, where)])
+        return float(numbers[0]) if len(numbers) == 1 else numbers
+    if isinstance(value, (list, tuple)) and any(has_unit(each) for each in value):
+        return np.array([in_si(each, unit, where) for each in value], dtype=float)
+    if not has_unit(value):
+        return value
+    source = f"{value.units}"
+    source = _difference_of_pint(source) if unit.startswith("delta_") else source
+    magnitude = np.asarray(value.magnitude, dtype=float)
+    if source in ("", "dimensionless"):
+        source = "1"
+    converted = convert(magnitude, source, unit, where)
+    return float(converted) if np.ndim(converted) == 0 else np.asarray(converted, dtype=float)
+
+
+def has_unit(value: Any) -> bool:
+    """True of what `in_si` converts: text, a quantity of pint, and a list of such."""
+    if isinstance(value, (list, tuple)):
+        return any(has_unit(each) for each in value)
+    return isinstance(value, str) or (hasattr(value, "magnitude") and hasattr(value, "units"))
+
+
+def reads_units(**units: str) -> Callable[[Callable[P, F]], Callable[P, F]]:
+    """A function whose named arguments are numbers in these units, or text with a unit, or pint quantities.
+
+    `@reads_units(current="A", temperature="degC")`: what comes as text or as a quantity reaches the function in SI.
+    """
+
+    def decorate(function: Callable[P, F]) -> Callable[P, F]:
+        names = list(inspect.signature(function).parameters)
+
+        plain: Callable[..., F] = function
+
+        @functools.wraps(function)
+        def reading(*args: P.args, **kwargs: P.kwargs) -> F:
+            given = dict(zip(names, args, strict=False)) | kwargs
+            if any(has_unit(given.get(name)) for name in units):
+                read: Any = {n: in_si(v, units[n], n, several=True) if n in units else v for n, v in given.items()}
+                return plain(**read)
+            return function(*args, **kwargs)
+
+        return reading
+
+    return decorate
+
+
 def exact_text(value: float, unit: str) -> str:
     """A number with its unit that `parse` reads back exactly: in the unit that people use where that does."""
     value = float(value)
@@ -133,6 +191,11 @@ def exact_text(value: float, unit: str) -> str:
     shown, factor = _WRITTEN.get(unit, (unit, 1.0))
     text = f"{value * factor:.12g} {shown}"
     return text if np.isfinite(value * factor) and parse(text, unit) == value else f"{value!r} {unit}"
+
+
+def _difference_of_pint(source: str) -> str:
+    """The unit of a quantity as one of a difference: 5 kelvin and 5 degree_Celsius both are 5 K more."""
+    return source.replace("degree_Celsius", "delta_degC").replace("delta_delta_degC", "delta_degC")
 
 
 def _split(text: str) -> tuple[str, str] | None:
@@ -164,6 +227,9 @@ def _difference(source: str) -> str:
 def parse_list(text: str, unit: str, where: str = "") -> np.ndarray:
     """Read `"20, 100, 270 degC"` (or one unit each, `"1 mA, 0.002 A"`) as an array in `unit`."""
     words = [word.strip() for word in str(text).split(",")]
+    if any(re.match(r"0\d", word) for word in words[1:]):
+        meant = str(text).replace(",", ".", 1)
+        raise InputError(f"{_shown(text)} has a decimal comma; write a point, such as {_shown(meant)}", key=where)
     last = _split(words[-1])
     shared = last[1] if last else ""
     if shared and all(_is_number(word) for word in words[:-1]) and len(words) > 1:  # the usual list, in one go
@@ -233,10 +299,13 @@ def check_bounds(instance: Any) -> None:
     """Raise InputError for the first declared quantity of a dataclass instance that leaves its bounds or is not finite.
 
     Infinity is allowed only as a default. A quantity may be an array of any shape (a batch of valves); then each of its
-    values must be inside.
+    values must be inside. In an instance that is being made, text with a unit and pint quantities become numbers first.
     """
     for name, field in quantities(instance).items():
         given, (low, high) = getattr(instance, name), field.metadata["bounds"]
+        if has_unit(given):
+            given = in_si(given, field.metadata["unit"], f"{type(instance).__name__.lower()}.{name}")
+            object.__setattr__(instance, name, given)
         if isinstance(given, float) and low <= given <= high and math.isfinite(given):
             continue  # nearly all are plain numbers in their range, and numpy takes a dozen times as long
         value = np.asarray(given, dtype=float)

@@ -9,19 +9,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests, acceptance_tests
 from valvesim.characterisation.class_figures import ClassFigure
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
 from valvesim.characterisation.lumped_figures import beside_class
 from valvesim.characterisation.response_set import ResponseSet, measure_responses
+from valvesim.shown import Shown
 from valvesim.simulation.scenario import Scenario, Thermal
+from valvesim.units import reads_units
 from valvesim.valve.effect import ActiveEffect
-from valvesim.valve.fluid import Oil
+from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 
 
-@dataclass(frozen=True, kw_only=True)
-class Datasheet:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Datasheet(Shown):
     """Everything that the pages show: one bench and one set of responses for every oil temperature (°C).
 
     `beside_class`: published figures of merit of the class, each with the valve's own at the first temperature.
@@ -34,16 +38,25 @@ class Datasheet:
     responses: tuple[ResponseSet, ...]
     beside_class: tuple[tuple[ClassFigure, FigureOfMerit | Absent], ...]
 
+    def in_words(self) -> str:
+        """The valve and the oil temperatures."""
+        at = ", ".join(f"{temperature:g}" for temperature in self.oil_temperatures)
+        return f"{self.valve.in_words()}, oil {self.oil.name} at {at} °C"
 
+
+@reads_units(oil_temperatures="degC")
 def measure(
-    valve: Valve, oil: Oil, *, oil_temperatures: Sequence[float], effects: Sequence[ActiveEffect] = (),
-    progress: Callable[[float], None] | None = None,
+    valve: Valve | None = None, oil: Oil = MIL_PRF_5606, *, oil_temperatures: Sequence[float] = (20.0,),
+    effects: Sequence[ActiveEffect] = (), progress: Callable[[float], None] | None = None,
 ) -> Datasheet:  # fmt: skip
     """Run every test at every oil temperature, all parts at it, with `effects` in service.
 
+    Of the reference valve unless another is given.
+
     `progress` is told the share that is done. Raises as `acceptance_tests` and `response.measure_responses` do.
     """
-    temperatures = tuple(float(t) for t in oil_temperatures)
+    valve = Valve() if valve is None else valve
+    temperatures = tuple(float(t) for t in np.atleast_1d(oil_temperatures))
     base = Scenario(valve=valve, oil=oil, thermal=Thermal(network=None), effects=tuple(effects))
     benches: list[AcceptanceTests] = []
     responses: list[ResponseSet] = []

@@ -28,6 +28,7 @@ from valvesim.characterisation.sine_point import SinePoint, fit_sine
 from valvesim.errors import InputError
 from valvesim.inputs import Sine
 from valvesim.simulation.run import simulate
+from valvesim.units import in_si, reads_units
 
 SAMPLES_A_CYCLE = 64  # of a simulated sine
 SETTLE_TIME = 0.05  # s of a sine before it is read: the slowest mode of the reference valve is 1/1070 s
@@ -154,6 +155,7 @@ def join_points(
     )
 
 
+@reads_units(frequencies="Hz", oil_temperature="degC", part_temperature="degC", settle="s")
 def frequency_response(
     source: Source, *, amplitude: float, frequencies: Sequence[float] = FREQUENCIES,
     oil_temperature: float | None = None, part_temperature: float | None = None, output: str = "spool_position",
@@ -174,6 +176,7 @@ def frequency_response(
     f = check_frequencies(np.asarray(frequencies, dtype=float))
     if len(f) < 2:
         raise InputError("frequency response: needs two or more frequencies, the lowest as the reference")
+    amplitude, bias = (in_si(each, base.drive.command_unit, "frequency response") for each in (amplitude, bias))
     check_amplitude(amplitude)
     unit_of(base, output)
     for name, number in (("cycles", cycles), ("workers", workers)):

@@ -23,6 +23,7 @@ import numpy as np
 from valvesim.channels import SIGNAL_CHANNELS, Inputs
 from valvesim.errors import InputError
 from valvesim.solver.codegen import derivatives, trace
+from valvesim.units import reads_units
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
 from valvesim.valve.equations import NOMINAL, Model
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
@@ -54,6 +55,7 @@ class OperatingPoint:
         return float(_spool_position(self.model, self.state))
 
 
+@reads_units(current="A", temperature="degC", load_pressure="Pa", supply_pressure="Pa")
 def operating_point(
     valve: Valve,
     *,

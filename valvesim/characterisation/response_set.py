@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +12,14 @@ from valvesim.characterisation.frequency_response import FREQUENCIES, FrequencyR
 from valvesim.characterisation.held_scenario import Source, held, held_oil_temperature, rated_command
 from valvesim.characterisation.spectral_response import chirp_response
 from valvesim.characterisation.step_response import StepResponse, step_response
+from valvesim.shown import Shown, notebook
+from valvesim.units import reads_units
 
 STEPS, SWEEPS = (0.05, 0.25, 1.0), (0.25, 0.4, 1.0)  # shares of the rated current
 
 
-@dataclass(frozen=True, kw_only=True)
-class ResponseSet:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ResponseSet(Shown):
     """Every response of a valve at one oil temperature: one of each kind for every amplitude."""
 
     oil_temperature: float
@@ -24,7 +27,16 @@ class ResponseSet:
     sweeps: tuple[FrequencyResponse, ...]
     chirps: tuple[FrequencyResponse, ...]
 
+    def in_words(self) -> str:
+        """How many responses, and the oil's temperature."""
+        return f"{len(self.steps)} steps and {len(self.sweeps)} sweeps, oil at {self.oil_temperature:g} °C"
 
+    def plot(self) -> Any:
+        """The matplotlib figures by name: bode, distortion, step, as far as there are such responses."""
+        return notebook().plot(self)
+
+
+@reads_units(oil_temperatures="degC", part_temperature="degC", frequencies="Hz")
 def measure_responses(
     source: Source, *, oil_temperatures: Sequence[float] | None = None, part_temperature: float | None = None,
     steps: Sequence[float] = STEPS, sweeps: Sequence[float] = SWEEPS, frequencies: Sequence[float] = FREQUENCIES,
@@ -37,7 +49,8 @@ def measure_responses(
     """
     first = held(source, part_temperature=part_temperature)
     rated = rated_command(first)
-    temperatures = [held_oil_temperature(first)] if oil_temperatures is None else [float(t) for t in oil_temperatures]
+    given = [held_oil_temperature(first)] if oil_temperatures is None else np.atleast_1d(oil_temperatures)
+    temperatures = [float(t) for t in given]
     kinds = 2 if chirp else 1
     total, done = max(len(temperatures) * len(sweeps) * kinds, 1), 0
 

@@ -7,6 +7,7 @@ Source: Welch's method; Bendat and Piersol, Random Data, ch. 6."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -32,7 +33,9 @@ from valvesim.characterisation.record_checks import (
 from valvesim.characterisation.sine_point import FEWEST_A_CYCLE
 from valvesim.errors import InputError
 from valvesim.inputs import Chirp
+from valvesim.simulation.result import Result
 from valvesim.simulation.run import simulate
+from valvesim.units import in_si, reads_units
 
 CHIRP_REST = 0.5  # s before and after a simulated chirp: the length of a window, which tapers its ends
 EXCITED = 1e-3  # share of the input's greatest power density above which a frequency counts as excited
@@ -114,6 +117,21 @@ def spectral_response(
     )
 
 
+def own_response(result: Result, output: str = "spool_position") -> FrequencyResponse | None:
+    """The frequency response of a run to its own command, or None where that excites too little of any band.
+
+    Raises InputError for a channel that the run does not have.
+    """
+    result.select((output,))
+    with contextlib.suppress(InputError):
+        return spectral_response(
+            result.time, command_of(result), result.values[output], channel=output,
+            oil_temperature=held_oil_temperature(result.scenario),
+        )  # fmt: skip
+    return None
+
+
+@reads_units(low="Hz", high="Hz", duration="s", oil_temperature="degC", part_temperature="degC")
 def chirp_response(
     source: Source, *, amplitude: float, low: float = 5.0, high: float = 500.0, duration: float = 6.0,
     oil_temperature: float | None = None, part_temperature: float | None = None, output: str = "spool_position",
@@ -126,6 +144,7 @@ def chirp_response(
     Raises InputError for a band that does not rise, an amplitude that is not positive, and as `spectral_response`.
     """
     base = held(source, oil_temperature=oil_temperature, part_temperature=part_temperature)
+    amplitude, bias = (in_si(each, base.drive.command_unit, "chirp response") for each in (amplitude, bias))
     check_amplitude(amplitude)
     check_frequencies(np.array([low, high]))
     unit_of(base, output)

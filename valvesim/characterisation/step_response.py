@@ -28,6 +28,7 @@ from valvesim.characterisation.record_checks import checked_record, flat_share
 from valvesim.errors import InputError
 from valvesim.inputs import Step
 from valvesim.simulation.run import simulate
+from valvesim.units import in_si, reads_units
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +199,7 @@ def _dead(t: np.ndarray, s: np.ndarray, noise: float, t_step: float) -> float:
     return _reach(t, s, 0.02, t_step, fewest=1)
 
 
+@reads_units(oil_temperature="degC", part_temperature="degC", duration="s", output_rate="Hz")
 def step_response(
     source: Source, *, amplitude: float, oil_temperature: float | None = None, part_temperature: float | None = None,
     output: str = "spool_position", bias: float = 0.0, duration: float = 0.06, output_rate: float = 100e3,
@@ -209,6 +211,7 @@ def step_response(
     Raises InputError for an amplitude of zero or NaN, an unknown channel, and as `simulate` does.
     """
     base = held(source, oil_temperature=oil_temperature, part_temperature=part_temperature)
+    amplitude, bias = (in_si(each, base.drive.command_unit, "step response") for each in (amplitude, bias))
     if not np.isfinite(amplitude) or amplitude == 0.0:
         raise InputError(f"step response: amplitude = {amplitude:g} must be a number other than zero")
     unit = unit_of(base, output)

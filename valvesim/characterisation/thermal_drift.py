@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.channels import STATE_CHANNELS
-from valvesim.inputs import Constant, largest
+from valvesim.inputs import PIECE_WIDTH, WAVE_WIDTH, Constant, largest
 from valvesim.simulation.result import Result
 from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.valve.coefficients import PART_NAMES, REFERENCE_TEMPERATURE, ROUTES, PartTemperatures
@@ -30,6 +30,10 @@ class Drift:
     current: float
     total: dict[str, np.ndarray]
     by_route: dict[str, dict[str, np.ndarray]]
+
+    def since_start(self) -> dict[str, np.ndarray]:
+        """Drift from the run's own start, by quantity, (n_t,)."""
+        return {name: (1.0 + shares) / (1.0 + shares[0]) - 1.0 for name, shares in self.total.items()}
 
 
 def reference_current(scenario: Scenario) -> float:
@@ -94,6 +98,13 @@ def observed_drift(result: Result, cold: Result, *, windows: int = 60) -> tuple[
                 gains.append(np.mean(warm_values[a:b] * cold_values[a:b]) / power - 1.0 if power > floor else np.nan)
         drifts[name] = np.array(gains)
     return centres, drifts
+
+
+def frequency_goes(scenario: Scenario) -> bool:
+    """True of a command whose frequency changes: then the amplitude goes with it, and tells nothing of drift."""
+    rows = scenario.command.pieces(scenario.duration)
+    waves = rows[:, PIECE_WIDTH:].reshape(len(rows), -1, WAVE_WIDTH)
+    return bool(np.any((waves[:, :, 0] != 0.0) & ((waves[:, :, 2] != 0.0) | (waves[:, :, 3] != 0.0))))
 
 
 def temperature_varies(scenario: Scenario) -> bool:

@@ -29,8 +29,16 @@ def run(
 ) -> None:  # fmt: skip
     """Simulate a SCENARIO file: a table, result.nc and pictures."""
     from valvesim.characterisation.rest_characteristic import rest_characteristic
-    from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift, temperature_varies
+    from valvesim.characterisation.spectral_response import own_response
+    from valvesim.characterisation.thermal_drift import (
+        frequency_goes,
+        nominal,
+        observed_drift,
+        static_drift,
+        temperature_varies,
+    )
     from valvesim.io import check_folder
+    from valvesim.reports.run_table import run_rows
     from valvesim.simulation.result import check_channels
     from valvesim.simulation.run import simulate
     from valvesim.simulation.scenario_toml import load_scenario
@@ -48,9 +56,11 @@ def run(
         result = simulate(case, progress=integrated)
         bar.update(stage, description="writing result.nc", total=None)
         written = [result.select(case.channels).to_netcdf(folder / "result.nc")]
-        varies = temperature_varies(case)
+        varies, sweeps = temperature_varies(case), frequency_goes(case)
         pictures = [draw("picture_run", result, date.today(), folder / "run.png")]
-        if not varies:
+        if sweeps and (response := own_response(result)) is not None:
+            pictures.append(draw("picture_sweep", result, response, date.today(), folder / "sweep.png"))
+        elif not varies:
             rest = rest_characteristic(case)
             pictures.append(draw("picture_characteristic", result, rest, date.today(), folder / "characteristic.png"))
         if with_csv:
@@ -60,19 +70,14 @@ def run(
         if varies:
             bar.update(stage, description="drift against 20 °C")
             drift = static_drift(result)
+        if varies and not sweeps:
             observed = observed_drift(result, simulate(nominal(case), signals=False))
             pictures.append(draw("picture_drift", drift, observed, case, date.today(), folder / "drift.png"))
         bar.update(stage, description="drawing")
         drawn = [path for picture in pictures if (path := picture()) is not None]
-        page = draw("page_run", _run_rows(result), drawn, case, date.today(), folder / "run.html")()
+        page = draw("page_run", run_rows(result), drawn, case, date.today(), folder / "run.html")()
         written += [*drawn, *([] if page is None else [page])]
     _print_run(result, drift, written)
-
-
-_TABLE = (
-    "current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle", "nozzle_pressure_1",
-    "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage",
-)  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -109,29 +114,20 @@ def _draw(name: str | None = None, *arguments: Any) -> Path | None:
     return None if name is None else getattr(report, name)(*arguments)
 
 
-def _run_rows(result: Any) -> list[tuple[str, ...]]:
-    """Rows (channel, unit, least, greatest, at the end) of a run."""
-    from valvesim.units import symbol
-
-    rows = []
-    for name in _TABLE:
-        values, unit = result.display(name)
-        extremes = (f"{v:.5g}" for v in (values.min(), values.max(), values[-1]))
-        rows.append((name.replace("_", " "), symbol(unit), *extremes))
-    return rows
-
-
 def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
+    from valvesim.reports.run_table import RUN_HEADINGS, run_rows
+
     table = titled_table(result.scenario.title)
-    for heading in ("channel", "unit", "least", "greatest", "at the end"):
+    for heading in RUN_HEADINGS:
         table.add_column(heading, justify="left" if heading in ("channel", "unit") else "right")
-    for row in _run_rows(result):
+    for row in run_rows(result):
         table.add_row(*row)
     screen = console()
     screen.print(table)
     if drift is not None:
-        total = ", ".join(f"{n.replace('_', ' ')} {100 * v[-1]:+.2f} %" for n, v in drift.total.items())
-        screen.print(f"static drift at the end, against 20 °C, at {drift.current * 1e3:.3g} mA: {total}")
+        for against, shares in (("20 °C", drift.total), ("the start", drift.since_start())):
+            total = ", ".join(f"{n.replace('_', ' ')} {100 * v[-1]:+.2f} %" for n, v in shares.items())
+            screen.print(f"static drift at the end, against {against}, at {drift.current * 1e3:.3g} mA: {total}")
     s = result.statistics
     screen.print(
         f"{s['accepted_steps']:.0f} steps ({s['rejected_steps']:.0f} rejected) in {s['solver_seconds']:.3f} s of solver"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.io import write_atomically
+from valvesim.shown import Shown
 
 NO_DISCREPANCY, CAUSE, AMBIGUOUS, UNKNOWN = "no_discrepancy", "cause", "ambiguous", "unknown"
 
@@ -167,8 +168,8 @@ class Trace:
     noise: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnosis:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Diagnosis(Shown):
     """What the measured data show of the model's errors. `summary` says it in words.
 
     `extended_scenario` holds the extension where `extension_offered`: where the hold-out records most likely got better
@@ -200,6 +201,10 @@ class Diagnosis:
     extended_scenario: str  # the text of a scenario file
     extended_effects: dict[str, str] = dataclasses.field(default_factory=dict)  # Python files that it names, by name
     extended_variant: Any = None  # the valve and its effects: prediction.Variant
+
+    def in_words(self) -> str:
+        """Title, verdict and summary."""
+        return f"{self.title!r}, {self.verdict.replace('_', ' ')}: {self.summary}"
 
     @property
     def no_test(self) -> str:

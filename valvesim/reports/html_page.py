@@ -181,6 +181,11 @@ def page(block: TitleBlock, sections: Sequence[Section], *, banner: Banner | Non
     return _environment().get_template("page.html").render(block=block, sections=sections, banner=banner)
 
 
+def fragment(sections: Sequence[Section], *, banner: Banner | None = None) -> str:
+    """The same within a page of others, such as a notebook: its style holds for itself alone."""
+    return _environment().get_template("fragment.html").render(sections=sections, banner=banner)
+
+
 def write_html(path: Path, block: TitleBlock, sections: Sequence[Section], *, banner: Banner | None = None) -> Path:
     """Write the page; its path. Raises InputError where that cannot be."""
     return write_bytes(page(block, sections, banner=banner).encode("utf-8"), path)

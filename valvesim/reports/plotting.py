@@ -17,7 +17,7 @@ from valvesim.reports.title_block import TitleBlock
 matplotlib.use("Agg")
 from matplotlib import cm, colors, image, ticker  # noqa: E402 - the backend comes first
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.figure import Figure as _Figure  # noqa: E402
 
 __all__ = ["Figure", "cm", "colors", "ticker"]
 
@@ -37,6 +37,17 @@ MOST_POINTS = 1200  # of a line: beyond it the extremes of each stretch are draw
 BLOCK_HEIGHT = 0.24  # inch, of the title block under a picture
 SIGN_WIDTH = 0.062  # inch, of a sign of the title block, on average
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class Figure(_Figure):
+    """A figure that a notebook shows as it is."""
+
+    def _repr_png_(self) -> bytes:
+        data = io.BytesIO()
+        with matplotlib.rc_context(STYLE):
+            FigureCanvasAgg(self)
+            self.savefig(data, format="png", dpi=DPI)
+        return data.getvalue()
 
 
 def styled(draw: Callable[P, F]) -> Callable[P, F]:
@@ -88,6 +99,47 @@ def thin(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     starts = np.linspace(0, len(t), MOST_POINTS // 2, endpoint=False).astype(int)
     extremes = np.column_stack([np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)])
     return np.append(np.repeat(t[starts], 2), t[-1]), np.append(extremes.ravel(), y[-1])
+
+
+MOST_CYCLES = 60  # of a line that can be told apart in a picture; beyond it what swings is drawn as its envelope
+STRETCHES, NEIGHBOURS = 400, 5  # of an envelope, and those that hold a cycle together where it is one
+
+
+def swings(y: np.ndarray) -> np.ndarray:
+    """Where a line crosses its own mean: (n,) of bool."""
+    above = np.signbit(y - np.mean(y))
+    return np.append(above[1:] != above[:-1], False)
+
+
+def draw_line(axis: Any, t: np.ndarray, y: np.ndarray, *, colour: Any, label: str) -> None:
+    """A line over time; where it swings more often than can be told apart, the band that it fills."""
+    crossings = swings(y)
+    if np.count_nonzero(crossings) <= 2 * MOST_CYCLES or len(t) <= 2 * STRETCHES:
+        axis.plot(*thin(t, y), color=colour, label=label, alpha=0.8)
+        return
+    starts = np.linspace(0, len(t), STRETCHES, endpoint=False).astype(int)
+    count = np.convolve(np.add.reduceat(crossings.astype(float), starts), np.ones(NEIGHBOURS), "same")
+    fast, middle = count >= 4.0, t[starts]
+    reach = NEIGHBOURS // 2 * 2
+    low, high = (_neighbours(f, f.reduceat(y, starts), reach) for f in (np.minimum, np.maximum))
+    low, high = (np.where(fast, edge, np.nan) for edge in (low, high))
+    axis.fill_between(middle, low, high, color=colour, alpha=0.25, lw=0)
+    axis.plot(middle, low, color=colour, lw=0.9, alpha=0.9, label=f"{label}, least and greatest")
+    axis.plot(middle, high, color=colour, lw=0.9, alpha=0.9)
+    slow = np.repeat(~fast, np.diff(np.append(starts, len(t))))
+    if np.any(slow):
+        axis.plot(*thin(t, np.where(slow, y, np.nan)), color=colour, alpha=0.8)
+
+
+def _neighbours(extreme: Any, values: np.ndarray, reach: int) -> np.ndarray:
+    """The extreme of each value and its neighbours, `reach` of them in all."""
+    padded = np.pad(values, (reach // 2, reach // 2), mode="edge")
+    return extreme.reduce(np.lib.stride_tricks.sliding_window_view(padded, reach + 1), axis=1)
+
+
+def time_unit(span: float) -> tuple[str, float]:
+    """(unit, factor from s) of a time axis of that length, s."""
+    return ("s", 1.0) if span >= 0.2 else ("ms", 1e3) if span >= 2e-4 else ("µs", 1e6)
 
 
 def png(figure: Figure, block: TitleBlock, *, dpi: float = DPI) -> bytes:

@@ -10,12 +10,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from valvesim.reports.html_page import Picture, Table, Text, section, write_html
-from valvesim.reports.plotting import COLOURS, Figure, cm, colors, styled, thin, write_picture
+from valvesim.reports.plotting import (
+    COLOURS,
+    Figure,
+    cm,
+    colors,
+    draw_line,
+    label_decades,
+    styled,
+    time_unit,
+    write_picture,
+)
+from valvesim.reports.run_table import RUN_HEADINGS
 from valvesim.reports.title_block import TitleBlock, valve_name
 from valvesim.units import symbol
 from valvesim.valve.coefficients import PART_NAMES
 
 if TYPE_CHECKING:
+    from valvesim.characterisation.frequency_response import FrequencyResponse
     from valvesim.characterisation.rest_characteristic import RestCharacteristic
     from valvesim.characterisation.thermal_drift import Drift
     from valvesim.simulation.result import Result
@@ -25,7 +37,9 @@ CAPTIONS = {
     "run": "The whole run, and its end enlarged.",
     "characteristic": "Armature angle, spool, flow and leakage over current; dashed: the valve at rest, 20 °C.",
     "drift": "Drift against the same valve at 20 °C, in all and by route of the temperature.",
+    "sweep": "Frequency response from the run's own sweep (faint where not coherent); power over time and frequency.",
 }
+LEAST_SHIFT = 1e-3  # share by which a valve must differ from itself at 20 °C for its start to be told apart
 TEMPERATURES = tuple(f"{name}_temperature" for name in PART_NAMES)
 
 
@@ -47,6 +61,11 @@ def picture_drift(
     return write_picture(draw_drift(drift, observed, scenario.title), title_block(scenario, date), path)
 
 
+def picture_sweep(result: Result, response: FrequencyResponse, date: datetime.date, path: Path) -> Path:
+    """Write `draw_sweep`; its path."""
+    return write_picture(draw_sweep(result, response), title_block(result.scenario, date), path)
+
+
 def picture_characteristic(result: Result, rest: RestCharacteristic, date: datetime.date, path: Path) -> Path:
     """Write `draw_characteristic`; its path."""
     return write_picture(draw_characteristic(result, rest), title_block(result.scenario, date), path)
@@ -57,7 +76,7 @@ def page_run(
 ) -> Path:  # fmt: skip
     """Write the page of a run: rows (channel, unit, least, greatest, at the end) and its pictures; its path."""
     shown = [Picture(one.read_bytes(), CAPTIONS.get(one.stem, one.stem)) for one in pictures]
-    table = Table(("channel", "unit", "least", "greatest", "at the end"), rows, (2, 3, 4))
+    table = Table(RUN_HEADINGS, rows, (2, 3, 4))
     words = Text("Simulated by valvesim; no valve was measured.")
     return write_html(path, title_block(scenario, date), (section("", words, table), section("", *shown)))
 
@@ -74,45 +93,80 @@ def draw_run(result: Result) -> Figure:
         ("spool position", ("spool_position",)),
         ("flow", ("load_flow", "internal_leakage")),
     ]
-    zoom = t >= t[-1] - (cycles(result) or t[-1] / 20.0)
+    begin = t[-1] - (cycles(result) or t[-1] / 20.0)
+    zoom = t >= begin
+    parts = [(np.ones(t.shape, bool), 0.0, *time_unit(t[-1])), (zoom, float(begin), *time_unit(t[-1] - begin))]
     figure = Figure(figsize=(11, 11))
     axes = figure.subplots(len(rows), 2, sharex="col", gridspec_kw={"width_ratios": [2.2, 1]})
-    figure.subplots_adjust(left=0.08, right=0.86, top=0.93, bottom=0.05, wspace=0.18, hspace=0.14)
-    for (label, names), (whole, part) in zip(rows, axes, strict=True):
+    figure.subplots_adjust(left=0.08, right=0.84, top=0.93, bottom=0.05, wspace=0.18, hspace=0.14)
+    for (label, names), pair in zip(rows, axes, strict=True):
         unit = ""
-        for axis, mask in ((whole, np.ones(t.shape, bool)), (part, zoom)):
+        for axis, (mask, start, _, factor) in zip(pair, parts, strict=True):
             for k, name in enumerate(names):
                 values, unit = _display(result, name)
                 text = name.removesuffix("_temperature").replace("_", " ")
-                style = {"color": COLOURS[k % len(COLOURS)], "label": text, "alpha": 0.8}
-                axis.plot(*thin(t[mask], values[mask]), **style)
-        whole.set_ylabel(f"{label} [{unit}]")
+                times = (t[mask] - start) * factor if start else t[mask] * factor
+                draw_line(axis, times, values[mask], colour=COLOURS[k % len(COLOURS)], label=text)
+        pair[0].set_ylabel(f"{label} [{unit}]")
         if len(names) > 1:
-            part.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+            pair[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.align_ylabels(axes[:, 0])
     axes[0, 0].set_title("whole run", loc="left")
     axes[0, 1].set_title("its end", loc="left")
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]")
+    axes[-1, 0].set_xlabel(f"time [{parts[0][2]}]")
+    axes[-1, 1].set_xlabel(f"time after {parts[1][1]:.6g} s [{parts[1][2]}]")
     figure.suptitle(scenario.title, fontsize=12)
     return figure
 
 
 @styled
+def draw_channels(result: Result, names: Sequence[str]) -> Figure:
+    """These channels over time, a panel each. Raises InputError for a channel that the result does not have."""
+    result.select(names)
+    figure = Figure(figsize=(9, 1.0 + 1.9 * len(names)))
+    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    figure.subplots_adjust(
+        left=0.11, right=0.97, top=1.0 - 0.5 / figure.get_figheight(), bottom=0.5 / figure.get_figheight()
+    )
+    unit, factor = time_unit(result.time[-1])
+    for axis, name in zip(axes, names, strict=True):
+        values, own = _display(result, name)
+        text = name.replace("_", " ")
+        draw_line(axis, result.time * factor, values, colour=COLOURS[0], label=text)
+        axis.set_ylabel(f"{text}\n[{own}]")
+    axes[-1].set_xlabel(f"time [{unit}]")
+    figure.align_ylabels(axes)
+    figure.suptitle(result.scenario.title, fontsize=12)
+    return figure
+
+
+@styled
 def draw_drift(drift: Drift, observed: tuple[np.ndarray, dict[str, np.ndarray]], title: str) -> Figure:
-    """Drift over time in percent: the static solution with the run's own gain beside it, and the statics by route."""
-    figure = Figure(figsize=(13, 5.4))
-    axes = figure.subplots(1, 3, sharey=True)
-    figure.subplots_adjust(left=0.06, right=0.9, top=0.84, bottom=0.1, wspace=0.08)
+    """Drift over time in percent: the static solution with the run's own gain beside it, and the statics by route.
+
+    Where the valve is not at 20 °C at the start, the drift since the start is shown too.
+    """
+    since = drift.since_start()
+    later = any(abs(shares[0]) > LEAST_SHIFT for shares in drift.total.values())
+    figure = Figure(figsize=(17 if later else 13, 5.4))
+    axes = figure.subplots(1, 4 if later else 3, sharey=True)
+    figure.subplots_adjust(
+        left=0.045 if later else 0.06, right=0.92 if later else 0.9, top=0.84, bottom=0.1, wspace=0.08
+    )
     total = axes[0]
     for k, (name, shares) in enumerate(drift.total.items()):
         text = name.replace("_", " ")
         total.plot(drift.times, 100 * shares, color=COLOURS[k], label=f"{text} at rest")
         total.plot(observed[0], 100 * observed[1][name], ".", color=COLOURS[k], label=f"{text} in the run")
+        if later:
+            axes[1].plot(drift.times, 100 * since[name], color=COLOURS[k], label=f"{text} at rest")
     total.set_title("all routes together", loc="left")
     total.set_ylabel("drift from 20 °C [%]")
     total.legend()
-    for axis, name in zip(axes[1:], drift.total, strict=True):
+    if later:
+        axes[1].set_title(f"since the start, oil at {drift.oil_temperature[0]:.4g} °C", loc="left")
+        axes[1].legend()
+    for axis, name in zip(axes[-2:], drift.total, strict=True):
         for k, (route, values) in enumerate(drift.by_route.items()):
             axis.plot(drift.times, 100 * values[name], color=COLOURS[k % len(COLOURS)], label=route)
         axis.plot(drift.times, 100 * drift.total[name], color="k", lw=2, label="all together")
@@ -125,6 +179,52 @@ def draw_drift(drift: Drift, observed: tuple[np.ndarray, dict[str, np.ndarray]],
     heading = f"{title}: drift at {drift.current * 1e3:.3g} mA, oil from {low:.4g} to {high:.4g} °C"
     figure.suptitle(heading, fontsize=12)
     return figure
+
+
+@styled
+def draw_sweep(result: Result, response: FrequencyResponse) -> Figure:
+    """Of a run whose frequency goes: Bode of the response, amplitude over its lowest, and spectrogram."""
+    figure = Figure(figsize=(12, 7))
+    axes = figure.subplots(2, 2, sharex="col", gridspec_kw={"height_ratios": [1.4, 1]})
+    figure.subplots_adjust(left=0.07, right=0.93, top=0.9, bottom=0.08, wspace=0.2, hspace=0.12)
+    (ratio, spectrum), (lag, course) = axes
+    keep = response.credible
+    for axis, values, label in (
+        (ratio, response.amplitude_ratio, "amplitude ratio to lowest frequency [dB]"),
+        (lag, -response.phase_lag, "phase [°]"),
+    ):
+        axis.semilogx(response.frequency, values, color=COLOURS[0], lw=0.6, alpha=0.4)
+        axis.semilogx(response.frequency, np.where(keep, values, np.nan), color=COLOURS[0], label="coherent")
+        axis.set_ylabel(label)
+    ratio.axhline(-3.0, color="0.5", lw=0.8, ls="--")
+    lag.axhline(-90.0, color="0.5", lw=0.8, ls="--")
+    lag.set_xlabel("frequency [Hz]")
+    label_decades(lag.xaxis)
+    channel = response.channel.replace("_", " ")
+    ratio.set_title(f"{channel} over {result.scenario.drive.command_name}", loc="left")
+    values, unit = _display(result, response.channel)
+    _spectrogram(spectrum, result.time, values, float(response.frequency[-1]))
+    spectrum.set_title(f"spectrogram of the {channel}", loc="left")
+    draw_line(course, result.time, values, colour=COLOURS[0], label=channel)
+    course.set_ylabel(f"{channel} [{unit}]")
+    course.set_xlabel("time [s]")
+    figure.suptitle(f"{result.scenario.title}: over frequency", fontsize=12)
+    return figure
+
+
+def _spectrogram(axis: Any, t: np.ndarray, y: np.ndarray, highest: float) -> None:
+    """Power of a line over time and frequency, dB below its greatest."""
+    from scipy.signal import spectrogram
+
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    window = int(np.clip(len(t) // 100, 64, 8192))
+    f, at, power = spectrogram(y - np.mean(y), rate, nperseg=window, noverlap=window // 2)
+    level = 10.0 * np.log10(np.maximum(power / max(float(np.max(power)), 1e-300), 1e-8))
+    shown = f <= 1.5 * highest
+    mesh = axis.pcolormesh(t[0] + at, f[shown], level[shown], cmap="viridis", vmin=-60.0, vmax=0.0, shading="nearest")
+    axis.set_ylabel("frequency [Hz]")
+    axis.grid(False)
+    axis.figure.colorbar(mesh, cax=axis.inset_axes((1.02, 0.0, 0.025, 1.0)), label="power below greatest [dB]")
 
 
 @styled

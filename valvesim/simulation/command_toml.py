@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.errors import InputError, unknown_name
-from valvesim.inputs import COMMANDS, VALUE, Command, Constant, Sum, Table, read_table
+from valvesim.inputs import COMMANDS, VALUE, Command, Constant, Sum, Table, read_table, unit_of_figure
 from valvesim.io import check_known
 from valvesim.units import exact_text, out_of_range, parse, parse_list, quantities
 
@@ -71,12 +71,6 @@ def check_levels(table: Mapping[str, Any], unit: str, where: str) -> None:
                 raise InputError(problem, key=f"{where}.{kind}.{name}")
 
 
-def _unit_of(declared: str, unit: str) -> str:
-    """The unit of a figure of a command, where `unit` is that of what is commanded."""
-    difference = "delta_degC" if unit == "degC" else unit
-    return {VALUE: unit, f"{VALUE}_difference": difference, f"{VALUE}/s": f"{difference}/s"}.get(declared, declared)
-
-
 def _read_one(name: str, figures: Any, unit: str, where: str) -> Command:
     """A command of `COMMANDS` with its figures."""
     if name == "constant" and not isinstance(figures, dict):
@@ -93,7 +87,7 @@ def _read_one(name: str, figures: Any, unit: str, where: str) -> Command:
         if "unit" not in fields[key].metadata:
             values[key] = read_switch(given, here)
             continue
-        own = _unit_of(fields[key].metadata["unit"], unit)
+        own = unit_of_figure(fields[key].metadata["unit"], unit)
         values[key], (low, high) = parse(given, own, here), fields[key].metadata["bounds"]
         if not low <= values[key] <= high:
             raise out_of_range(values[key], fields[key], key=here, unit=own)
@@ -164,7 +158,7 @@ def _entry(command: Command, unit: str, where: str) -> tuple[str, dict[str, Any]
                 if "unit" not in field.metadata:
                     figures |= {field.name: bool(value)} if value != field.default else {}
                 elif value != field.default or field.metadata["unit"] == VALUE:
-                    figures[field.name] = exact_text(value, _unit_of(field.metadata["unit"], unit))
+                    figures[field.name] = exact_text(value, unit_of_figure(field.metadata["unit"], unit))
             return name, figures
     problem = f"{type(command).__name__} is no command of a scenario file, which knows {', '.join(NAMES)}"
     raise InputError(problem, key=where)

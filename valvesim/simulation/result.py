@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, Channel
-from valvesim.errors import unknown_name
+from valvesim.errors import InputError, unknown_name
 from valvesim.io import write_atomically, write_columns
+from valvesim.shown import Shown, notebook
 from valvesim.simulation.scenario import Scenario
 from valvesim.units import DISPLAY
 from valvesim.valve.coefficients import PART_NAMES
+from valvesim.valve.valve_name import valve_name
+from valvesim.version import package_version
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(Shown):
     """What a run gave: `result["spool_position"]` is an xarray.DataArray over time, with its unit in `attrs["units"]`.
 
     Names: every state, every signal, the inputs, and `<part>_temperature` of oil and parts (°C). SI throughout.
@@ -33,6 +38,11 @@ class Result:
 
     def __getitem__(self, name: str) -> Any:
         return self.select((name,)).dataset[name]
+
+    def in_words(self) -> str:
+        """Title, how much there is of it, and the valve."""
+        what = f"{len(self.channels)} channels of {len(self.time)} samples over {self.scenario.duration:g} s"
+        return f"{self.scenario.title!r}, {what}, {valve_name(self.scenario.valve)}"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -59,6 +69,21 @@ class Result:
         unit, factor = DISPLAY.get(channel.unit, (channel.unit, 1.0))
         return self.values[name] * factor, unit
 
+    def to_pandas(self) -> Any:
+        """All channels as a pandas.DataFrame over time in s, a column each, SI."""
+        return self.dataset.to_dataframe()
+
+    def plot(self, *names: str) -> Any:
+        """A matplotlib figure of these channels over time, or of the whole run. InputError for a wrong name."""
+        return notebook().plot(self, names)
+
+    def bode(self, output: str = "spool_position") -> Any:
+        """A matplotlib figure of the frequency response of a channel to the command; the run is of a chirp or noise.
+
+        Raises InputError as `spectral_response`, where the command excites too little.
+        """
+        return notebook().bode(self, output)
+
     def select(self, names: Sequence[str]) -> Result:
         """The result with these channels alone; all of them if none is named. InputError for an unknown name."""
         for name in names:
@@ -84,14 +109,21 @@ class Result:
                 file.setncatts(self._attributes())
                 file.createDimension("time", len(self.time))
                 for channel in (Channel("time", "s", "time"), *self.channels):
-                    variable = file.createVariable(channel.name, "f8", ("time",))
+                    variable = file.createVariable(channel.name, "f8", ("time",), compression="zlib", complevel=1)
                     variable.setncatts({"units": channel.unit, "long_name": channel.doc})
                     variable[:] = self.time if channel.name == "time" else self.values[channel.name]
 
         return write_atomically(Path(path), write)
 
     def _attributes(self) -> dict[str, str]:
-        return {"title": self.scenario.title, "source": "valvesim", "oil": self.scenario.oil.name}
+        scenario = self.scenario
+        given = {
+            "title": scenario.title, "source": f"valvesim {package_version()}", "date": date.today().isoformat(),
+            "valve": valve_name(scenario.valve), "oil": scenario.oil.name, "tolerance": f"{scenario.tolerance:g}",
+        }  # fmt: skip
+        with contextlib.suppress(InputError):  # what no file can say
+            given["scenario"] = scenario.to_toml()
+        return given
 
 
 def output_channels(scenario: Scenario) -> tuple[Channel, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,11 +43,18 @@ class Problem:
     initial: np.ndarray
 
 
-def simulate(scenario: Scenario, *, progress: Callable[[float], None] | None = None, signals: bool = True) -> Result:
-    """Run a scenario from rest. `progress` is told the share that is done; without `signals` the states come alone.
+def simulate(
+    scenario: Scenario | str | Path, *, progress: Callable[[float], None] | None = None, signals: bool = True
+) -> Result:
+    """Run a scenario, or the file of one, from rest.
 
+    `progress` is told the share that is done; without `signals` the states come alone.
     Raises InputError for input that makes no sense, SolveError (when, in which state, what to try) where it fails.
     """
+    if not isinstance(scenario, Scenario):
+        from valvesim.simulation.scenario_toml import load_scenario
+
+        scenario = load_scenario(scenario)
     if arrays := array_quantities(scenario.valve):
         raise InputError("is an array, a batch of valves: use simulate_batch", key=f"valve.{arrays[0]}", joint=" ")
     problem = prepare(scenario)

@@ -8,19 +8,22 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from valvesim.errors import InputError, unknown_name, warn_once
-from valvesim.inputs import PIECE_WIDTH, Command, Constant, Scaled, Sum, evaluate, extremes, turns
-from valvesim.io import check_printable
-from valvesim.units import POSITIVE, check_bounds, quantities, quantity
+from valvesim.inputs import PIECE_WIDTH, Command, Constant, Scaled, Sum, as_command, evaluate, extremes, turns
+from valvesim.io import check_printable, write_atomically, write_text
+from valvesim.shown import Shown
+from valvesim.units import POSITIVE, check_bounds, has_unit, in_si, quantities, quantity
 from valvesim.valve.coefficients import ROUTES, check_routes
 from valvesim.valve.effect import ActiveEffect, check_listed_once
 from valvesim.valve.equations import CurrentDrive, Drive, Model
 from valvesim.valve.fluid import COMPUTED_RANGE, MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import NODES, TemperaturePath, ThermalNetwork, temperature_path, throttling_rise
+from valvesim.valve.valve_name import valve_name
 
 MOST_SAMPLES = 2e7  # of a result: 5 GB
 MOST_OIL_PIECES, MOST_OIL_TURNS = 100_000, 20_000  # of the oil temperature: each takes knots of every coefficient
@@ -44,6 +47,7 @@ class Thermal:
         check_bounds(self)
         check_routes(self.routes)
         low, high = quantities(self)["ambient_temperature"].metadata["bounds"]
+        self._read_initial_temperature()
         given = self.initial_temperature
         for name, value in given.items() if isinstance(given, Mapping) else (("every part", given),):
             if name not in NODES and name != "every part":
@@ -55,10 +59,23 @@ class Thermal:
                     key=f"thermal.initial_temperature{key}", joint=" = ",
                 )  # fmt: skip
 
+    def _read_initial_temperature(self) -> None:
+        """What is given as text or quantity becomes °C."""
+        given, where = self.initial_temperature, "thermal.initial_temperature"
+        if isinstance(given, Mapping):
+            if any(has_unit(value) for value in given.values()):
+                read = {name: in_si(value, "degC", f"{where}.{name}") for name, value in given.items()}
+                object.__setattr__(self, "initial_temperature", read)
+        elif has_unit(given):
+            object.__setattr__(self, "initial_temperature", in_si(given, "degC", where))
 
-@dataclass(frozen=True, kw_only=True)
-class Scenario:
-    """Everything that a run needs, in SI; temperatures in °C. Pressures default to the valve's own."""
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Scenario(Shown):
+    """Everything that a run needs, in SI; temperatures in °C. Pressures default to the valve's own.
+
+    A number, text with a unit ("5 mA") or a quantity of pint in place of a command is a constant one.
+    """
 
     title: str = "valve"
     duration: float = quantity(1.0, "s", "duration of the run", (POSITIVE, 1e5), "")
@@ -79,6 +96,7 @@ class Scenario:
     def __post_init__(self):
         check_bounds(self)
         check_printable(self.title, "title")
+        self._read_commands()
         check_listed_once(self.effects)
         for name in ("supply", "return", "load"):
             if np.ndim(getattr(self.valve, f"{name}_pressure")):
@@ -87,6 +105,17 @@ class Scenario:
         self._check_sizes()
         self._check_pressures()
         self._check_oil_temperature()
+
+    def _read_commands(self) -> None:
+        """What is no command yet becomes a constant one."""
+        drive = self.drive
+        units = {"command": (drive.command_unit, f"command.{drive.command_name}"),
+                 "oil_temperature": ("degC", "thermal.oil_temperature")}  # fmt: skip
+        units |= {f"{name}_pressure": ("Pa", f"pressures.{name}") for name in ("supply", "return", "load")}
+        for name, (unit, where) in units.items():
+            given = getattr(self, name)
+            if given is not None and (read := as_command(given, unit, where)) is not given:
+                object.__setattr__(self, name, read)
 
     def _check_sizes(self) -> None:
         """Bounds on what a run holds in memory, before any of it is made."""
@@ -163,6 +192,22 @@ class Scenario:
         """The equations that this scenario integrates: effects without a balance act before them or after."""
         acting = [active.effect for active in self.effects]
         return Model(self.drive, tuple(effect for effect in acting if effect.balance is not None))
+
+    def in_words(self) -> str:
+        """Title, duration, oil and valve on one line."""
+        return f"{self.title!r}, {self.duration:g} s, oil {self.oil.name}, {valve_name(self.valve)}"
+
+    def to_toml(self, path: str | Path | None = None) -> str:
+        """The text of a scenario file that reads back as an equal scenario; also written to `path` where one is given.
+
+        Raises InputError for what no file can say (`scenario_to_toml`), and for a path that cannot be written.
+        """
+        from valvesim.simulation.scenario_toml import scenario_to_toml
+
+        text = scenario_to_toml(self)
+        if path is not None:
+            write_atomically(Path(path), lambda temporary: write_text(temporary, text))
+        return text
 
     def pressures(self) -> tuple[Command, Command, Command]:
         """Supply, return and load pressure over time."""

@@ -19,7 +19,8 @@ import numpy as np
 
 from valvesim.channels import SIGNAL_CHANNELS, STATE_CHANNELS, Channel, Inputs, State
 from valvesim.errors import InputError, unknown_name
-from valvesim.units import parse, symbol
+from valvesim.shown import Shown
+from valvesim.units import has_unit, in_si, parse, symbol
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
 
 CHANNEL = "channel"  # the unit of such a parameter is that of the channel that a sensor reads; bounds are in its scale
@@ -91,8 +92,8 @@ def _record(names: tuple[str, ...]) -> Any:
     return namedtuple("Values", names)  # type: ignore[misc]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Effect:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Effect(Shown):
     """An effect: where it acts, its parameters, and the figures at which it vanishes.
 
     `temperatures(times, parts, p) -> PartTemperatures` changes the temperatures of the parts over the times (m,);
@@ -122,6 +123,10 @@ class Effect:
     figure: str = ""
     plainer: str = ""
     law_error: float = 0.0
+
+    def in_words(self) -> str:
+        """Name and what it is."""
+        return f"{self.name}, {self.doc}"
 
     def on(self, channel: str) -> Effect:
         """This sensor effect on one channel, its parameters in that channel's unit. InputError for a wrong name."""
@@ -159,7 +164,7 @@ class Effect:
         return _record(tuple(p.name for p in self.parameters))(*numbers)
 
     def __call__(self, **numbers: float) -> ActiveEffect:
-        """The effect at given parameters (SI): `effect("spool_coulomb_friction")(friction_force=2.0)`.
+        """The effect at given parameters, in SI or as text with a unit: `effect("sensor_bias").on(...)(bias="1 mA")`.
 
         Raises InputError for an unknown parameter, one outside its bounds, a missing amplitude, or a sensor effect
         without its channel.
@@ -171,6 +176,8 @@ class Effect:
                 raise unknown_name(
                     f"parameter of effect {self.name}", name, known
                 )  # of Python alone: `read` has looked
+            if has_unit(value):
+                value = numbers[name] = in_si(value, known[name].unit, f"effects.{self.name}.{name}")
             low, high = known[name].bounds
             if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
                 unit = symbol(known[name].unit)
@@ -214,12 +221,17 @@ class Effect:
             raise InputError("needs a channel, such as spool_position", key=f"effects.{self.name}", joint=" ")
 
 
-@dataclass(frozen=True)
-class ActiveEffect:
+@dataclass(frozen=True, repr=False)
+class ActiveEffect(Shown):
     """An effect with its figures, in the order of its parameters."""
 
     effect: Effect
     numbers: tuple[Any, ...]
+
+    def in_words(self) -> str:
+        """The name of the effect and its figures."""
+        figures = zip(self.effect.parameters, self.numbers, strict=True)
+        return f"{self.effect.name}, {', '.join(f'{p.name} {value} {symbol(p.unit)}' for p, value in figures)}"
 
     @property
     def values(self) -> Any:

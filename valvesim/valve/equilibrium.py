@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.errors import InputError, SolveError, warn_once
-from valvesim.units import symbol
+from valvesim.units import reads_units, symbol
 from valvesim.valve.equations import (
     FLOW_FORCE_FACTOR,
     drive_torque,
@@ -186,6 +186,7 @@ def balances_at_rest(theta, current, p1, p2, c: Coefficients, supply_pressure, r
     return T_drive - c.spring_tube_stiffness * theta + T_rod + T_nozzles + T_jets + T_stop, x_v
 
 
+@reads_units(current="A", temperature="degC", friction="N")
 def static_solution(
     valve: Valve,
     *,

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from valvesim.errors import InputError
+from valvesim.shown import Shown
 from valvesim.units import POSITIVE, check_bounds, quantity
 from valvesim.valve.coefficients import PART_NAMES as PART_NAMES
 from valvesim.valve.coefficients import REFERENCE_TEMPERATURE as REFERENCE_TEMPERATURE
@@ -29,8 +30,8 @@ _PAPER, _TEXTBOOK, _ESTIMATE = "paper", "textbook torque motor of this class", "
 _NASA, _FITTED = "NASA TN D-5388", "identified: 2.82 N*m/A, magnetic spring 6.5 N*m/rad"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Valve:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Valve(Shown):
     """A two-stage nozzle-flapper valve at 20 °C. Defaults are the reference valve of model.md section 5.
 
     Any quantity may also be an array: a batch of valves. Raises InputError for a value outside its bounds.
@@ -208,6 +209,12 @@ class Valve:
             self.fixed_orifice_difference,
         )  # fmt: skip
         return not any(np.any(np.asarray(side) != 0.0) for side in sides)
+
+    def in_words(self) -> str:
+        """What differs from the reference valve."""
+        from valvesim.valve.valve_name import valve_name
+
+        return valve_name(self)
 
     def at(self, parts: PartTemperatures, *, oil: Oil = MIL_PRF_5606, routes: Iterable[str] = ROUTES) -> Coefficients:
         """`coefficients.coefficients_at` of this valve."""

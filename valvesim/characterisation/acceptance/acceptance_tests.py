@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from valvesim.characterisation.acceptance.cycle import cycle
 from valvesim.characterisation.acceptance.flow import flow_figures
@@ -17,6 +18,8 @@ from valvesim.characterisation.acceptance.rig import Rig
 from valvesim.characterisation.acceptance.threshold import threshold_figure
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit
 from valvesim.errors import unknown_name
+from valvesim.shown import Shown, notebook
+from valvesim.units import reads_units
 from valvesim.valve.effect import ActiveEffect
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
@@ -59,6 +62,7 @@ class MeasuredTest:
     figures: FiguresOfMerit
 
 
+@reads_units(lag="s", dead_zone="m^3/s", rated_current="A")
 def measured_test(
     file: Path, test: str, *, resolution: float | None = None, lag: float | None = None,
     dead_zone: float | None = None, rated_current: float | None = None,
@@ -71,8 +75,8 @@ def measured_test(
     return MeasuredTest(record=record, test=test, figures=figures)
 
 
-@dataclass(frozen=True, kw_only=True)
-class AcceptanceTests:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class AcceptanceTests(Shown):
     """A simulated bench: `figures` named `test.figure`, and the records they come from.
 
     `flow` (no load) and `blocked` hold one full cycle each, `flow_load` one record per held current with `current`,
@@ -86,9 +90,18 @@ class AcceptanceTests:
     blocked: AcceptanceRecord
     flow_load: tuple[AcceptanceRecord, ...]
 
+    def in_words(self) -> str:
+        """How many figures of which valve, and the oil's temperature."""
+        return f"{len(self.figures)} figures of merit, oil at {self.oil_temperature:g} °C, {self.valve.in_words()}"
 
+    def plot(self) -> Any:
+        """A matplotlib figure of all tests."""
+        return notebook().plot(self)
+
+
+@reads_units(oil_temperature="degC", period="s")
 def acceptance_tests(
-    valve: Valve,
+    valve: Valve | None = None,
     *,
     oil_temperature: float = 20.0,
     oil: Oil = MIL_PRF_5606,
@@ -99,10 +112,13 @@ def acceptance_tests(
 ) -> AcceptanceTests:
     """Run every static test on the model, all parts at `oil_temperature` (°C), and reduce it as a measured one.
 
+    Of the reference valve unless another is given.
+
     The current runs a triangle of `period` s over +-i_R, `points` samples each; the valve trails it by about 1/800 s.
     Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told the share that is done.
     Raises as `simulate` does, and SolveError where the blocked ports find no load pressure.
     """
+    valve = Valve() if valve is None else valve
     rig = Rig(
         valve=valve, oil=oil, oil_temperature=oil_temperature, effects=tuple(effects), period=period, points=points
     )

@@ -82,7 +82,7 @@ def write_report(diagnosis: Diagnosis, folder: Path, *, valve: str, date: dateti
     block = TitleBlock(title=f"Diagnosis: {diagnosis.title}", valve=valve, date=date)
     pictures = {name: png(figure, block, dpi=DPI) for name, figure in draw(diagnosis).items()}
     files = {f"{name}.png": data for name, data in pictures.items()}
-    text = page(block, _sections(diagnosis, pictures), banner=_banner(diagnosis))
+    text = page(block, _sections(diagnosis, pictures), banner=banner(diagnosis))
     files["report.html"] = text.encode("utf-8")
     return [write_bytes(data, folder / name) for name, data in files.items()]
 
@@ -99,9 +99,9 @@ def _picture(pictures: dict[str, bytes], name: str, caption: str) -> Picture:
 
 def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]:
     """The page from top to bottom."""
-    causes = [_causes(diagnosis), _answer_set(diagnosis)]
+    answers = [causes(diagnosis), _answer_set(diagnosis)]
     return [
-        section("", _facts(diagnosis)), *(causes if diagnosis.causes else reversed(causes)),
+        section("", _facts(diagnosis)), *(answers if diagnosis.causes else reversed(answers)),
         _next_test(diagnosis), _gain(diagnosis, pictures), _term(diagnosis, pictures),
         section(
             "Simulation beside records" if diagnosis.verdict == NO_DISCREPANCY else "What the simulation gets wrong",
@@ -121,7 +121,8 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
     ]  # fmt: skip
 
 
-def _banner(diagnosis: Diagnosis) -> Banner:
+def banner(diagnosis: Diagnosis) -> Banner:
+    """The verdict, in its colours."""
     words, edge, ground = VERDICTS[diagnosis.verdict]
     if diagnosis.verdict == CAUSE and len(diagnosis.causes) > 1:
         words = "Causes found"
@@ -146,7 +147,7 @@ def _facts(diagnosis: Diagnosis) -> Terms:
     )
 
 
-def _causes(diagnosis: Diagnosis) -> Section:
+def causes(diagnosis: Diagnosis) -> Section:
     """The causes, each with its parameters; a cause without any is named all the same."""
     rows, above = [], ""
     for e in diagnosis.parameters:
