@@ -469,6 +469,11 @@ class Table:
             raise InputError(
                 f"times must rise, but row {k + 1} ({t[k]:.6g} s) {what} row {k} ({t[k - 1]:.6g} s)", key=self.where
             )
+        with np.errstate(over="ignore"):
+            steep = ~np.isfinite(np.diff(y) / np.diff(t))
+        if steep.any():
+            k = int(np.argmax(steep)) + 1
+            raise InputError(f"row {k + 1} comes {t[k] - t[k - 1]:.3g} s after row {k}, too soon to tell", key=self.where)
 
     def pieces(self, end: float) -> np.ndarray:
         t, y = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
