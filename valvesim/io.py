@@ -21,6 +21,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from valvesim.errors import InputError, nearest, unknown_name
+from valvesim.temporary_files import temporary_path
 from valvesim.units import convert
 
 MOST_BYTES = 256_000_000  # of a file of columns
@@ -340,22 +341,27 @@ def write_text(path: Path, text: str) -> None:
 def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
     """Let `write` fill a temporary file beside `path`, then move it into place. InputError where that cannot be.
 
-    Missing folders are made. Whatever happens, `path` is either as before or complete.
+    Missing folders are made. Whatever happens, a power cut included, `path` is either as before or complete.
     """
     path = Path(path)
+    if "\0" in str(path):
+        raise InputError("cannot be written (embedded null byte)", file=path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot be written ({reason(error)})", file=path) from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
+        with temporary_path(path.parent, f".{path.stem[:100]}-", path.suffix) as temporary:
+            temporary.touch()
+            write(temporary)
+            to_disc(temporary)
+            os.replace(temporary, path)
     except OSError as error:
         raise InputError(f"cannot be written ({reason(error)})", file=path) from None
-    finally:
-        temporary.unlink(missing_ok=True)
     return path
+
+
+def to_disc(path: Path) -> None:
+    """Have the system write a file to its disc now: a rename may reach it before what the file holds."""
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

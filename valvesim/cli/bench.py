@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import click
 
 from valvesim.cli.display import print_table, print_written, progress_bar
 from valvesim.cli.options import output_option, settings_option, temperatures_option, valve_option
+from valvesim.cli.output_folder import all_or_nothing
 
 
 @click.command()
@@ -29,45 +32,70 @@ def bench(
 
     Several leakage records of different periods also give the hysteresis that they have in common, and the meter's lag.
     """
-    from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests, measured_test
+    from valvesim.errors import InputError
+    from valvesim.simulation.scenario_toml import read_tables
+    from valvesim.units import parse, parse_list
+
+    if not measured:
+        if given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]:
+            raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
+        own = read_tables(settings, valve=valve)
+        _test_model(own, parse_list(oil_temperature, "degC", "--oil-temperature").tolist(), output)
+        return
+    if kind is None:
+        raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
+    options = {
+        "lag": None if lag is None else parse(lag, "s", "--lag"),
+        "dead_zone": None if dead_zone is None else parse(dead_zone, "m^3/s", "--dead-zone"),
+        "rated_current": None if rated_current is None else parse(rated_current, "A", "--rated-current"),
+    }
+    _test_records(measured, kind, options, output)
+
+
+def _test_model(own: Any, temperatures: list[float], output: Path) -> None:
+    """All static tests on the model at each temperature: a picture, a page and a table each."""
+    from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests
+    from valvesim.characterisation.figure_of_merit import table
+    from valvesim.reports.acceptance import HEADINGS, acceptance_report
+
+    results, names = [], []
+    with all_or_nothing(output) as folder:
+        for temperature in temperatures:
+            with progress_bar() as bar:
+                stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
+                result = acceptance_tests(
+                    own.valve, oil_temperature=temperature, oil=own.oil, effects=own.effects,
+                    progress=lambda share: bar.update(stage, completed=share),  # noqa: B023 - called within this turn
+                )  # fmt: skip
+            written = acceptance_report(result, folder / f"bench_{temperature:g}_degC.png", date=date.today())
+            names += [path.name for path in written]
+            results.append(result)
+    for result in results:
+        print_table(f"bench, oil at {result.oil_temperature:g} °C", HEADINGS, table(result.figures))
+    print_written([output / name for name in names])
+
+
+def _test_records(files: Sequence[Path], kind: str, options: dict[str, Any], output: Path) -> None:
+    """Measured records: a picture, a page and a table each."""
+    from valvesim.characterisation.acceptance.acceptance_tests import measured_test
     from valvesim.characterisation.acceptance.leakage import common_hysteresis
     from valvesim.characterisation.acceptance.record import read_record
     from valvesim.characterisation.figure_of_merit import table
     from valvesim.errors import InputError
-    from valvesim.io import check_folder
-    from valvesim.reports.acceptance import HEADINGS, acceptance_report, measured_report
-    from valvesim.simulation.scenario_toml import read_tables
-    from valvesim.units import parse, parse_list
+    from valvesim.reports.acceptance import HEADINGS, measured_report
 
-    check_folder(output)
-    if measured:
-        if kind is None:
-            raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
-        for file in measured:
-            one = measured_test(
-                file, kind,
-                lag=None if lag is None else parse(lag, "s", "--lag"),
-                dead_zone=None if dead_zone is None else parse(dead_zone, "m^3/s", "--dead-zone"),
-                rated_current=None if rated_current is None else parse(rated_current, "A", "--rated-current"),
-            )  # fmt: skip
-            written = measured_report(one, output / f"{file.stem}.png", date=date.today())
-            print_table(f"{kind} of {file}", HEADINGS, table(one.figures))
-            print_written(written)
-        if kind == "leakage" and len(measured) > 1:
-            common = common_hysteresis([read_record(file) for file in measured])
-            print_table("what the records have in common", HEADINGS, table(common))
-        return
-    if given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]:
-        raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
-    own = read_tables(settings, valve=valve)
-    paths: list[Path] = []
-    for temperature in parse_list(oil_temperature, "degC", "--oil-temperature"):
-        with progress_bar() as bar:
-            stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
-            result = acceptance_tests(
-                own.valve, oil_temperature=float(temperature), oil=own.oil, effects=own.effects,
-                progress=lambda share: bar.update(stage, completed=share),  # noqa: B023 - called within this turn
-            )  # fmt: skip
-        paths += acceptance_report(result, output / f"bench_{temperature:g}_degC.png", date=date.today())
-        print_table(f"bench, oil at {temperature:g} °C", HEADINGS, table(result.figures))
-    print_written(paths)
+    if twice := [file for k, file in enumerate(files) if file.stem in (other.stem for other in files[:k])]:
+        raise InputError(f"--measured: {twice[0]}: another record has the same name, after which its results are named")
+    tables, names = [], []
+    with all_or_nothing(output) as folder:
+        for file in files:
+            one = measured_test(file, kind, **options)
+            written = measured_report(one, folder / f"{file.stem}.png", date=date.today())
+            names += [path.name for path in written]
+            tables.append((f"{kind} of {file}", table(one.figures)))
+        if kind == "leakage" and len(files) > 1:
+            common = common_hysteresis([read_record(file) for file in files])
+            tables.append(("what the records have in common", table(common)))
+    for title, rows in tables:
+        print_table(title, HEADINGS, rows)
+    print_written([output / name for name in names])

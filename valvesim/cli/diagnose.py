@@ -27,7 +27,7 @@ def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...
     Writes diagnosis.json, report.html with its pictures, extended.toml (a scenario for `valvesim run`) and, where one
     helps, the next test as next_test.csv: all of them, or nothing.
     """
-    with all_or_nothing(output, ANSWER_FILES) as folder, progress_bar() as bar:
+    with all_or_nothing(output) as folder, progress_bar() as bar:
         stage = bar.add_task("reading", total=1.0)
         from valvesim.diagnosis.diagnose import diagnose as find
         from valvesim.identification.session_toml import load_session
@@ -41,13 +41,6 @@ def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...
         names = [path.name for path in _write_diagnosis(found, read.valve, folder)]
     _print_diagnosis(found)
     print_written([output / name for name in names])
-
-
-ANSWER_FILES = (
-    "diagnosis.json", "report.html", "extended.toml", "recovered_term.py", "next_test.csv", "errors.png", "traces.png",
-    "scores.png", "gain.png", "term.png",
-)  # fmt: skip
-"""All that a diagnosis may write; what an earlier one left in the folder goes with the answer that it belonged to."""
 
 
 def _write_diagnosis(found: Any, valve: Any, folder: Path) -> list[Path]:

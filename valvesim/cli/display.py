@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from valvesim.errors import one_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,10 +18,28 @@ if TYPE_CHECKING:
 
 
 def console() -> Console:
-    """Standard output; as wide as the terminal, or wide enough for the tables where there is none."""
-    from rich.console import Console
+    """Standard output; as wide as the terminal, or wide enough for the tables where there is none.
 
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+    Control characters in what is printed are shown as escapes, and a closed pipe raises BrokenPipeError.
+    """
+    from rich.console import Console
+    from rich.segment import Segment
+
+    class SafeConsole(Console):
+        def render(self, *arguments: Any, **options: Any) -> Iterator[Segment]:
+            for segment in super().render(*arguments, **options):
+                plain = segment.control or segment.text == "\n" or segment.text.isprintable()
+                yield segment if plain else Segment(shown(segment.text), segment.style)
+
+        def on_broken_pipe(self) -> None:
+            raise  # it is called where the error is handled
+
+    return SafeConsole(highlight=False, width=None if sys.stdout.isatty() else 160)
+
+
+def shown(text: str) -> str:
+    """A text with its control characters, all but the ends of lines, as escapes."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def progress_bar() -> Progress:
@@ -66,4 +86,4 @@ def print_rows(rows: Sequence[Mapping[str, Any]], form: str) -> None:
 def print_written(paths: Sequence[Path]) -> None:
     """A line for each file that was written."""
     for path in paths:
-        console().print(f"wrote {path}", markup=False)
+        console().print(f"wrote {one_line(str(path))}", markup=False)

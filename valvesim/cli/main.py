@@ -1,12 +1,15 @@
 """The command line: `valvesim run | static | response | bench | datasheet | diagnose | ...`.
 
-Exit codes: 0 done, 1 a solve failed, 2 the input is wrong. Tables go to standard output, all else to standard error.
+Exit codes: 0 done; 1 a solve failed, or the system refused memory or standard output; 2 the input is wrong, or its
+results cannot be written; 128 + its number where a signal ended it (130 Ctrl-C, 143 SIGTERM, 141 a closed pipe).
+Tables go to standard output, all else to standard error.
 Each command stands in the module of its name, which is loaded when it is asked for and imports what it needs when it
 runs.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import sys
@@ -16,15 +19,27 @@ from typing import Any
 
 import click
 
-from valvesim.errors import InputError, SolveError, ValidityWarning
+from valvesim.cli.interrupts import MESSAGE, ended_by_signals
+from valvesim.cli.streams import CLOSED_PIPE, drop_output, prepare_streams
+from valvesim.errors import InputError, SolveError, ValidityWarning, one_line
 
 COMMANDS = (
     "bench", "datasheet", "diagnose", "effects", "oils", "parameters", "reproduce", "response", "run", "static",
 )  # fmt: skip
 
 
+class ClosedPipe(Exception):
+    """Whoever read standard output has closed it: nobody's failure."""
+
+
 class _Commands(click.Group):
     """The commands by name, each loaded from its own module."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            raise ClosedPipe from None  # or click would make a failure of it
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -49,30 +64,61 @@ def cli(context: click.Context) -> None:
 
 def _show_warning(message: Any, category: type[Warning], *details: Any, **more: Any) -> None:
     if issubclass(category, ValidityWarning):
-        click.echo(f"warning: {message}", err=True)
+        click.echo(f"warning: {one_line(str(message))}", err=True)
 
 
 def main() -> None:
     """Run the command line; every expected failure is one line on standard error and an exit code."""
-    warnings.showwarning = _show_warning
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: on a busy machine its threads only wait
-    gc.freeze()
-    gc.set_threshold(100_000, 50, 50)  # imports make many objects and no garbage: a tenth of a second of searching less
+    with ended_by_signals():
+        prepare_streams()
+        warnings.showwarning = _show_warning
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: its threads only wait
+        gc.freeze()
+        gc.set_threshold(100_000, 50, 50)  # imports make many objects and no garbage: 0.1 s less
+        message, code = _run()
+        try:
+            sys.stdout.flush()
+        except OSError as error:
+            message, code = (message, code) if code else _refused_by_the_system(error)
+            drop_output()
+        if message:
+            with contextlib.suppress(OSError):  # nobody reads it, or the disc is full
+                click.echo(f"error: {message}", err=True)
+        if code:
+            sys.exit(code)
+
+
+def _run() -> tuple[str, int]:
+    """Run the command of the command line: (what has failed, exit code)."""
     try:
-        cli.main(standalone_mode=False)
+        given = cli.main(standalone_mode=False)
+        return "", given if isinstance(given, int) else 0
+    except SystemExit as end:
+        return "", end.code if isinstance(end.code, int) else 0
     except InputError as error:
-        _fail(str(error), 2)
+        return str(error), 2
     except SolveError as error:
-        _fail(str(error), 1)
+        return str(error), 1
     except click.ClickException as error:
-        _fail(error.format_message().replace("\n", " "), 2)
+        return one_line(error.format_message().replace("\n", " ")), 2
     except (click.Abort, KeyboardInterrupt):
-        _fail("interrupted; nothing half-written is left", 130)
+        return MESSAGE, 130
+    except MemoryError:
+        return "there is not enough memory for this; nothing half-written is left", 1
+    except ClosedPipe:
+        return "", CLOSED_PIPE
+    except OSError as error:
+        return _refused_by_the_system(error)
 
 
-def _fail(message: str, code: int) -> None:
-    click.echo(f"error: {message}", err=True)
-    sys.exit(code)
+def _refused_by_the_system(error: OSError) -> tuple[str, int]:
+    """(what the system refuses, exit code)."""
+    if isinstance(error, BrokenPipeError):
+        return "", CLOSED_PIPE
+    from valvesim.io import reason
+
+    what = "" if error.filename else "standard output: "
+    return one_line(f"{what}cannot be read or written ({reason(error)})"), 1
 
 
 if __name__ == "__main__":

@@ -19,11 +19,29 @@ temperatures_option = click.option(
 )
 
 
-def output_option(default: str) -> Callable[[Any], Any]:
-    """The folder that a command writes to."""
-    return click.option(
-        "-o", "--output", type=click.Path(path_type=Path), default=Path(default), show_default=True
+_OVERWRITE = "valvesim.overwrite"
+
+
+def output_option(default: str | None) -> Callable[[Any], Any]:
+    """The folder that a command writes to, and whether it may write over what stands there (`may_overwrite`)."""
+    folder = click.option(
+        "-o", "--output", type=click.Path(path_type=Path), default=default and Path(default), show_default=True,
+        help=None if default else "Folder of the results [results/SCENARIO].",
     )  # fmt: skip
+    overwrite = click.option(
+        "--overwrite", is_flag=True, expose_value=False, callback=_keep_overwrite,
+        help="Write over files in it that this command did not write.",
+    )  # fmt: skip
+    return lambda command: folder(overwrite(command))
+
+
+def _keep_overwrite(context: click.Context, _: click.Parameter, given: bool) -> None:
+    context.meta[_OVERWRITE] = given
+
+
+def may_overwrite() -> bool:
+    """Whether the command line that runs says `--overwrite`."""
+    return bool(click.get_current_context().meta.get(_OVERWRITE))
 
 
 def format_option(*forms: str) -> Callable[[Any], Any]:

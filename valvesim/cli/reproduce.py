@@ -9,6 +9,7 @@ import click
 
 from valvesim.cli.display import print_written, progress_bar
 from valvesim.cli.options import output_option
+from valvesim.cli.output_folder import all_or_nothing
 
 
 @click.command()
@@ -17,17 +18,15 @@ from valvesim.cli.options import output_option
 @click.option("--starts", type=click.IntRange(min=1), help="How many starts [as many as the published page has].")
 def reproduce(output: Path, seed: int, starts: int | None) -> None:
     """The paper's figures and tables recomputed, published beside computed: a page with pictures (minutes)."""
-    from valvesim.io import check_folder
     from valvesim.paper.identification import STARTS
     from valvesim.paper.reproduction import compute
     from valvesim.reports.paper.page import write_page
 
-    check_folder(output)
-    with progress_bar() as bar:
+    with all_or_nothing(output) as folder, progress_bar() as bar:
         stage = bar.add_task("recomputing the paper", total=1.0)
         result = compute(
             seed=seed, starts=STARTS if starts is None else starts,
             progress=lambda text, share: bar.update(stage, description=text, completed=share),
         )  # fmt: skip
-        page = write_page(result, output, date=date.today())
-    print_written([page])
+        page = write_page(result, folder, date=date.today())
+    print_written([output / page.name])

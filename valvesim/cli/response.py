@@ -10,6 +10,7 @@ import click
 
 from valvesim.cli.display import print_table, print_written, progress_bar
 from valvesim.cli.options import output_option, settings_option, valve_option
+from valvesim.cli.output_folder import all_or_nothing
 
 
 @click.command()
@@ -27,7 +28,6 @@ def response(
     """
     from valvesim.characterisation.figure_of_merit import table
     from valvesim.characterisation.response_set import measure_responses
-    from valvesim.io import check_folder
     from valvesim.reports.response import HEADINGS, response_report
     from valvesim.reports.title_block import valve_name
     from valvesim.simulation.scenario import Scenario, Thermal
@@ -39,19 +39,18 @@ def response(
         source = Scenario(valve=own.valve, oil=own.oil, effects=own.effects, thermal=Thermal(network=None))
     else:
         source = load_scenario(scenario, settings=settings, valve=valve)
-    check_folder(output)
     given = oil_temperature
     temperatures = None if given is None else parse_list(given, "degC", "--oil-temperature").tolist()
-    with progress_bar() as bar:
+    with all_or_nothing(output) as folder, progress_bar() as bar:
         stage = bar.add_task("stepping and sweeping", total=1.0)
         sets = measure_responses(
             source, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
         )
-        paths = response_report(sets, output, valve=valve_name(source.valve), date=date.today())
+        paths = response_report(sets, folder, valve=valve_name(source.valve), date=date.today())
     for one in sets:
         tests: tuple[Any, ...] = (*one.steps, *one.sweeps)
         for test in tests:
             what = "step" if test in one.steps else "sines"
             title = f"{what} of {100 * test.share:.0f} % of rated, oil at {one.oil_temperature:g} °C"
             print_table(title, HEADINGS, table(test.figures))
-    print_written(paths)
+    print_written([output / path.name for path in paths])

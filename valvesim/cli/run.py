@@ -6,20 +6,23 @@ import contextlib
 import multiprocessing
 import pickle
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from datetime import date
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import click
 
 from valvesim.cli.display import console, print_written, progress_bar, titled_table
-from valvesim.cli.options import settings_option, valve_option
+from valvesim.cli.interrupts import end_with_parent, hidden_from_children
+from valvesim.cli.options import output_option, settings_option, valve_option
+from valvesim.cli.output_folder import all_or_nothing
 
 
 @click.command()
 @click.argument("scenario", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder of the results [results/SCENARIO].")
+@output_option(None)
 @valve_option
 @settings_option
 @click.option("--csv", "with_csv", is_flag=True, help="Write result.csv beside result.nc.")
@@ -37,7 +40,6 @@ def run(
         static_drift,
         temperature_varies,
     )
-    from valvesim.io import check_folder
     from valvesim.reports.run_table import run_rows
     from valvesim.simulation.result import check_channels
     from valvesim.simulation.run import simulate
@@ -45,9 +47,8 @@ def run(
 
     case = load_scenario(scenario, settings=settings, valve=valve)
     check_channels(case)
-    folder = output or Path("results") / scenario.stem
-    check_folder(folder)
-    with _artist(wanted=not no_pictures) as draw, progress_bar() as bar:
+    place = output or Path("results") / scenario.stem
+    with all_or_nothing(place) as folder, _artist(wanted=not no_pictures) as draw, progress_bar() as bar:
         stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
 
         def integrated(share: float) -> None:
@@ -77,7 +78,7 @@ def run(
         drawn = [path for picture in pictures if (path := picture()) is not None]
         page = draw("page_run", run_rows(result), drawn, case, date.today(), folder / "run.html")()
         written += [*drawn, *([] if page is None else [page])]
-    _print_run(result, drift, written)
+    _print_run(result, drift, [place / path.name for path in written])
 
 
 @contextlib.contextmanager
@@ -85,33 +86,67 @@ def _artist(*, wanted: bool) -> Iterator[Callable[..., Callable[[], Path | None]
     """Draws in a process of its own, which loads matplotlib (half a second) while this one integrates.
 
     `draw(name, *arguments)` begins a picture of `report` and returns what waits for its path. Where the arguments
-    cannot travel (an effect made of lambdas), the picture is drawn here when it is waited for.
+    cannot travel (an effect made of lambdas), the picture is drawn here when it is waited for. That process ends with
+    the pipe between them: however this one ends, none is left.
     """
     if not wanted:
         yield lambda name, *arguments: lambda: None
         return
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        pool.submit(_draw)
+    spawning = multiprocessing.get_context("spawn")
+    here, there = spawning.Pipe()
+    process = spawning.Process(target=_draw_for, args=(there,), daemon=True)
+    with hidden_from_children():
+        process.start()
+    there.close()
+
+    def ask(*job: Any) -> Path | None:
+        here.send(job)
+        path, error = here.recv()
+        if error is not None:
+            raise error
+        return path
+
+    with ThreadPoolExecutor(1) as queue:
 
         def draw(name: str, *arguments: Any) -> Callable[[], Path | None]:
-            begun = pool.submit(_draw, name, *arguments)
+            begun = queue.submit(ask, name, *arguments)
 
             def wait() -> Path | None:
                 try:
                     return begun.result()
-                except (pickle.PicklingError, AttributeError, TypeError):
+                except (pickle.PicklingError, AttributeError, TypeError, EOFError, ConnectionError):
                     return _draw(name, *arguments)
 
             return wait
 
-        yield draw
+        try:
+            yield draw
+        finally:
+            process.kill()
+            process.join()
+    here.close()
 
 
-def _draw(name: str | None = None, *arguments: Any) -> Path | None:
-    """One picture of `report`, or none: then the module is only loaded."""
+def _draw_for(pipe: Connection) -> None:
+    """Draw what comes through a pipe until it is closed."""
+    end_with_parent()
+    from valvesim.reports import run as report  # noqa: F401 - loaded while the other side integrates
+
+    with contextlib.suppress(EOFError, ConnectionError):
+        while True:
+            job, path, failed = pipe.recv(), None, None
+            try:
+                path = _draw(*job)
+            except Exception as error:
+                failed = error
+            pipe.send((path, failed))
+
+
+def _draw(name: str, *arguments: Any) -> Path | None:
+    """One picture of `report`."""
     from valvesim.reports import run as report
 
-    return None if name is None else getattr(report, name)(*arguments)
+    return getattr(report, name)(*arguments)
 
 
 def _print_run(result: Any, drift: Any, written: list[Path]) -> None:

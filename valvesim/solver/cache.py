@@ -18,17 +18,15 @@ import hashlib
 import json
 import os
 import re
-import shutil
 import stat
 import sys
-import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from valvesim.errors import warn_once
+from valvesim.temporary_files import temporary_folder, temporary_path
 
 SOURCE = "model.py"
 MACHINE_CODE = "__pycache__"  # where numba keeps what it compiles of a file
@@ -100,9 +98,7 @@ def _fits(entry: Path) -> bool:
 
 def _fill(folder: Path, name: str, text: str, call_once) -> ModuleType:
     """Compile a source into a new entry, in place of one that does not fit."""
-    _remove_abandoned(folder)
-    new = Path(tempfile.mkdtemp(prefix=NEW, dir=folder))
-    try:
+    with temporary_folder(folder, NEW, abandoned=ABANDONED) as new:
         (new / MACHINE_CODE).mkdir(mode=0o700)
         _write(new / SOURCE, text.encode())
         module = _import(new, name, call_once)
@@ -116,24 +112,12 @@ def _fill(folder: Path, name: str, text: str, call_once) -> ModuleType:
         with contextlib.suppress(OSError):  # another process was first: the same code
             os.rename(new, folder / name)
         return module
-    finally:
-        shutil.rmtree(new, ignore_errors=True)
 
 
 def _remove(entry: Path) -> None:
     """Remove an entry, which others see whole or not at all."""
-    away = Path(tempfile.mkdtemp(prefix=NEW, dir=entry.parent))
-    with contextlib.suppress(FileNotFoundError):
+    with temporary_folder(entry.parent, NEW, abandoned=ABANDONED) as away, contextlib.suppress(FileNotFoundError):
         os.rename(entry, away / entry.name)
-    shutil.rmtree(away, ignore_errors=True)
-
-
-def _remove_abandoned(folder: Path) -> None:
-    """Remove entries that a killed process left half-filled."""
-    for path in folder.glob(f"{NEW}*"):
-        with contextlib.suppress(OSError):
-            if time.time() - path.stat().st_mtime > ABANDONED:
-                shutil.rmtree(path, ignore_errors=True)
 
 
 def _import(entry: Path, name: str, call_once) -> ModuleType:
@@ -245,12 +229,7 @@ def _read(path: Path) -> bytes:
 
 def _write(path: Path, data: bytes) -> None:
     """A file that appears whole, for the user alone."""
-    handle, temporary = tempfile.mkstemp(prefix=NEW, dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
+    with temporary_path(path.parent, NEW) as temporary:
+        temporary.touch(mode=0o600, exist_ok=False)
+        temporary.write_bytes(data)
         os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        raise
