@@ -18,6 +18,7 @@ from valvesim.inputs import Command
 from valvesim.io import DEEPEST, MOST_TEXT, check_known, check_tables, located, read_names, read_toml
 from valvesim.simulation.command_toml import TABLE, command_entries, read_command, read_switch
 from valvesim.simulation.scenario import Scenario, Thermal
+from valvesim.simulation.scenario_files import scenario_file
 from valvesim.units import change, exact_text, parse, quantities
 from valvesim.valve.coefficients import ROUTES, check_routes
 from valvesim.valve.effect import Effect, check_listed_once
@@ -50,12 +51,13 @@ _THERMAL_KEYS = (
 
 
 def load_scenario(path: str | Path, *, settings: Sequence[str] = (), valve: str | Path | None = None) -> Scenario:
-    """Read a scenario file; `settings` such as `valve.null_gap=0.03 mm` override or add keys.
+    """Read a scenario file, or the scenario of that name that comes along (`launch_shock`).
 
+    `settings` such as `valve.null_gap=0.03 mm` override or add keys.
     `valve` (a valve file or a preset's name) takes the place of the file's own. Raises InputError for a missing file,
     broken TOML, or any key or figure that makes no sense.
     """
-    path = Path(path)
+    path = scenario_file(path)
     text, table = read_toml(path)
     if valve is not None:
         table["valve"] = valve_argument(valve)
