@@ -25,7 +25,7 @@ from valvesim.errors import InputError, SolveError, ValidityWarning, nearest, on
 
 COMMANDS = (
     "bench", "datasheet", "diagnose", "effects", "oils", "parameters", "reproduce", "response", "run", "scenarios",
-    "static",
+    "static", "study",
 )  # fmt: skip
 
 

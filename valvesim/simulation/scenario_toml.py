@@ -62,7 +62,7 @@ def load_scenario(path: str | Path, *, settings: Sequence[str] = (), valve: str 
     if valve is not None:
         table["valve"] = valve_argument(valve)
     for setting in settings:
-        _override(table, setting)
+        override(table, setting)
     with located(path, text, document="scenario", settings=settings):
         return Reader(path.parent).scenario(table)
 
@@ -74,7 +74,7 @@ def read_tables(settings: Sequence[str], *, valve: str | Path | None = None) -> 
     """
     table: dict[str, Any] = {} if valve is None else {"valve": valve_argument(valve)}
     for setting in settings:
-        _override(table, setting)
+        override(table, setting)
     check_known(table, ("valve", "oil", "effects"), "--set")
     check_tables(table, ("oil", "effects"))
     return Reader(Path()).valve(table)
@@ -85,7 +85,8 @@ def valve_argument(valve: str | Path) -> dict[str, str]:
     return {"file": str(valve) if str(valve) in PRESETS else str(Path(valve).absolute())}
 
 
-def _override(table: dict[str, Any], setting: str) -> None:
+def override(table: dict[str, Any], setting: str) -> None:
+    """Put a setting `KEY=VALUE` into the tables of a file. InputError where it cannot be."""
     key, equals, text = setting.partition("=")
     names = [name.strip() for name in key.split(".")]
     if not equals or not all(names):
