@@ -97,7 +97,7 @@ def distance_from_rest(scenario: vs.Scenario, result: vs.Result) -> float | None
     """How far the last sample is from the static solution, of the larger of both; None where it need not be there."""
     held = held_since(scenario)
     thermal = scenario.thermal
-    if held is None or scenario.effects or thermal.network is not None or scenario.duration - held < 1.0:
+    if held is None or scenario.effects or thermal.network is not None or scenario.duration - held < 0.5:
         return None
     _, c = KNOTS.temperature_knots(scenario)
     c = type(c)(*(np.asarray(v).ravel()[-1] for v in c))
