@@ -40,14 +40,20 @@ _SHOWN = {
 }  # fmt: skip
 
 
+LEAST_SHOWN = {"%": 1e-3, "dB": 1e-4}
+"""Below which a simulated figure is told to be zero: no more than what the integration leaves."""
+
+
 def shown(figure: FigureOfMerit) -> tuple[str, str, str]:
     """(value, uncertainty, unit) as text in the units that people read."""
     unit, factor = _SHOWN.get(figure.unit, (figure.unit, 1.0))
     if figure.name.endswith("lag") and figure.unit == "s":
         unit, factor = "s", 1.0  # a meter's lag is seconds, not milliseconds
     value, error = figure.value * factor, (figure.uncertainty or 0.0) * factor
-    places = int(np.clip(1 - np.floor(np.log10(error)), 0, 6)) if error > 0.0 else None
-    text = f"{value:.5g}" if places is None else f"{value:.{places}f}"
+    if error > 0.0:
+        text = f"{value:.{int(np.clip(1 - np.floor(np.log10(error)), 0, 6))}f}"
+    else:
+        text = "0" if abs(value) < LEAST_SHOWN.get(unit, 0.0) else f"{value:.5g}"
     return text, "" if figure.uncertainty is None else f"{error:.2g}", "" if unit == "-" else symbol(unit)
 
 

@@ -98,7 +98,7 @@ FIGURES = {
         "Pa/A", "slope of the blocked load pressure over current", ("pressure-gain.pressure_gain",), spread=0.2
     ),
     "pressure_gain_share": SpecifiedFigure(
-        "1", "share of supply pressure per share of rated current", ("pressure-gain.pressure_gain_share",), spread=0.2
+        "-", "share of supply pressure per share of rated current", ("pressure-gain.pressure_gain_share",), spread=0.2
     ),
     "null_leakage": SpecifiedFigure(
         "m^3/s", "greatest internal leakage, blocked ports", ("leakage.null_leakage",), spread=0.2
@@ -321,7 +321,8 @@ def _read_limit(name: str, entry: Any, where: str, common: Mapping[str, float]) 
     check_known(table, (*_LIMIT_KEYS, *own), where)
     source = table.get("source", "")
     check_printable(source, f"{where}.source")
-    stated = {key: parse(table[key], figure.unit, f"{where}.{key}") for key in ("value", "low", "high") if key in table}
+    unit = "1" if figure.unit == "-" else figure.unit
+    stated = {key: parse(table[key], unit, f"{where}.{key}") for key in ("value", "low", "high") if key in table}
     if not stated:
         raise InputError("needs a value, or a limit low or high", key=where, joint=" ")
     if "tolerance" in table:
@@ -348,8 +349,8 @@ def _within_tolerance(name: str, stated: Mapping[str, float], text: Any, where: 
     """The limits of a value with a tolerance, a share of it or a figure of its own unit."""
     if "value" not in stated or len(stated) > 1:
         raise InputError("goes with a value alone, in place of low and high", key=where)
-    value, unit = stated["value"], FIGURES[name].unit
-    share = isinstance(text, str) and text.rstrip().endswith("%") and unit not in ("1", "%")
+    value, unit = stated["value"], "1" if FIGURES[name].unit == "-" else FIGURES[name].unit
+    share = isinstance(text, str) and text.rstrip().endswith("%") and FIGURES[name].unit not in ("1", "%")
     width = parse(text, "1", where) * abs(value) if share else parse(text, unit, where)
     if width <= 0.0:
         raise InputError(f"{text!r} must be positive", key=where)

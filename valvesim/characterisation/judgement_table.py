@@ -1,0 +1,96 @@
+"""Limits, conditions and judgements as people and as machines read them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
+from valvesim.characterisation.specification import CONDITIONS, Judgement, Limit, Verdict
+from valvesim.units import DISPLAY, symbol
+
+HEADINGS = ("figure", "condition", "limits", "measured", "±", "unit", "verdict")
+
+
+def value_text(value: float, unit: str, uncertainty: float | None = None) -> tuple[str, str, str]:
+    """(value, uncertainty, unit) as text in the unit that people read; empty where there is none."""
+    if math.isnan(value):
+        return "", "", ""
+    return shown(FigureOfMerit("", value, unit, "", uncertainty))
+
+
+def interval_text(value: float, low: float, high: float, unit: str) -> tuple[str, str, str]:
+    """(value, its 95 % interval, unit) of a parameter as text: three digits of half of it, small lengths in um."""
+    shown_unit, factor = DISPLAY.get(unit, (unit, 1.0))
+    if unit == "m" and max(abs(low), abs(high)) < 1e-4:
+        shown_unit, factor = "um", 1e6
+    digits = int(2 - math.floor(math.log10((high - low) / 2.0 * factor))) if high > low else 6
+    texts = [f"{round(v * factor, digits):.{max(digits, 0)}f}" for v in (value, low, high)]
+    if digits > 6:
+        texts = [f"{v * factor:.3g}" for v in (value, low, high)]
+    return texts[0], f"{texts[1]} to {texts[2]}", "" if shown_unit == "1" else symbol(shown_unit)
+
+
+def limit_text(limit: Limit) -> str:
+    """The limits of a figure, such as `34.2 to 41.8 L/min` or `at most 3 %`; its value where it has no limits."""
+    (low, _, unit), (high, _, _) = (value_text(end, limit.unit) for end in (limit.low, limit.high))
+    _, _, unit = value_text(0.0, limit.unit)
+    if math.isinf(limit.low) and math.isinf(limit.high):
+        return f"{value_text(limit.value, limit.unit)[0]} {unit}".strip()
+    if math.isinf(limit.low):
+        return f"at most {high} {unit}".strip()
+    if math.isinf(limit.high):
+        return f"at least {low} {unit}".strip()
+    return f"{low} to {high} {unit}".strip()
+
+
+def condition_text(conditions: Mapping[str, float], common: Iterable[str] = ()) -> str:
+    """Conditions in words, such as `amplitude 40 %, pressure drop 70 bar`; those of `common` are left out."""
+    told = []
+    for name, value in conditions.items():
+        if name not in common:
+            text, _, unit = value_text(value, CONDITIONS[name].unit)
+            told.append(f"{name.replace('_', ' ')} {text} {'K' if unit == 'K' else unit}".strip())
+    return ", ".join(told)
+
+
+def judgement_rows(judged: Sequence[Judgement], common: Iterable[str] = ()) -> list[tuple[str, ...]]:
+    """Rows under `HEADINGS`; a figure that was not measured says why."""
+    rows: list[tuple[str, ...]] = []
+    for one in judged:
+        limit = one.limit
+        told = (limit.figure.replace("_", " "), condition_text(limit.conditions, common), limit_text(limit))
+        if isinstance(one.measured, Absent):
+            rows.append((*told, one.measured.reason, "", "", one.verdict.value))
+        else:
+            rows.append((*told, *shown(one.measured), one.verdict.value))
+    return rows
+
+
+def judgement_records(judged: Sequence[Judgement]) -> list[dict[str, Any]]:
+    """A row of plain values in SI for each judgement, for machines; None for what there is not."""
+    return [
+        {
+            "figure": one.limit.figure, "measured_as": one.measured.name,
+            **figure_record(one.measured), "low": _finite(one.limit.low), "high": _finite(one.limit.high),
+            "conditions": dict(one.limit.conditions), "verdict": one.verdict.value,
+        }
+        for one in judged
+    ]  # fmt: skip
+
+
+def figure_record(figure: FigureOfMerit | Absent) -> dict[str, Any]:
+    """Value, unit, uncertainty (one standard deviation) and, of an absent figure, the reason; SI."""
+    if isinstance(figure, Absent):
+        return {"value": None, "unit": None, "uncertainty": None, "reason": figure.reason}
+    return {"value": figure.value, "unit": figure.unit, "uncertainty": figure.uncertainty, "reason": None}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def failed(judged: Sequence[Judgement]) -> bool:
+    """Whether any figure fails."""
+    return any(one.verdict == Verdict.FAIL for one in judged)

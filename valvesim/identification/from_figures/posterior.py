@@ -1,0 +1,125 @@
+"""The valve that fits figures best within its prior, and what the figures leave open: maximum a posteriori with
+Laplace's approximation.
+
+Symbols
+    u point (n,) in prior standard deviations, r whitened misfit (q,), J its Jacobian (q, n) by differences of a batch
+    H = J'J + 1 posterior precision, C = H^-1 covariance of u
+MacKay 1992 (Laplace's approximation). scipy's trust-region least squares: a batch of valves is one call, so that a
+Jacobian costs little more than a prediction (`identification.least_squares` is made for records, where it does not).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.from_figures.prediction import Asked, FigurePredictor
+from valvesim.identification.from_figures.similarity import UNKNOWNS, SimilarValves
+
+STEP = 0.05  # prior deviations of a difference
+FARTHEST = 4.0  # prior deviations from similarity: no believable valve is beyond
+EVALUATIONS = 12  # of the fit, each with a Jacobian
+ENOUGH = 1e-3  # `ftol` of the penalised chi-square
+RESTARTS = 2  # from drawn points, where a fit leaves a figure out of its limits
+NO_VALVE = 1e3  # deviations: the misfit of a point at which there is no valve
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """A fit: `point` (n,), `predicted` figures (q,) in SI with their `slopes` (q, n) per prior deviation.
+
+    `turns_slopes` (n,) are those of the ampere-turns' deviation, `chi_square` is the penalised one.
+    """
+
+    similar: SimilarValves
+    asked: tuple[Asked, ...]
+    point: np.ndarray
+    predicted: np.ndarray
+    slopes: np.ndarray
+    turns_slopes: np.ndarray
+    chi_square: float
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance (n, n) of the point in prior standard deviations; a kept limit says nothing of the valve."""
+        whitened = _whitened(self.asked, self.predicted, self.slopes, self.turns_slopes)
+        return np.linalg.inv(np.eye(len(self.point)) + whitened.T @ whitened)
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """One standard deviation (q,) of each figure by what all figures together say, SI."""
+        return np.sqrt(np.einsum("qn,nm,qm->q", self.slopes, self.covariance, self.slopes))
+
+
+def fit(
+    similar: SimilarValves, predictor: FigurePredictor, *, seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Posterior:  # fmt: skip
+    """The maximum a posteriori, started from similarity and, where figures stay out of their limits, from drawn points.
+
+    Raises SolveError where no point near similarity is a valve that runs.
+    """
+    n, draw = len(UNKNOWNS), np.random.default_rng(seed)
+    best = descend(similar, predictor, np.zeros(n), progress)
+    for _ in range(RESTARTS):
+        if all(a.reached(v) for a, v in zip(best.asked, best.predicted, strict=True)):
+            break
+        other = descend(similar, predictor, 0.7 * draw.normal(size=n), progress)
+        best = other if other.chi_square < best.chi_square else best
+    return best
+
+
+def descend(
+    similar: SimilarValves, predictor: FigurePredictor, start: np.ndarray,
+    progress: Callable[[float], None] | None = None, *, evaluations: int = EVALUATIONS,
+) -> Posterior:  # fmt: skip
+    """The maximum a posteriori that lies downhill of a point. Raises SolveError where that is no valve that runs."""
+    from scipy.optimize import least_squares
+
+    n, asked = len(start), predictor.asked
+    done: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def at(point: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """(figures (q,), their slopes (q, n), ampere-turns' deviation, its slopes (n,)) by central differences."""
+        key = point.tobytes()
+        if key not in done:
+            moves = STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
+            points = point + moves
+            valves = similar.valves(points)
+            figures, turns = predictor.predict(valves, len(points)), similar.ampere_turns(valves)
+            if not np.all(np.isfinite(figures)):
+                raise SolveError("identification: a figure cannot be told of the valve at this point")
+            slopes = (figures[1 : n + 1] - figures[n + 1 :]).T / (2.0 * STEP)
+            done[key] = figures[0], slopes, turns[0], (turns[1 : n + 1] - turns[n + 1 :]) / (2.0 * STEP)
+            if progress is not None:
+                progress(min(len(done) / EVALUATIONS, 1.0))
+        return done[key]
+
+    def misfit(point: np.ndarray) -> np.ndarray:
+        try:
+            figures, _, turns, _ = at(point)
+        except (SolveError, InputError):
+            if not done:
+                raise
+            return np.full(len(asked) + n + 1, NO_VALVE)
+        return np.concatenate([[a.misfit(v) for a, v in zip(asked, figures, strict=True)], [turns], point])
+
+    def jacobian(point: np.ndarray) -> np.ndarray:
+        figures, slopes, _, turns = at(point)
+        return np.vstack([_whitened(asked, figures, slopes, turns), np.eye(n)])
+
+    found = least_squares(
+        misfit, start, jac=jacobian, bounds=(-FARTHEST, FARTHEST), method="trf", x_scale=1.0, ftol=ENOUGH, xtol=1e-4,
+        gtol=1e-6, max_nfev=evaluations,
+    )  # fmt: skip
+    figures, slopes, _, turns_slopes = at(found.x)
+    return Posterior(similar, asked, found.x, figures, slopes, turns_slopes, float(2.0 * found.cost))
+
+
+def _whitened(asked: Sequence[Asked], figures: np.ndarray, slopes: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """The Jacobian (q + 1, n) of the misfits, that of the ampere-turns last."""
+    shares = [a.holds(v) / a.deviation for a, v in zip(asked, figures, strict=True)]
+    return np.vstack([slopes * np.reshape(shares, (-1, 1)), turns])

@@ -1,0 +1,137 @@
+"""What the figures of a specification would be of many valves at once, and how well each is known.
+
+Symbols
+    f a figure, s its standard deviation among valves of the specification, k valves, q figures
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.characterisation.specification import COMMON, FIGURES, Limit
+from valvesim.identification.from_figures.dynamic_figures import LEAST_FREQUENCY, LOW, Bench, Sines, step_figures
+from valvesim.identification.from_figures.static_figures import static_figures
+from valvesim.valve.fluid import Oil
+from valvesim.valve.parameters import Valve
+
+SINES = ("frequency_minus_3_db", "frequency_minus_90_deg", "amplitude_ratio", "phase_lag")
+STEPS = ("time_to_90_percent", "rise_time", "overshoot")
+STEP_TIME = 5e-3  # s, expected of a step of which the overshoot alone is asked
+OF_THE_COIL = ("coil_resistance", "coil_inductance")
+STATIC = (
+    "rated_flow", "flow_at_rated", "flow_gain", "linearity", "symmetry", "null_bias", "lap", "pressure_gain",
+    "pressure_gain_share", "null_leakage", "tare_leakage", "null_shift_temperature", "null_shift_supply",
+    "null_shift_return",
+)  # fmt: skip
+FITTED = (*OF_THE_COIL, *STATIC, *SINES, *STEPS)
+"""The figures that are predicted; hysteresis and threshold are those of effects in service."""
+CENTRED = ("null_bias", "lap", "null_shift_temperature", "null_shift_supply", "null_shift_return")
+"""Figures that are as often negative as positive, so that a limit on their size tells how they scatter."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A figure that is asked for: its limit, the value aimed at (nan: within the limit alone) and one deviation."""
+
+    limit: Limit
+    value: float
+    deviation: float
+
+    @property
+    def expected(self) -> float:
+        """What is expected of the figure before anything is simulated: its value, else its limit."""
+        known = (self.value, self.limit.high, self.limit.low)
+        return next(value for value in known if math.isfinite(value))
+
+    def misfit(self, predicted: np.ndarray) -> np.ndarray:
+        """Deviations (any shape) from the value; of a limit alone, by how much it is not kept with one to spare."""
+        if math.isfinite(self.value):
+            return (predicted - self.value) / self.deviation
+        above = np.maximum((predicted - self.limit.high) / self.deviation + 1.0, 0.0)
+        below = np.maximum((self.limit.low - predicted) / self.deviation + 1.0, 0.0)
+        return above - below
+
+    def holds(self, predicted: float) -> bool:
+        """Whether it holds the valve: always with a value, and as a limit where it is hardly kept."""
+        return math.isfinite(self.value) or bool(self.misfit(np.asarray(predicted)) != 0.0)
+
+    def reached(self, predicted: float) -> bool:
+        """Whether a prediction keeps the limits, or without any is within two deviations of the value."""
+        low, high = self.limit.low, self.limit.high
+        if math.isinf(low) and math.isinf(high):
+            low, high = self.value - 2.0 * self.deviation, self.value + 2.0 * self.deviation
+        size = abs(predicted) if self.limit.figure in CENTRED and math.isinf(low) else predicted
+        rounding = 1e-3 * self.deviation
+        return low - rounding <= size <= high + rounding
+
+
+def asked_of(limit: Limit) -> Asked:
+    """What a limit asks for: its nominal value with its spread, or with a single limit that it be kept."""
+    if not math.isnan(limit.nominal):
+        deviation = limit.deviation if limit.deviation > 0.0 else 1e-3 * abs(limit.nominal)
+        return Asked(limit, limit.nominal, deviation)
+    if limit.figure in CENTRED and math.isinf(limit.low):
+        return Asked(limit, 0.0, limit.high / 2.0)
+    end = limit.high if math.isfinite(limit.high) else limit.low
+    return Asked(limit, math.nan, abs(end) * max(FIGURES[limit.figure].spread, 0.02) / 2.0)
+
+
+@dataclass(frozen=True)
+class FigurePredictor:
+    """Predicts figures of batches of valves; `conditions` and `oil` where a figure has none of its own."""
+
+    asked: tuple[Asked, ...]
+    conditions: Mapping[str, float]
+    oil: Oil
+    workers: int = 1
+
+    def predict(self, valves: Valve, members: int) -> np.ndarray:
+        """The asked figures (members, q) of a batch of valves, in SI. Raises as `simulate_batch` and `Valve.at` do."""
+        columns = np.empty((members, len(self.asked)))
+        for group, figures in self._static_groups().items():
+            names = {self.asked[k].limit.figure for k in figures}
+            found = static_figures(valves, names, dict(group), self.oil)
+            for k in figures:
+                columns[:, k] = found[self.asked[k].limit.figure]
+        benches: dict[tuple[float, ...], Sines] = {}
+        for k, asked in enumerate(self.asked):
+            figure = asked.limit.figure
+            if figure in OF_THE_COIL:
+                columns[:, k] = getattr(valves, figure)
+            elif figure in (*SINES, *STEPS):
+                conditions = self.conditions_of(asked)
+                key = tuple(conditions[name] for name in COMMON)
+                if key not in benches:
+                    benches[key] = Sines(Bench(valves, conditions, self.oil, self.workers))
+                columns[:, k] = _dynamic(asked, benches[key], conditions)
+        return columns
+
+    def conditions_of(self, asked: Asked) -> dict[str, float]:
+        """All conditions of a figure."""
+        return {**self.conditions, **asked.limit.conditions}
+
+    def _static_groups(self) -> dict[tuple[tuple[str, float], ...], list[int]]:
+        """The static figures by their conditions."""
+        groups: dict[tuple[tuple[str, float], ...], list[int]] = {}
+        for k, asked in enumerate(self.asked):
+            if asked.limit.figure in STATIC:
+                groups.setdefault(tuple(sorted(self.conditions_of(asked).items())), []).append(k)
+        return groups
+
+
+def _dynamic(asked: Asked, sines: Sines, conditions: Mapping[str, float]) -> np.ndarray:
+    """A dynamic figure (k,)."""
+    figure, amplitude = asked.limit.figure, conditions["amplitude"]
+    if figure in ("frequency_minus_3_db", "frequency_minus_90_deg"):
+        return sines.crossing(figure, amplitude, asked.expected)
+    if figure == "phase_lag":
+        return sines.lag(amplitude, conditions["frequency"])
+    if figure == "amplitude_ratio":
+        frequency = conditions["frequency"]
+        return sines.ratio(amplitude, frequency, max(LOW * frequency, LEAST_FREQUENCY))
+    expected = asked.expected if figure != "overshoot" else STEP_TIME
+    return step_figures(sines.bench, amplitude, expected)[figure]

@@ -1,0 +1,188 @@
+"""Believable valves of a size: what similarity gives for every dimension, and how far a valve may be from it.
+
+The anchor is NASA TN D-5388, the one size with a published set of internals (field.md, catalogue.md): the reference
+valve's. Larger and smaller valves follow from the port area at full stroke, a length scale l = sqrt(area/anchor's):
+
+    spool: lengths ~ l, areas ~ l^2, volumes and mass ~ l^3 (geometric similarity)
+    pilot: diameters and gap ~ l, so that its flow keeps its share of the rated one (2 to 4 %, field.md section 4)
+    torque motor: lengths ~ m = l^(1/3), since series 30 to 35 weigh 5 times as much at 14 times the flow; its torques
+    at rated current ~ m^2, and its inertia ~ m^2.5
+    coils of one series: i^2 R and i^2 L constant
+
+What is fitted is the logarithm of each, or what lies around zero in units of its spread. Full stroke at rated current
+takes the place of the coils' turns, and the armature's net stiffness that of its spring tube: a valve of any such
+figures has a stable null.
+
+Symbols
+    A_N port area at full stroke, l m length scales, x_R full stroke, N = turns times rated current
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from valvesim.errors import InputError, ValidityWarning
+from valvesim.identification.from_figures.static_figures import rest_curve
+from valvesim.valve.coefficients import PartTemperatures
+from valvesim.valve.equations import drive_torque, flapper_torques
+from valvesim.valve.fluid import Oil
+from valvesim.valve.parameters import Valve
+
+ANCHOR = "similarity to NASA TN D-5388"
+FLOWS = (0.5 / 6e4, 400.0 / 6e4)  # m^3/s at 70 bar: nozzle-flapper valves of two stages are made from 1 to 250 L/min
+CURRENTS = (1e-3, 1.0)  # A, rated
+STOP = 1.15  # spool stroke over full stroke at rated current
+COIL_POWER = 0.1  # W, i^2 R at rated current: 40 mA at 80 ohm, 30 mA at 85 ohm, 10 mA at 1000 ohm
+ANCHOR_STIFFNESS = 3.68  # N m/rad, net of tube, magnets and jets: 93 in-lb/in
+NULL_OPENING = 5e-6  # m: 3 of the reference valve, 7 of the measured valve 5329
+ANCHOR_STROKE = 0.36e-3  # m, of the reference valve at rated current without load
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A quantity that is fitted: its unit, spread of one standard deviation (of its logarithm, or in `unit` where it
+    lies `around_zero`), and the power of the length scales l and m by which it follows the size.
+    """  # fmt: skip
+
+    name: str
+    unit: str
+    spread: float
+    powers: tuple[float, float] = (0.0, 0.0)
+    around_zero: bool = False
+
+
+UNKNOWNS = (
+    Unknown("port_width", "m", 0.25, (1.0, 0.0)),
+    Unknown("full_stroke", "m", 0.25, (1.0, 0.0)),
+    Unknown("spool_area", "m^2", 0.25, (2.0, 0.0)),
+    Unknown("spool_mass", "kg", 0.3, (3.0, 0.0)),
+    Unknown("spool_damping", "N*s/m", 0.5, (2.0, 0.0)),
+    Unknown("chamber_volume", "m^3", 0.4, (3.0, 0.0)),
+    Unknown("feedback_rod_stiffness", "N/m", 0.3, (-1.0, 2.0)),
+    Unknown("net_stiffness", "N*m/rad", 0.3, (0.0, 2.0)),
+    Unknown("armature_inertia", "kg*m^2", 0.3, (0.0, 2.5)),
+    Unknown("armature_damping", "N*m*s/rad", 0.4, (0.0, 2.25)),
+    Unknown("nozzle_diameter", "m", 0.2, (1.0, 0.0)),
+    Unknown("null_gap", "m", 0.2, (1.0, 0.0)),
+    Unknown("orifice_ratio", "1", 0.1),
+    Unknown("null_opening", "m", 0.7),
+    Unknown("radial_clearance", "m", 0.3),
+    Unknown("land_overlap", "m", 2e-6, around_zero=True),
+    Unknown("air_gap_difference", "m", 1e-6, around_zero=True),
+    Unknown("null_gap_difference", "m", 0.5e-6, around_zero=True),
+    Unknown("coil_resistance", "ohm", 0.5),
+    Unknown("coil_inductance", "H", 0.5),
+)
+"""What is fitted. `orifice_ratio` is that of the fixed orifice's area to the nozzle's curtain, over the anchor's."""
+
+AMPERE_TURNS_SPREAD = 0.3  # of the logarithm of turns times rated current, which follow from the full stroke
+
+
+@dataclass(frozen=True)
+class SimilarValves:
+    """The valves of a size: `medians` (n,) of `UNKNOWNS`, and what of a valve is not fitted, `base`.
+
+    `conditions` are those at which full stroke and stiffness are told; `scale` and `motor_scale` are l and m.
+    """
+
+    base: Valve
+    oil: Oil
+    conditions: Mapping[str, float]
+    medians: np.ndarray
+    scale: float
+    motor_scale: float
+
+    def quantities(self, points: np.ndarray) -> dict[str, np.ndarray]:
+        """The unknowns in SI, each (k,), at points (k, n) in prior standard deviations."""
+        moved = points * np.array([unknown.spread for unknown in UNKNOWNS])
+        around_zero = np.array([unknown.around_zero for unknown in UNKNOWNS])
+        values = np.where(around_zero, moved, self.medians * np.exp(np.where(around_zero, 0.0, moved)))
+        return {unknown.name: values[:, k] for k, unknown in enumerate(UNKNOWNS)}
+
+    def valves(self, points: np.ndarray) -> Valve:
+        """The valves (k,) at points (k, n). Raises InputError where one leaves its physical bounds."""
+        return self.valves_of(self.quantities(points))
+
+    def valves_of(self, given: Mapping[str, np.ndarray]) -> Valve:
+        """The valves (k,) of `quantities`."""
+        base, anchor, own = self.base, Valve(), dict(given)
+        stroke, net, ratio = own.pop("full_stroke"), own.pop("net_stiffness"), own.pop("orifice_ratio")
+        area = own["nozzle_diameter"] * own["null_gap"] / (anchor.nozzle_diameter * anchor.null_gap)
+        own["fixed_orifice_diameter"] = anchor.fixed_orifice_diameter * np.sqrt(area * ratio)
+        valve = replace(base, **own, spool_stroke=STOP * stroke)  # type: ignore[arg-type]
+        valve = replace(valve, spring_tube_stiffness=net - _spring_beside_the_tube(valve, self.conditions, self.oil))
+        turns: Any = _turns(valve, stroke, self.conditions, self.oil)
+        return replace(valve, coil_turns=turns)
+
+    def ampere_turns(self, valve: Valve) -> np.ndarray:
+        """ln of turns times rated current (k,) over what similarity gives, in prior standard deviations."""
+        usual = Valve().coil_turns * Valve().rated_current * self.motor_scale**2
+        return np.log(valve.coil_turns * valve.rated_current / usual) / AMPERE_TURNS_SPREAD
+
+
+def _spring_beside_the_tube(valve: Valve, conditions: Mapping[str, float], oil: Oil) -> np.ndarray:
+    """What magnets and jets add to the armature's stiffness at null (k,), N m/rad: negative."""
+    supply, back = conditions["supply_pressure"], conditions["return_pressure"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ValidityWarning)
+        c = valve.at(PartTemperatures.uniform(conditions["oil_temperature"]), oil=oil)
+    turn = 1e-6
+
+    def torque(theta):
+        jets = flapper_torques(theta, 0.0, 0.0, supply, back, c)[1]
+        return drive_torque(theta, 0.0, c) + jets
+
+    return -(torque(turn) - torque(-turn)) / (2.0 * turn)
+
+
+def _turns(valve: Valve, stroke, conditions: Mapping[str, float], oil: Oil) -> np.ndarray:
+    """Turns (k,) of coils that hold the spool at full stroke (k,) at rated current, without load."""
+    unit = 1000.0  # turns: the curve is of turns times current alone
+    rated = np.asarray(valve.rated_current)
+    curve = rest_curve(replace(valve, coil_turns=unit), conditions, oil)
+    up, _ = curve.holding(np.reshape(stroke, (-1, 1)), np.zeros(1))
+    down, _ = curve.holding(-np.reshape(stroke, (-1, 1)), np.zeros(1))
+    return unit * (up - down)[:, 0] / 2.0 / rated
+
+
+def similar_valves(
+    *, rated_flow: float, pressure_drop: float, rated_current: float, conditions: Mapping[str, float], oil: Oil
+) -> SimilarValves:  # fmt: skip
+    """The valves of a rated flow (m^3/s) at a pressure drop (Pa, both lands) and rated current (A).
+
+    Raises InputError for a flow or current that no two-stage nozzle-flapper valve has.
+    """
+    at_70_bar = rated_flow * np.sqrt(7e6 / pressure_drop)
+    for value, (low, high), factor, unit, key in (
+        (at_70_bar, FLOWS, 6e4, "L/min at 70 bar", "figures.rated_flow"),
+        (rated_current, CURRENTS, 1e3, "mA", "figures.rated_current"),
+    ):
+        if not low <= value <= high:
+            raise InputError(
+                f"{value * factor:.4g} {unit}: two-stage nozzle-flapper servo valves have {low * factor:g} to "
+                f"{high * factor:g}; a valve of another type cannot be identified here", key=key,
+            )  # fmt: skip
+    anchor = Valve()
+    density = float(oil.density(conditions["oil_temperature"]))
+    area = rated_flow / (anchor.port_flow_coefficient * np.sqrt(pressure_drop / density))
+    scale = float(np.sqrt(area / (anchor.port_width * ANCHOR_STROKE)))
+    motor = scale ** (1.0 / 3.0)
+    own = {field.name: getattr(anchor, field.name) for field in fields(anchor)}
+    own |= {
+        "full_stroke": ANCHOR_STROKE, "net_stiffness": ANCHOR_STIFFNESS, "orifice_ratio": 1.0,
+        "null_opening": NULL_OPENING,
+        "coil_resistance": COIL_POWER / rated_current**2,
+        "coil_inductance": COIL_POWER / rated_current**2 * anchor.coil_inductance / anchor.coil_resistance,
+    }  # fmt: skip
+    medians = [own[u.name] * scale ** u.powers[0] * motor ** u.powers[1] for u in UNKNOWNS]
+    base = replace(
+        anchor, rated_current=rated_current, supply_pressure=conditions["supply_pressure"],
+        return_pressure=conditions["return_pressure"],
+        air_gap_area=anchor.air_gap_area * motor**2, magnet_reluctance=anchor.magnet_reluctance / motor**2,
+    )  # fmt: skip
+    return SimilarValves(base, oil, conditions, np.array(medians), scale, motor)
