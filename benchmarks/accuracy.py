@@ -13,6 +13,7 @@ effects has had time, it must rest on the static solution. Batches are compared 
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import sys
@@ -97,7 +98,7 @@ def distance_from_rest(scenario: vs.Scenario, result: vs.Result) -> float | None
     """How far the last sample is from the static solution, of the larger of both; None where it need not be there."""
     held = held_since(scenario)
     thermal = scenario.thermal
-    if held is None or scenario.effects or thermal.network is not None or scenario.duration - held < 1.0:
+    if held is None or scenario.effects or thermal.network is not None or scenario.duration - held < 0.5:
         return None
     _, c = KNOTS.temperature_knots(scenario)
     c = type(c)(*(np.asarray(v).ravel()[-1] for v in c))
@@ -162,9 +163,16 @@ def by_radau(scenario: vs.Scenario) -> float:
     return worst
 
 
-def case(job: tuple[int, vs.Scenario, bool]) -> dict:
+@functools.cache
+def drawn(seed: int, count: int) -> list[vs.Scenario]:
+    """The scenarios, drawn by each process for itself: effects are functions, which do not travel."""
+    return list(scenarios(seed, count))
+
+
+def case(job: tuple[int, int, int, bool]) -> dict:
     """One row: errors, steps, solver time; `failed` with its message where a run did not end."""
-    number, scenario, independent = job
+    seed, count, number, independent = job
+    scenario = drawn(seed, count)[number]
     warnings.simplefilter("ignore")
     row: dict = {
         "number": number, "effects": [a.effect.name for a in scenario.effects], "oil": scenario.oil.name,
@@ -196,14 +204,14 @@ def pieces(scenario: vs.Scenario) -> int:
     return len(merge(commands, scenario.duration)[0]) + len(KNOTS.temperature_knots(scenario)[0].times)
 
 
-def jobs(seed: int, count: int) -> list[tuple[int, vs.Scenario, bool]]:
-    """The scenarios, the first short ones without memory marked to be run by Radau as well."""
+def jobs(seed: int, count: int) -> list[tuple[int, int, int, bool]]:
+    """The scenarios by number, the first short ones without memory marked to be run by Radau as well."""
     made, left = [], INDEPENDENT
-    for number, scenario in enumerate(scenarios(seed, count)):
+    for number, scenario in enumerate(drawn(seed, count)):
         plain = not any(a.effect.memory or a.effect.reading for a in scenario.effects)
         independent = left > 0 and scenario.duration < 0.2 and plain and pieces(scenario) <= MOST_PIECES
         left -= independent
-        made.append((number, scenario, independent))
+        made.append((seed, count, number, independent))
     return made
 
 

@@ -394,6 +394,8 @@ def test_both_headers_give_the_same_record(tmp_path):
     units = read_record(write_csv(tmp_path / "units.csv", record, header, (1, 1e3, 6e4)))
     plain = read_record(write_csv(tmp_path / "plain.csv", record, "t_s,current_A,flow_m3s", (1, 1, 1)))
     for name, values in record.values.items():
+        if name == "time":  # laid on an even clock
+            values = np.linspace(values[0], values[-1], len(values))
         assert units.values[name] == pytest.approx(values, rel=1e-12)
         assert plain.values[name] == pytest.approx(values, rel=1e-12)
 
@@ -401,9 +403,9 @@ def test_both_headers_give_the_same_record(tmp_path):
 @pytest.mark.parametrize(
     "text, part",
     [
-        ("current_A,flow_m3s\n1,2\n", "t_s"),
+        ("current_A,flow_m3s\n1,2\n", "no column 'time'"),
         ("current [mA],load_flow [L/min]\n1,2\n", "'time'"),
-        ("t_s,current_A\n0,x\n", "'x'"),
+        ("t_s,current_A\n0,x\n", "holds no numbers"),
         ("time [s],current\n0,1\n", "unit"),
     ],
 )

@@ -473,7 +473,8 @@ class Table:
             steep = ~np.isfinite(np.diff(y) / np.diff(t))
         if steep.any():
             k = int(np.argmax(steep)) + 1
-            raise InputError(f"row {k + 1} comes {t[k] - t[k - 1]:.3g} s after row {k}, too soon to tell", key=self.where)
+            problem = f"row {k + 1} comes {t[k] - t[k - 1]:.3g} s after row {k}, too soon to tell"
+            raise InputError(problem, key=self.where)
 
     def pieces(self, end: float) -> np.ndarray:
         t, y = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)

@@ -21,11 +21,11 @@ import click
 
 from valvesim.cli.interrupts import MESSAGE, ended_by_signals
 from valvesim.cli.streams import CLOSED_PIPE, drop_output, prepare_streams
-from valvesim.errors import InputError, SolveError, ValidityWarning, one_line
+from valvesim.errors import InputError, SolveError, ValidityWarning, nearest, one_line
 
 COMMANDS = (
     "bench", "datasheet", "diagnose", "effects", "identify", "oils", "parameters", "reproduce", "response", "run",
-    "static",
+    "scenarios", "static", "study",
 )  # fmt: skip
 
 
@@ -47,6 +47,21 @@ class _Commands(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         return getattr(import_module(f"valvesim.cli.{cmd_name}"), cmd_name) if cmd_name in COMMANDS else None
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+            raise click.UsageError(f"no command {args[0]!r}{nearest(args[0], COMMANDS)}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Each with the first sentence of its help, in full."""
+        rows = []
+        for name in COMMANDS:
+            command = self.get_command(ctx, name)
+            text = " ".join(((command.help if command else None) or "").split("\n\n")[0].split())
+            rows.append((name, text.partition(". ")[0].rstrip(".")))
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
 
 
 @click.group(
@@ -101,7 +116,7 @@ def _run() -> tuple[str, int]:
     except SolveError as error:
         return str(error), 1
     except click.ClickException as error:
-        return one_line(error.format_message().replace("\n", " ")), 2
+        return one_line(_usage(error)), 2
     except (click.Abort, KeyboardInterrupt):
         return MESSAGE, 130
     except MemoryError:
@@ -110,6 +125,14 @@ def _run() -> tuple[str, int]:
         return "", CLOSED_PIPE
     except OSError as error:
         return _refused_by_the_system(error)
+
+
+def _usage(error: click.ClickException) -> str:
+    """What is wrong with the words of a command line, and which help tells more."""
+    message = error.format_message().replace("\n", " ").rstrip(".")
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    mark = "" if message.endswith("?") else ";"
+    return f"{message}{mark} {context.command_path} --help tells more" if context else message
 
 
 def _refused_by_the_system(error: OSError) -> tuple[str, int]:

@@ -30,7 +30,10 @@ from valvesim.cli.output_folder import all_or_nothing
 def run(
     scenario: Path, output: Path | None, valve: str | None, settings: tuple[str, ...], with_csv: bool, no_pictures: bool
 ) -> None:  # fmt: skip
-    """Simulate a SCENARIO file: a table, result.nc and pictures."""
+    """Simulate a SCENARIO: a table, result.nc, pictures and a page; scenario.toml is what ran, settings and all.
+
+    SCENARIO is a file, or the name of one that comes along (`valvesim scenarios`).
+    """
     from valvesim.characterisation.rest_characteristic import rest_characteristic
     from valvesim.characterisation.spectral_response import own_response
     from valvesim.characterisation.thermal_drift import (
@@ -56,7 +59,8 @@ def run(
 
         result = simulate(case, progress=integrated)
         bar.update(stage, description="writing result.nc", total=None)
-        written = [result.select(case.channels).to_netcdf(folder / "result.nc")]
+        written = [_write_scenario(case, scenario, settings, folder / "scenario.toml")]
+        written.append(result.select(case.channels).to_netcdf(folder / "result.nc"))
         varies, sweeps = temperature_varies(case), frequency_goes(case)
         pictures = [draw("picture_run", result, date.today(), folder / "run.png")]
         if sweeps and (response := own_response(result)) is not None:
@@ -79,6 +83,23 @@ def run(
         page = draw("page_run", run_rows(result), drawn, case, date.today(), folder / "run.html")()
         written += [*drawn, *([] if page is None else [page])]
     _print_run(result, drift, [place / path.name for path in written])
+
+
+def _write_scenario(case: Any, given: Path, settings: tuple[str, ...], path: Path) -> Path:
+    """What ran, as a scenario file that runs again, settings and all; its comment says who ran it from what."""
+    from valvesim.errors import InputError
+    from valvesim.io import write_atomically, write_text
+    from valvesim.simulation.scenario_files import scenario_file
+    from valvesim.version import package_version
+
+    told = [f"Run by valvesim {package_version()} on {date.today().isoformat()}, from {given}"]
+    told += [f"with --set {setting}" for setting in settings]
+    try:
+        text = case.to_toml()
+    except InputError as error:  # effects of one's own: the file as it was given, beside which their files stand
+        text = scenario_file(given).read_text(encoding="utf-8")
+        told.append(f"as it was given, without the settings: {error}")
+    return write_atomically(path, lambda own: write_text(own, "".join(f"# {line}\n" for line in told) + text))
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ samples (a word of the logger such as 32767); after a fit, single readings far o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,14 +17,13 @@ from valvesim.identification.between_samples import command_jumps
 from valvesim.identification.fit import Fit
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.record_csv import file_line
-from valvesim.identification.session import UNITS, Record, value_text
+from valvesim.identification.session import UNITS, Record, place_text, value_text
 from valvesim.identification.study import PreparedSession, Study, with_records
 
 
 def measured_samples(
     path: Path, name: str, values: dict[str, np.ndarray], outputs: Sequence[str], command: tuple[str, float],
-    notes: list[str], *, options: IdentificationOptions,
+    line_of: Callable[[int], int | None], time: np.ndarray, notes: list[str], *, options: IdentificationOptions,
 ) -> dict[str, np.ndarray]:  # fmt: skip
     """True for the samples (n,) of each output channel of record `name` that are measurements.
 
@@ -44,23 +43,27 @@ def measured_samples(
         for k in np.flatnonzero(corrupt)[: options.audit.samples_told]:
             others = read[there & ~corrupt]
             span = f"{value_text(others.min(), UNITS[column])} to {value_text(others.max(), UNITS[column])}"
-            notes.append(
-                f"{name}, line {file_line(path, int(k))}: {column} of {value_text(read[k], UNITS[column])} is corrupt, "
-                f"for all others are {span}; it is left out"
-            )
+            where = f"{name}, {place_text(line_of(int(k)), time[k])}"
+            reading = f"{column} of {value_text(read[k], UNITS[column])}"
+            notes.append(f"{where}: {reading} is corrupt, for all others are {span}; it is left out")
         if (more := int(corrupt.sum()) - options.audit.samples_told) > 0:
             notes.append(f"{name}: {more} more samples of {column} are corrupt and left out")
         good = there & ~corrupt
+        told = 0
         for start, end in _runs(~good):
             missing = np.count_nonzero(~there[start:end])
-            where = f"{name}, line {file_line(path, int(start))}: no reading of {column} for {end - start} samples"
             if column not in outputs and end - start > options.audit.longest_bridge:
                 problem = f"no reading of {column} for {end - start} samples; an input may miss at most "
                 raise InputError(
-                    f"{problem}{options.audit.longest_bridge} in a row", file=path, line=file_line(path, int(start))
+                    f"{problem}{options.audit.longest_bridge} in a row", file=path, line=line_of(int(start))
                 )
-            if missing:
-                notes.append(f"{where}; {'they are' if end - start > 1 else 'it is'} {_treatment(column in outputs)}")
+            told += bool(missing)
+            if missing and told <= options.audit.samples_told:
+                where = f"{name}, {place_text(line_of(int(start)), time[start])}"
+                theirs = f"{'they are' if end - start > 1 else 'it is'} {_treatment(column in outputs)}"
+                notes.append(f"{where}: no reading of {column} for {end - start} samples; {theirs}")
+        if (more := told - options.audit.samples_told) > 0:
+            notes.append(f"{name}: {column} has no reading in {more} more places, {_treatment(column in outputs)}")
         if not good.all():
             at = np.arange(len(read))
             values[column] = np.interp(at, at[good], read[good])
@@ -126,7 +129,7 @@ def without_outliers(
             outlying = _single_outliers(left, options.noise.outlier * least, options.noise.outlier_ratio) & still
             usable[name] = record.usable[name] & ~outlying
             for k in np.flatnonzero(outlying):
-                line = "" if record.path is None else f", line {file_line(record.path, int(k))}"
+                line = "" if record.path is None else f", {record.place(int(k))}"
                 size = abs(float(left[k])) / study.noise[name, record.pace].deviation
                 notes.append(
                     f"{record.name}{line}: {name} of {value_text(float(record.values[name][k]), UNITS[name])} is "

@@ -10,7 +10,6 @@ import numpy as np
 
 from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.record_csv import file_line
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, value_text
 from valvesim.units import DISPLAY, quantities
 from valvesim.valve.fluid import COMPUTED_RANGE
@@ -44,9 +43,15 @@ def check_command(path: Path, record: Record, valve: Valve, notes: list[str]) ->
     told = f"{record.command} of {command[k] * factor:.4g} {unit}"
     limit = f"the rated {rated * factor:.4g} {unit}"
     if abs(command[k]) > 2.0 * rated:
-        raise InputError(f"{told} is beyond twice {limit}", file=path, line=file_line(path, k))
+        raise _at_sample(f"{told} is beyond twice {limit}", record, k, path)
     if abs(command[k]) > rated * (1 + 1e-9):
         notes.append(f"{record.name}: {told} is beyond {limit}; spool and flapper may reach their stops")
+
+
+def _at_sample(problem: str, record: Record, sample: int, path: Path) -> InputError:
+    """An error about one sample, with its line, or its time where the file has no lines."""
+    line = record.line_of(sample)
+    return InputError(problem if line is not None else f"{problem}, {record.place(sample)}", file=path, line=line)
 
 
 def check_conditions(
@@ -60,7 +65,7 @@ def check_conditions(
         if wrong.any():
             k = int(np.argmax(wrong))
             value = value_text(record.values[name][k], UNITS[name])
-            raise InputError(f"{name} of {value} {why}", file=path, line=file_line(path, k))
+            raise _at_sample(f"{name} of {value} {why}", record, k, path)
 
     for name in record.inputs[1:]:
         (low, high), values = bounds[name], record.values[name]
@@ -173,7 +178,7 @@ def usable_record(
             continue
         saturated = _saturated(record, sensors[name], options=options)
         good = record.usable[name] & ~saturated
-        left_out = " and is left out" if np.mean(good) < 0.5 else ""
+        left_out = " and is left out" if np.mean(good) < 0.5 * record.shares.get(name, 1.0) else ""
         if saturated.any():
             notes.append(f"{record.name}: {name} is saturated in {np.mean(saturated):.2%} of the samples{left_out}")
         elif left_out:

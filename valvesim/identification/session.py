@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, STATE_CHANNELS
+from valvesim.measurement.headings import UNITS as MEASURED_UNITS
+from valvesim.measurement.recording import no_line
 from valvesim.simulation.scenario import Thermal
 from valvesim.units import DISPLAY, symbol
 from valvesim.valve.effect import ActiveEffect, Effect
@@ -24,10 +26,7 @@ OUTPUTS = (
     "current",
 )  # fmt: skip
 """Columns that the model is held against; `current` only where the drive is a voltage."""
-_MODEL_UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *INPUT_CHANNELS, *SIGNAL_CHANNELS)}
-UNITS = {"time": "s", "voltage": "V", "oil_temperature": "degC", "body_temperature": "degC"} | {
-    name: _MODEL_UNITS[name] for name in (*INPUTS, *OUTPUTS) if name in _MODEL_UNITS
-}
+UNITS = {name: MEASURED_UNITS[name] for name in ("time", *INPUTS, *OUTPUTS)}
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,9 @@ class Record:
     """One measured record on an even clock: `time` (n,) s from 0, `values[column]` (n,) in SI, temperatures in °C.
 
     `usable[channel]` (n,) is False where the sensor is saturated. An input that carries nothing but noise is held at
-    its mean. `role` is "train" or "test"; records with one label `repeats` are repeats of one test. `path` is its file.
+    its mean. `role` is "train" or "test"; records with one label `repeats` are repeats of one test. `path` is its
+    first file, and `line_of(sample)` a line in it, None where it has none. `shares[channel]` is the share of the
+    samples that a sensor slower than the record reads.
     """
 
     name: str
@@ -59,6 +60,12 @@ class Record:
     role: str = "train"
     repeats: str | None = None
     path: Path | None = None
+    line_of: Callable[[int], int | None] = no_line
+    shares: dict[str, float] = field(default_factory=dict)
+
+    def place(self, sample: int) -> str:
+        """Where a sample stands, in words: its line, or its time."""
+        return place_text(self.line_of(sample), float(self.time[sample]))
 
     @property
     def duration(self) -> float:
@@ -138,6 +145,11 @@ class Session:
     def drive(self) -> Drive:
         """How the coils are driven, the same in every record."""
         return DRIVES[self.records[0].command]
+
+
+def place_text(line: int | None, time: float) -> str:
+    """Where a sample stands, in words."""
+    return f"line {line}" if line is not None else f"{time:.6g} s"
 
 
 def value_text(value: float, unit: str) -> str:

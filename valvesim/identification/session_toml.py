@@ -1,5 +1,5 @@
-"""Reading a session folder, `session.toml` and CSV records, strictly: what makes no sense is an InputError with file
-and line or key.
+"""Reading a session folder, `session.toml` and records of any format, strictly: what makes no sense is an InputError
+with file and line or key.
 
 What merely carries no information (a record that never moves, a stuck or saturated sensor) is left out by the audit,
 and `Session.notes` says so in words.
@@ -7,8 +7,9 @@ and `Session.notes` says so in words.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,11 @@ from valvesim.identification.record_audit import (
     is_at_rest,
     usable_record,
 )
-from valvesim.identification.record_csv import even_clock, read_values
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session
 from valvesim.io import check_known, check_printable, check_tables, located, read_toml
+from valvesim.measurement.columns_table import NOTHING_STATED, Statements, statements_of
+from valvesim.measurement.formats import LISTED
+from valvesim.measurement.recording import Recording, read_recording
 from valvesim.simulation.scenario_toml import Reader, valve_argument
 from valvesim.units import parse
 from valvesim.valve.parameters import REFERENCE_TEMPERATURE
@@ -38,6 +41,8 @@ from valvesim.valve.valve_toml import read_tolerance
 
 _TABLES = ("valve", "oil", "thermal", "effects", "tolerances", "sensors")
 _ROLES = ("train", "test")
+RECORDED = tuple(name for name in UNITS if name != "time")
+"""Channels that a record may have."""
 
 
 def load_session(
@@ -58,17 +63,25 @@ def load_session(
     """
     folder = Path(folder)
     path = folder / "session.toml"
-    text, table = read_toml(path, "a session is a folder with session.toml and CSV records")
+    text, table = read_toml(path, "a session is a folder with session.toml and records")
     if valve is not None:
         table["valve"] = valve_argument(valve)
     with located(path, text, document="session"):
         session = _settings(folder, table, tuple(Path(file).absolute() for file in effects))
         if seed is not None:
             session = replace(session, seed=_seed(seed))
-        listed = _listed(folder, table.get("records"))
+        columns = statements_of(table.get("columns", {}), table.get("csv", {}))
+        listed = _listed(folder, table.get("records"), columns)
         stated = _stated_sensors(table.get("sensors", {}))
     notes: list[str] = []
-    records = [_read_record(folder, session, notes, *each, options=options) for each in listed]
+    records = []
+    for entry in listed:
+        try:
+            recording = read_recording([folder / file for file in entry.files], RECORDED, stated=entry.columns)
+        except InputError as error:
+            with contextlib.nullcontext() if error.file else located(path, text, document="session"):
+                raise error from None
+        records.append(_read_record(recording, entry, session, notes, options=options))
     check_drive(records)
     check_replicates(records, session.valve, options=options)
     with located(path, text, document="session"):
@@ -89,7 +102,7 @@ def load_session(
 def _settings(folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...]) -> Session:
     """Everything in `session.toml` but sensors and records, with more files of effects."""
     reader = Reader(folder)
-    check_known(table, ("title", "seed", "effects_files", "records", *_TABLES), "session")
+    check_known(table, ("title", "seed", "effects_files", "records", "columns", "csv", *_TABLES), "session")
     check_tables(table, _TABLES[1:])
     title = table.get("title", folder.resolve().name)
     check_printable(title, "title")
@@ -155,36 +168,75 @@ def _range(given: Any, unit: str, where: str) -> tuple[float, float]:
     return low, high
 
 
-def _listed(folder: Path, records: Any) -> list[tuple[str, str, str | None]]:
-    """(file, role, repeats) of each record; without a list, every CSV file in name order."""
-    have = sorted(path.name for path in folder.glob("*.csv"))
+@dataclass(frozen=True, kw_only=True)
+class ListedRecord:
+    """A record as `session.toml` lists it: files, role, label of its repeats, and what is stated of its columns."""
+
+    files: tuple[str, ...]
+    role: str = "train"
+    repeats: str | None = None
+    columns: Statements = NOTHING_STATED
+
+    @property
+    def name(self) -> str:
+        """The name of its first file."""
+        return _called(self.files[0])
+
+
+def _listed(folder: Path, records: Any, columns: Statements) -> list[ListedRecord]:
+    """The records of the list; without one, every measurement file in name order."""
+    have = sorted(path.name for path in folder.glob("*") if path.suffix.casefold() in LISTED)
     if records is None:
         if not have:
-            raise InputError("no record: the folder holds no CSV file")
-        return [(name, "train", None) for name in have]
+            raise InputError("no record: the folder holds no CSV file, nor one of another format")
+        return [ListedRecord(files=(name,), columns=columns) for name in have]
     if not isinstance(records, list) or not all(isinstance(entry, dict) for entry in records):
         raise InputError("expected [[records]], one for each file", key="records")
     if not records:
         raise InputError("the list is empty", key="records")
-    listed: list[tuple[str, str, str | None]] = []
+    listed: list[ListedRecord] = []
     for k, entry in enumerate(records, start=1):
         where = f"records.{k}"
-        check_known(entry, ("file", "repeats", "role"), where)
-        file, role, repeats = entry.get("file"), entry.get("role", "train"), entry.get("repeats")
-        if not isinstance(file, str):
-            raise InputError(f"expected the name of a CSV file, got {file!r}", key=f"{where}.file")
-        if not (folder / file).is_file():
-            raise InputError(f"{file!r} is not in the folder{nearest(file, have)}", key=f"{where}.file")
-        for other, _, _ in listed:
-            if _called(file) == _called(other):
-                both = f"{file!r} and {other!r} are both called {_called(file)!r}"
-                raise InputError(f"{file!r} is listed twice" if file == other else both, key=f"{where}.file")
+        check_known(entry, ("file", "files", "repeats", "role", "columns", "csv"), where)
+        files, role, repeats = _files(folder, entry, where, have), entry.get("role", "train"), entry.get("repeats")
+        for other in listed:
+            if other.name == _called(files[0]):
+                both = f"{files[0]!r} and {other.files[0]!r} are both called {other.name!r}"
+                raise InputError(
+                    f"{files[0]!r} is listed twice" if files == other.files else both, key=f"{where}.file"
+                )
         if not isinstance(role, str) or role not in _ROLES:
             raise unknown_name("role", str(role), _ROLES, f"{where}.role")
         if repeats is not None and not isinstance(repeats, str):
             raise InputError(f"expected a label in quotes, got {repeats!r}", key=f"{where}.repeats")
-        listed.append((file, role, repeats))
+        own = columns
+        if "columns" in entry or "csv" in entry:
+            try:
+                mine = statements_of(entry.get("columns", {}), entry.get("csv", {}))
+            except InputError as error:
+                raise error.at(key=f"{where}.{error.key}") from None
+            own = Statements(
+                columns={**columns.columns, **mine.columns}, dialect=mine.dialect if "csv" in entry else columns.dialect
+            )
+        listed.append(ListedRecord(files=files, role=role, repeats=repeats, columns=own))
     return listed
+
+
+def _files(folder: Path, entry: dict[str, Any], where: str, have: Sequence[str]) -> tuple[str, ...]:
+    """The file or the files of a record."""
+    if "files" in entry and "file" in entry:
+        raise InputError("a record has a `file`, or `files` that were written together", key=f"{where}.files")
+    key = "files" if "files" in entry else "file"
+    given = entry.get(key)
+    files = given if key == "files" and isinstance(given, list) else [given]
+    for file in files:
+        if not isinstance(file, str):
+            raise InputError(f"expected the name of a CSV file, got {file!r}", key=f"{where}.{key}")
+        if not (folder / file).is_file():
+            raise InputError(f"{file!r} is not in the folder{nearest(file, have)}", key=f"{where}.{key}")
+    if not files or len(set(files)) < len(files):
+        raise InputError("expected different files", key=f"{where}.{key}")
+    return tuple(files)
 
 
 def _called(file: str) -> str:
@@ -193,19 +245,18 @@ def _called(file: str) -> str:
 
 
 def _read_record(
-    folder: Path,
-    session: Session,
-    notes: list[str],
-    file: str,
-    role: str,
-    repeats: str | None,
-    *,
-    options: IdentificationOptions,
+    recording: Recording, entry: ListedRecord, session: Session, notes: list[str], *, options: IdentificationOptions
 ) -> Record:
     """One record, audited on its own; every reading of an output channel still counts as usable."""
-    path, name = folder / file, _called(file)
-    values = read_values(path, options=options)
-    time = even_clock(path, values.pop("time"), options=options)
+    path, name, time, values = recording.paths[0], entry.name, recording.time, dict(recording.values)
+    if "current" not in values and "voltage" not in values:
+        raise InputError(f"no column 'current' or 'voltage'{nearest('current', recording.left_out)}", file=path)
+    if len(time) < options.audit.least_samples:
+        problem = f"{len(time)} samples; a record needs {options.audit.least_samples} or more"
+        raise InputError(problem, file=path)
+    notes += recording.notes
+    if recording.left_out:
+        notes.append(f"{name}: columns that are no channel are left out: {', '.join(recording.left_out)}")
     if "oil_temperature" not in values:
         values["oil_temperature"] = np.full(len(time), REFERENCE_TEMPERATURE)
         notes.append(f"{name}: no oil temperature was measured; {REFERENCE_TEMPERATURE:g} °C is assumed")
@@ -216,11 +267,39 @@ def _read_record(
         notes.append(f"{name}: body_temperature is not used: the parts follow the oil as [thermal] says")
     command = "voltage" if "voltage" in values else "current"
     rated = (command, input_scale(command, session.valve))
-    usable = measured_samples(path, name, values, outputs, rated, notes, options=options)
-    record = Record(name, time, values, usable, role, repeats, path)
+    read_at, shares = _between_slow_samples(recording, values, name, notes)
+    usable = measured_samples(path, name, values, outputs, rated, recording.line_of, time, notes, options=options)
+    usable = {channel: good & read_at[channel] if channel in read_at else good for channel, good in usable.items()}
+    record = Record(name, time, values, usable, entry.role, entry.repeats, path, recording.line_of, shares)
     for column in record.inputs:
         if is_at_rest(values[column], input_scale(column, session.valve), options=options):
             values[column] = np.full(len(time), np.mean(values[column]))
     check_command(path, record, session.valve, notes)
     check_conditions(path, record, session.valve, notes, options=options)
     return record
+
+
+def _between_slow_samples(
+    recording: Recording, values: dict[str, np.ndarray], name: str, notes: list[str]
+) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """({channel: True where it was read (n,)}, {channel: share of the samples}) of what is slower than the clock.
+
+    In `values`, in place, straight lines go from one of its samples to the next; where one is missing, it stays NaN.
+    """
+    rate = (len(recording.time) - 1) / float(recording.time[-1])
+    read_at: dict[str, np.ndarray] = {}
+    shares: dict[str, float] = {}
+    for channel, source in recording.sources.items():
+        if source.rate > 0.9 * rate:
+            continue
+        there = np.isfinite(values[channel])
+        k = np.flatnonzero(there)
+        if len(k) < 2:
+            continue
+        line = np.interp(np.arange(len(there)), k, values[channel][k])
+        apart = np.diff(k) > 1.5 * rate / source.rate + 1.0
+        for a, b in zip(k[:-1][apart], k[1:][apart], strict=True):
+            line[a + 1 : b] = np.nan
+        values[channel], read_at[channel], shares[channel] = line, there, source.rate / rate
+        notes.append(f"{name}: {channel} was read at {source.rate:.4g} Hz, the record's clock has {rate:.4g} Hz")
+    return read_at, shares

@@ -63,17 +63,20 @@ def simulate(
     seconds = time.perf_counter() - begin
     statistics = {"accepted_steps": float(count[0]), "rejected_steps": float(count[1]), "solver_seconds": seconds}
     if signals:
-        return Result(scenario, problem.times, output_channels(scenario), _values(problem, states), statistics)
+        return Result(scenario, problem.times, output_channels(scenario), channel_values(problem, states), statistics)
     channels = scenario.model.state_channels
     values = {channel.name: column for channel, column in zip(channels, states.T, strict=True)}
     return Result(scenario, problem.times, channels, values, statistics)
 
 
-def prepare(scenario: Scenario) -> Problem:
-    """Temperatures, coefficients, commands, compiled equations and the state at rest of every member."""
+def prepare(scenario: Scenario, *, knot_times: np.ndarray | None = None) -> Problem:
+    """Temperatures, coefficients, commands, compiled equations and the state at rest of every member.
+
+    `knot_times` (m,) are those of the temperatures, where it is known which will do.
+    """
     scenario.warn_of_large_command()
     model, end = scenario.model, scenario.duration
-    path, c = temperature_knots(scenario)
+    path, c = temperature_knots(scenario, knot_times=knot_times)
     flat = model.flat_coefficients(c, scenario.effects, path.parts)
     knots = np.stack(np.broadcast_arrays(*flat), axis=-1).astype(float)
     knots = np.array(np.broadcast_to(knots, (*knots.shape[:-2], len(path.times), knots.shape[-1])))
@@ -83,12 +86,17 @@ def prepare(scenario: Scenario) -> Problem:
     rows = intervals.rows
     if any(effect.memory for effect in model.effects):
         starts, rows = _soften_jumps(starts, rows)
-    times = np.arange(int(np.floor(end * scenario.output_rate * (1 + 1e-12))) + 1) / scenario.output_rate
-    times = np.minimum(times, end)  # rounding may carry the last sample past the end
     compiled = compile_model(model, absent_coefficients(model, knots))
     first, *pressures = (evaluate(command, 0.0) for command in commands)
     initial = state_at_rest(compiled, np.array([first, 0.0, *pressures], dtype=float), knots[:, 0])
-    return Problem(scenario, compiled, path, knots, starts, rows, times, initial)
+    return Problem(scenario, compiled, path, knots, starts, rows, output_times(scenario), initial)
+
+
+def output_times(scenario: Scenario) -> np.ndarray:
+    """The times (n_t,) of the output samples, s."""
+    end, rate = scenario.duration, scenario.output_rate
+    times = np.arange(int(np.floor(end * rate * (1 + 1e-12))) + 1) / rate
+    return np.minimum(times, end)  # rounding may carry the last sample past the end
 
 
 def _soften_jumps(starts: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,15 +136,15 @@ def integrate(problem: Problem, member: int, progress: Callable[[float], None] |
     )  # fmt: skip
 
 
-def _values(problem: Problem, states: np.ndarray) -> dict[str, np.ndarray]:
-    """All channels over time by name; signals from the same lines as the derivatives."""
+def channel_values(problem: Problem, states: np.ndarray, member: int = 0) -> dict[str, np.ndarray]:
+    """All channels (n_t,) of a member by name; signals from the same lines as the derivatives."""
     scenario, times, at = problem.scenario, problem.times, problem.path.times
     command, *pressures = (evaluate(each, times) for each in (scenario.command, *scenario.pressures()))
-    c = tuple(between(times, at, problem.knots[0]))
+    c = tuple(between(times, at, problem.knots[member]))
     signals = scenario.model.signals(tuple(states.T), Inputs(command, np.zeros_like(times), *pressures), c)
     parts = np.column_stack([np.broadcast_to(getattr(problem.path.parts, name), at.shape) for name in PART_NAMES])
-    own = [command for _ in scenario.drive.command_channels]
-    columns = (*own, *between(times, at, parts), *pressures, *states.T, *signals)
+    commanded = [command for _ in scenario.drive.command_channels]
+    columns = (*commanded, *between(times, at, parts), *pressures, *states.T, *signals)
     values = {
         channel.name: np.broadcast_to(column, times.shape)
         for channel, column in zip(output_channels(scenario), columns, strict=True)
@@ -144,5 +152,6 @@ def _values(problem: Problem, states: np.ndarray) -> dict[str, np.ndarray]:
     for active in scenario.effects:
         if active.effect.reading is not None:
             seen = Reading(times, values[active.effect.channel], values["oil_temperature"])
-            values[active.effect.channel] = active.effect.reading(seen, active.values)
+            own = active.effect.values(one[member, 0] if np.ndim(one) else one for one in active.numbers)
+            values[active.effect.channel] = active.effect.reading(seen, own)
     return values

@@ -18,6 +18,7 @@ from valvesim.inputs import Command
 from valvesim.io import DEEPEST, MOST_TEXT, check_known, check_tables, located, read_names, read_toml
 from valvesim.simulation.command_toml import TABLE, command_entries, read_command, read_switch
 from valvesim.simulation.scenario import Scenario, Thermal
+from valvesim.simulation.scenario_files import scenario_file
 from valvesim.units import change, exact_text, parse, quantities
 from valvesim.valve.coefficients import ROUTES, check_routes
 from valvesim.valve.effect import Effect, check_listed_once
@@ -50,17 +51,18 @@ _THERMAL_KEYS = (
 
 
 def load_scenario(path: str | Path, *, settings: Sequence[str] = (), valve: str | Path | None = None) -> Scenario:
-    """Read a scenario file; `settings` such as `valve.null_gap=0.03 mm` override or add keys.
+    """Read a scenario file, or the scenario of that name that comes along (`launch_shock`).
 
+    `settings` such as `valve.null_gap=0.03 mm` override or add keys.
     `valve` (a valve file or a preset's name) takes the place of the file's own. Raises InputError for a missing file,
     broken TOML, or any key or figure that makes no sense.
     """
-    path = Path(path)
+    path = scenario_file(path)
     text, table = read_toml(path)
     if valve is not None:
         table["valve"] = valve_argument(valve)
     for setting in settings:
-        _override(table, setting)
+        override(table, setting)
     with located(path, text, document="scenario", settings=settings):
         return Reader(path.parent).scenario(table)
 
@@ -72,7 +74,7 @@ def read_tables(settings: Sequence[str], *, valve: str | Path | None = None) -> 
     """
     table: dict[str, Any] = {} if valve is None else {"valve": valve_argument(valve)}
     for setting in settings:
-        _override(table, setting)
+        override(table, setting)
     check_known(table, ("valve", "oil", "effects"), "--set")
     check_tables(table, ("oil", "effects"))
     return Reader(Path()).valve(table)
@@ -83,7 +85,8 @@ def valve_argument(valve: str | Path) -> dict[str, str]:
     return {"file": str(valve) if str(valve) in PRESETS else str(Path(valve).absolute())}
 
 
-def _override(table: dict[str, Any], setting: str) -> None:
+def override(table: dict[str, Any], setting: str) -> None:
+    """Put a setting `KEY=VALUE` into the tables of a file. InputError where it cannot be."""
     key, equals, text = setting.partition("=")
     names = [name.strip() for name in key.split(".")]
     if not equals or not all(names):

@@ -17,11 +17,19 @@ KNOT_ERROR = 1e-6  # relative error of the coefficients between the knots of the
 MOST_HALVINGS = 16  # of the time between two knots
 
 
-def temperature_knots(scenario: Scenario) -> tuple[TemperaturePath, Coefficients]:
-    """The temperature path on knots close enough that straight lines between them hold the coefficients."""
+def temperature_knots(
+    scenario: Scenario, *, knot_times: np.ndarray | None = None
+) -> tuple[TemperaturePath, Coefficients]:
+    """The temperature path on knots close enough that straight lines between them hold the coefficients.
+
+    `knot_times` (m,) are taken as they are, where it is known that they will do.
+    """
     valve = scenario.valve
     batch: Any = {name: np.asarray(getattr(valve, name))[:, None] for name in array_quantities(scenario.valve)}
     valve = replace(valve, **batch)
+    if knot_times is not None:
+        path = scenario.temperatures(knots=knot_times)
+        return _at_knots(path, np.arange(len(knot_times)), scenario, valve)
     knots = first_knots(scenario.oil_temperature, scenario.duration, min(0.5, scenario.duration / 16.0))
     for _ in range(MOST_HALVINGS):
         apart = np.flatnonzero(np.diff(knots) > 0.0)

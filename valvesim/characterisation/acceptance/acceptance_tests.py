@@ -122,28 +122,71 @@ def acceptance_tests(
     rig = Rig(
         valve=valve, oil=oil, oil_temperature=oil_temperature, effects=tuple(effects), period=period, points=points
     )
-    rated = float(valve.rated_current)
     tell = progress if progress is not None else lambda share: None
     flow = record_of("flow", rig.full_cycle(), "load_flow")
-    figures = _named("flow", flow_figures(cycle(flow, "load_flow"), rated_current=rated, lag=0.0, dead_zone=0.0))
-    figures += _named("flow", (threshold_figure(rig),))
+    figures = _flow_figures(rig, flow)
     tell(0.3)
     blocked = blocked_cycle(rig)
-    c = cycle(blocked, "load_pressure")
-    figures += _named("pressure-gain", pressure_gain_figures(c, rated_current=rated, lag=0.0))
-    figures += _named("leakage", leakage_figures(cycle(blocked, "internal_leakage"), lag=0.0))
+    figures += _blocked_figures(rig, blocked, BLOCKED_TESTS)
     tell(0.6)
     shares = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0)
-    flow_load = tuple(flow_load_record(rig, share * rated) for share in shares)
-    for record, name in ((flow_load[-1], "positive"), (flow_load[0], "negative")):
-        own = flow_load_figures(part_of(record, record.values["pressure_drop"] <= valve.supply_pressure))
-        figures += _named("flow-load", tuple(replace(f, name=f"{f.name}_{name}") for f in own))
+    flow_load = tuple(flow_load_record(rig, share * float(valve.rated_current)) for share in shares)
+    figures += _flow_load_figures(rig, flow_load[-1], flow_load[0])
     tell(0.8)
     figures += _named("null-shift", null_shift_figures(rig))
     tell(1.0)
     return AcceptanceTests(
         valve=valve, oil_temperature=oil_temperature, figures=figures, flow=flow, blocked=blocked, flow_load=flow_load
     )
+
+
+RIG_TESTS = ("flow", *(BLOCKED_TESTS := ("pressure-gain", "leakage")), "flow-load", "null-shift")
+"""The tests of a simulated bench, in the order of its figures."""
+
+
+def rig_figures(rig: Rig, tests: Sequence[str]) -> FiguresOfMerit:
+    """The figures of some of `RIG_TESTS`, as `acceptance_tests` has them: no other test is run.
+
+    Blocked ports (pressure-gain, leakage) take nine tenths of the time of all. Raises as `acceptance_tests` does.
+    """
+    for name in tests:
+        if name not in RIG_TESTS:
+            raise unknown_name("test", name, RIG_TESTS)
+    figures: FiguresOfMerit = ()
+    if "flow" in tests:
+        figures += _flow_figures(rig, record_of("flow", rig.full_cycle(), "load_flow"))
+    if blocked := [name for name in BLOCKED_TESTS if name in tests]:
+        figures += _blocked_figures(rig, blocked_cycle(rig), blocked)
+    if "flow-load" in tests:
+        rated = float(rig.valve.rated_current)
+        figures += _flow_load_figures(rig, flow_load_record(rig, rated), flow_load_record(rig, -rated))
+    if "null-shift" in tests:
+        figures += _named("null-shift", null_shift_figures(rig))
+    return figures
+
+
+def _flow_figures(rig: Rig, record: AcceptanceRecord) -> FiguresOfMerit:
+    c, rated = cycle(record, "load_flow"), float(rig.valve.rated_current)
+    own = flow_figures(c, rated_current=rated, lag=0.0, dead_zone=0.0)
+    return _named("flow", (*own, threshold_figure(rig)))
+
+
+def _blocked_figures(rig: Rig, record: AcceptanceRecord, tests: Sequence[str]) -> FiguresOfMerit:
+    figures: FiguresOfMerit = ()
+    if "pressure-gain" in tests:
+        c, rated = cycle(record, "load_pressure"), float(rig.valve.rated_current)
+        figures += _named("pressure-gain", pressure_gain_figures(c, rated_current=rated, lag=0.0))
+    if "leakage" in tests:
+        figures += _named("leakage", leakage_figures(cycle(record, "internal_leakage"), lag=0.0))
+    return figures
+
+
+def _flow_load_figures(rig: Rig, positive: AcceptanceRecord, negative: AcceptanceRecord) -> FiguresOfMerit:
+    figures: FiguresOfMerit = ()
+    for record, name in ((positive, "positive"), (negative, "negative")):
+        own = flow_load_figures(part_of(record, record.values["pressure_drop"] <= rig.valve.supply_pressure))
+        figures += _named("flow-load", tuple(replace(f, name=f"{f.name}_{name}") for f in own))
+    return figures
 
 
 def _named(test: str, figures: FiguresOfMerit) -> FiguresOfMerit:

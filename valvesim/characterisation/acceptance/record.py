@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from valvesim.errors import InputError
-from valvesim.io import read_columns
+from valvesim.measurement.columns_table import NOTHING_STATED, Statements
+from valvesim.measurement.recording import read_recording
 
 LEAST_POINTS = 50  # of a branch
 GAP = 5.0  # times the usual sampling interval: longer is a gap
+MOVED = 0.02  # share of its span that the current, or the pressure drop of flow over load, may move in a gap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +36,8 @@ class AcceptanceRecord:
         k, usual = int(np.argmax(steps)), float(np.median(steps))
         if np.min(steps) < 0.0 or usual <= 0.0:
             raise InputError(f"{self.source}: time must rise")
-        if steps[k] > GAP * usual:
+        drive = self.values.get("current", self.values.get("pressure_drop", t))
+        if steps[k] > GAP * usual and abs(drive[k + 1] - drive[k]) > MOVED * np.ptp(drive):
             where = f"{steps[k]:.4g} s at {t[k]:.6g} s (samples come every {usual:.4g} s)"
             raise InputError(f"{self.source}: gap of {where}")
 
@@ -46,43 +49,20 @@ class AcceptanceRecord:
         return self.values[name]
 
 
-_UNITS = {
-    "time": "s", "current": "A", "load_flow": "m^3/s", "load_pressure": "Pa", "internal_leakage": "m^3/s",
-    "pressure_drop": "Pa",
-}  # fmt: skip
-_PLAIN = dict(zip(
-    ("t_s", "current_A", "flow_m3s", "load_pressure_Pa", "leak_flow_m3s", "pressure_drop_Pa"), _UNITS, strict=True
-))  # fmt: skip
+CHANNELS = ("current", "load_flow", "load_pressure", "internal_leakage", "pressure_drop")
 
 
-def read_record(path: str | Path) -> AcceptanceRecord:
-    """A record from CSV: header `time [s],current [mA],load_flow [L/min],...` with any unit, or SI by plain names.
+def read_record(*files: str | Path, stated: Statements = NOTHING_STATED) -> AcceptanceRecord:
+    """A record from one file of any format, or from several that were written together, with any unit.
 
-    Known columns: time, current, load_flow, load_pressure, internal_leakage, pressure_drop; plain ones are t_s,
-    current_A, flow_m3s, load_pressure_Pa, leak_flow_m3s, pressure_drop_Pa. Others are left out.
-    Raises InputError for a missing file, time column or unit, cells that are no numbers, and gaps.
+    Known columns: time, current, load_flow, load_pressure, internal_leakage, pressure_drop; others are left out, and so
+    are samples at which one of them has no reading. Raises as `read_recording` does, and InputError for gaps.
     """
-    path = Path(path)
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            names = [name.strip().strip('"') for name in next((line for line in file if line.strip()), "").split(",")]
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    if not any(name in _PLAIN for name in names):
-        bare = [name.partition("[")[0].strip() for name in names]
-        found = {name: unit for name, unit in _UNITS.items() if name in bare or name == "time"}
-        return AcceptanceRecord(source=path.name, values=read_columns(path, found))
-    if "t_s" not in names:
-        raise InputError(f"{path}: no column 't_s' (or 'time [s]')")
-    try:
-        data = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, encoding="utf-8-sig")
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-    return AcceptanceRecord(
-        source=path.name, values={_PLAIN[n]: data[:, k] for k, n in enumerate(names) if n in _PLAIN}
-    )
+    paths = [Path(file) for file in files]
+    recording = read_recording(paths, CHANNELS, stated=stated)
+    values = {"time": recording.time} | {n: recording.values[n] for n in CHANNELS if n in recording.values}
+    there = np.all([np.isfinite(column) for column in values.values()], axis=0)
+    return AcceptanceRecord(source=paths[0].name, values={name: column[there] for name, column in values.items()})
 
 
 def record_of(source: str, values: dict[str, np.ndarray], *names: str) -> AcceptanceRecord:

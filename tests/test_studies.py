@@ -1,0 +1,472 @@
+"""Studies of many valves: what varies, the same answer on any number of processes, and what is kept of each member."""
+
+import filecmp
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import valvesim as vs
+from valvesim.errors import InputError
+from valvesim.studies import channel_histogram, engine
+from valvesim.studies.designs import Correlation, Design, correlate
+from valvesim.studies.distributions import Choice, Distribution, tolerance_distribution
+from valvesim.studies.members import make_plan, run_block
+from valvesim.studies.parameter_study import ChannelPercentiles, FigureOptions, ParameterStudy, WholeChannels
+from valvesim.studies.store import NAME
+from valvesim.studies.study import study
+from valvesim.studies.study_result import capability_of, open_result, yield_of
+from valvesim.studies.study_toml import load_study
+from valvesim.studies.variables import Variable, apply, find_quantity, tolerated, variable_of
+
+ISOTHERMAL = vs.Thermal(network=None)
+BASE = vs.Scenario(duration=0.02, thermal=ISOTHERMAL, command=vs.Step(after=5e-3, time=2e-3), output_rate=2000.0)
+
+
+def of(*keys, case=BASE):
+    return tuple(variable_of(find_quantity(case, key)) for key in keys)
+
+
+def small(**changes):
+    """A study of a dozen members in blocks of five."""
+    figures = dict(
+        case=BASE, variables=of("valve.null_gap", "valve.spring_tube_stiffness", "valve.null_gap_difference"),
+        design=Design(kind="random", members=12, seed=3), keep=("run.spool_position.*", "drift.*"), block=5,
+        percentiles=ChannelPercentiles(channels=("spool_position",), points=9),
+        whole=WholeChannels(members=(4, 11), channels=("spool_position", "load_flow")),
+    )  # fmt: skip
+    return ParameterStudy(**(figures | changes))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The small study, run in this process."""
+    folder = tmp_path_factory.mktemp("study")
+    return study(small(), folder, workers=0)
+
+
+def same_files(one: Path, other: Path) -> bool:
+    names = sorted(str(p.relative_to(one)) for p in one.rglob("*") if p.is_file())
+    if names != sorted(str(p.relative_to(other)) for p in other.rglob("*") if p.is_file()):
+        return False
+    return not any(filecmp.cmpfiles(one, other, names, shallow=False)[1:])
+
+
+# ---------------------------------------------------------------- members
+
+
+def test_a_member_of_a_study_is_the_same_valve_run_alone(finished):
+    for number in (0, 4, 11):
+        alone = vs.simulate(finished.member(number))["spool_position"].values
+        assert finished.column("run.spool_position.highest")[number] == pytest.approx(alone.max(), rel=1e-9)
+        assert finished.column("run.spool_position.end")[number] == pytest.approx(alone[-1], rel=1e-9)
+
+
+def test_whole_channels_of_a_member_are_those_of_its_run(finished):
+    alone = vs.simulate(finished.member(11))
+    kept = finished.dataset["run"].sel(kept_member=11)
+    for name in ("spool_position", "load_flow"):
+        assert np.allclose(kept.sel(kept_channel=name), alone[name].values, rtol=1e-9, atol=0.0)
+
+
+def test_members_differ_and_the_nominal_one_is_told(finished):
+    assert np.ptp(finished.column("run.spool_position.end")) > 1e-6
+    nominal = vs.simulate(BASE)["spool_position"].values
+    k = [f.name for f in finished.figures].index("run.spool_position.end")
+    assert finished.nominal[k] == nominal[-1]
+
+
+def test_the_draws_are_kept_and_repeat_with_the_seed(finished):
+    assert np.array_equal(finished.draws, small().draws())
+    assert not np.array_equal(finished.draws, small(design=Design(kind="random", members=12, seed=4)).draws())
+
+
+def test_what_varies_in_no_figure_of_the_equations_runs_apart_and_the_same():
+    case = replace(BASE, supply_pressure=vs.Constant(value=21e6))
+    variables = (*of("valve.null_gap"), variable_of(find_quantity(case, "pressures.supply"), 1e6))
+    mixed = small(case=case, variables=variables, percentiles=None, whole=None, keep=("run.spool_position.end",))
+    plan, draws = make_plan(mixed), mixed.draws()
+    got = run_block(mixed, plan, 0, draws[:4]).figures[:, 0]
+    alone = [vs.simulate(mixed.member(draw))["spool_position"].values[-1] for draw in draws[:4]]
+    assert np.allclose(got, alone, rtol=1e-9)
+
+
+def test_a_member_that_fails_is_a_row_with_its_reason(tmp_path):
+    """A flapper that expands more than the null gap closes it at 150 °C: half of the members cannot run."""
+    hot = replace(BASE, oil_temperature=vs.Constant(value=150.0))
+    rows = np.array([[11e-6, 0.6e-3], [9e-5, 10e-3], [11e-6, 0.7e-3], [9e-5, 20e-3]])
+    variables = [find_quantity(hot, f"valve.{name}") for name in ("pilot_expansion", "flapper_length")]
+    variables = tuple(Variable(q, Distribution("uniform", 1e-7, 0.04)) for q in variables[1:])
+    first = Variable(find_quantity(hot, "valve.pilot_expansion"), Distribution("uniform", 1e-7, 9.9e-5))
+    failing = small(
+        case=hot, variables=(first, *variables), design=Design(kind="table", members=4, rows=rows), block=4, whole=None,
+        keep=("run.spool_position.end",),
+    )  # fmt: skip
+    result = study(failing, tmp_path, workers=0)
+    assert result.finished and list(np.isfinite(result.values[:, 0])) == [True, False, True, False]
+    assert list(result.reasons == "") == [True, False, True, False]
+    assert "closes" in result.reasons[1] and "pilot" in result.reasons[3]
+    assert list(result.passes) == [True, False, True, False]
+
+
+# ---------------------------------------------------------------- the store
+
+
+def test_a_study_that_was_killed_goes_on_and_ends_byte_for_byte_the_same(finished, tmp_path, monkeypatch):
+    real, calls = engine.run_block, []
+
+    def dies(*arguments):
+        calls.append(arguments[2])
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(engine, "run_block", dies)
+    with pytest.raises(KeyboardInterrupt):
+        study(small(), tmp_path, workers=0)
+    half = open_result(small(), tmp_path)
+    assert half.ran.sum() == 5 and not half.finished
+    monkeypatch.setattr(engine, "run_block", real)
+    told = []
+    study(small(), tmp_path, workers=0, progress=lambda done, of: told.append((done, of)))
+    assert told[0] == (5, 12) and told[-1] == (12, 12)
+    assert same_files(finished.folder / NAME, tmp_path / NAME)
+
+
+def test_blocks_in_any_order_give_the_same_store(finished, tmp_path, monkeypatch):
+    pending = engine.StudyStore.pending
+    monkeypatch.setattr(engine.StudyStore, "pending", property(lambda store: pending.fget(store)[::-1]))
+    study(small(), tmp_path, workers=0)
+    assert same_files(finished.folder / NAME, tmp_path / NAME)
+
+
+def test_a_store_of_another_study_is_refused_and_left_as_it_is(finished, tmp_path):
+    before = {p: p.stat().st_mtime_ns for p in finished.folder.rglob("*")}
+    for other in (small(keep=("drift.*",)), small(design=Design(kind="random", members=12, seed=4))):
+        with pytest.raises(InputError, match="holds another study"):
+            study(other, finished.folder, workers=0)
+    with pytest.raises(InputError, match="holds another study"):
+        open_result(small(case=replace(BASE, tolerance=1e-6)), finished.folder)
+    assert before == {p: p.stat().st_mtime_ns for p in finished.folder.rglob("*")}
+
+
+def test_a_store_of_another_version_is_refused(finished, monkeypatch):
+    from valvesim.studies import store
+
+    own = store.versions()
+    monkeypatch.setattr(store, "versions", lambda: {**own, "code": "other"})
+    with pytest.raises(InputError, match="other versions: here code other instead of"):
+        study(small(), finished.folder, workers=0)
+
+
+def test_what_is_no_store_is_refused(tmp_path):
+    (tmp_path / NAME).write_text("no store")
+    with pytest.raises(InputError, match="is no store of a study"):
+        study(small(), tmp_path, workers=0)
+    assert (tmp_path / NAME).read_text() == "no store"
+    with pytest.raises(InputError, match="is no store of a study"):
+        open_result(small(), tmp_path / "nowhere")
+
+
+def test_a_worker_of_another_version_runs_nothing():
+    other = {**engine.versions(), "numba": "0.1"}
+    with pytest.raises(InputError, match="a worker has numba .* instead of 0.1"):
+        engine.checked_block(other, small(), None, 0, None)
+
+
+def test_the_forecast_counts_members_and_bytes():
+    told = engine.forecast(small(), seconds=0.0)
+    assert (told.members, told.blocks, told.block_size) == (12, 3, 5)
+    assert told.seconds_a_member > 0.0 and told.bytes > 12 * 8 * 3
+
+
+# ---------------------------------------------------------------- percentiles
+
+
+def test_percentiles_over_time_are_those_of_the_members(tmp_path):
+    many = small(design=Design(kind="random", members=150), block=50, whole=None)
+    result = study(many, tmp_path, workers=0)
+    told = result.percentiles.sel(channel="spool_position").isel(sample_time=-1)
+    exact = np.percentile(result.column("run.spool_position.end"), told.level)
+    span = np.ptp(exact)
+    assert np.abs(told.values - exact).max() < 0.08 * span  # of 150 members, between two of them
+
+
+@pytest.mark.parametrize("law", [stats.norm(3.0, 2.0), stats.lognorm(1.5), stats.uniform(-1.0, 4.0), stats.t(2)])
+def test_percentiles_from_counts_are_within_a_bin_of_those_of_the_values(law):
+    values = law.rvs(20_000, random_state=1)
+    reference = channel_histogram.reference_of(np.array([[0.0, 3.0]]), np.array([1.0]))
+    counts = np.zeros((1, 2, channel_histogram.BINS), dtype=np.uint32)
+    for value in values:
+        channel_histogram.count(counts, reference, np.array([[value, value]]))
+    levels = np.array([0.0, 1.0, 25.0, 50.0, 99.0, 100.0])
+    low, high = np.full((1, 2), values.min()), np.full((1, 2), values.max())
+    told = channel_histogram.percentiles(counts, reference, low, high, levels)
+    for t, about in enumerate((0.0, 3.0)):
+        exact = np.percentile(values, levels)
+        assert np.all(np.abs(told[0, :, t] - exact) <= 0.045 * np.abs(exact - about) + 1e-3)
+        assert told[0, 0, t] == values.min() and told[0, -1, t] == values.max()
+
+
+def test_what_is_no_number_is_counted_nowhere():
+    reference = channel_histogram.reference_of(np.zeros((1, 1)), np.ones(1))
+    counts = np.zeros((1, 1, channel_histogram.BINS), dtype=np.uint32)
+    channel_histogram.count(counts, reference, np.array([[np.nan]]))
+    assert counts.sum() == 0
+    assert np.isnan(
+        channel_histogram.percentiles(counts, reference, np.zeros((1, 1)), np.ones((1, 1)), np.array([50.0]))
+    )
+
+
+# ---------------------------------------------------------------- distributions and designs
+
+
+@pytest.mark.parametrize("kind", ["random", "latin_hypercube", "sobol"])
+def test_every_design_gives_each_quantity_its_distribution(kind):
+    variables = (
+        Variable(find_quantity(BASE, "valve.null_gap"), Distribution("norm", 35e-6, 1e-6, lowest=34e-6, highest=36e-6)),
+        Variable(find_quantity(BASE, "valve.spool_mass"), Distribution("lognorm", 0.0, 4e-3, (("s", 0.1),))),
+        Variable(find_quantity(BASE, "oil.density_at_20"), Distribution("uniform", 850.0, 30.0)),
+    )
+    own = small(variables=variables, design=Design(kind=kind, members=512, seed=2), whole=None)
+    draws = own.draws()
+    for k, variable in enumerate(variables):
+        law = variable.distribution
+        assert stats.kstest(draws[:, k], law.probability).pvalue > 1e-3
+        assert np.allclose(law.quantile(law.probability(draws[:, k])), draws[:, k], rtol=1e-9)
+    assert draws[:, 0].min() >= 34e-6 and draws[:, 0].max() <= 36e-6
+
+
+def test_a_correlation_shows_in_the_ranks_and_leaves_the_distributions():
+    keys = ("valve.null_gap", "valve.nozzle_diameter", "valve.spool_mass")
+    design = Design(kind="random", members=4000, correlations=(Correlation(keys[0], keys[2], -0.7),))
+    draws = small(variables=of(*keys), design=design, whole=None).draws()
+    rank = stats.spearmanr(draws).statistic
+    assert rank[0, 2] == pytest.approx(6.0 / np.pi * np.arcsin(-0.35), abs=0.03)  # of a Gaussian copula
+    assert abs(rank[0, 1]) < 0.05
+    for k, variable in enumerate(of(*keys)):
+        assert stats.kstest(draws[:, k], variable.distribution.probability).pvalue > 1e-3
+
+
+def test_correlations_that_no_quantities_have_are_refused():
+    keys = ("valve.null_gap", "valve.nozzle_diameter", "valve.spool_mass")
+    pairs = [(0, 1, 0.9), (1, 2, 0.9), (0, 2, -0.9)]
+    design = Design(members=4, correlations=tuple(Correlation(keys[i], keys[j], r) for i, j, r in pairs))
+    with pytest.raises(InputError, match="not positive definite"):
+        small(variables=of(*keys), design=design, whole=None).draws()
+
+
+def test_correlated_probabilities_stay_uniform():
+    u = np.random.default_rng(1).random((5000, 2))
+    own = correlate(u, np.array([[1.0, 0.95], [0.95, 1.0]]))
+    assert stats.kstest(own[:, 1], "uniform").pvalue > 1e-3
+    assert np.array_equal(own[:, 0], correlate(u, np.array([[1.0, 0.2], [0.2, 1.0]]))[:, 0])
+
+
+def test_a_tolerance_is_a_normal_distribution_within_it():
+    law = tolerance_distribution(10.0, 0.4, (0.0, 10.3))
+    assert (law.lowest, law.highest, law.scale) == (9.6, 10.3, 0.2)
+    assert law.quantile(np.array([0.0, 1.0])) == pytest.approx([9.6, 10.3])
+    assert law.outside((0.0, 10.3)) == 0.0 and law.outside((9.7, 10.3)) > 0.01
+
+
+def test_a_distribution_that_leaves_the_bounds_of_its_quantity_is_refused():
+    gap = find_quantity(BASE, "valve.null_gap")
+    with pytest.raises(InputError, match=r"vary\.valve\.null_gap: the distribution .* leaves .*truncate"):
+        Variable(gap, Distribution("norm", 35e-6, 20e-6))
+    Variable(gap, Distribution("norm", 35e-6, 20e-6, lowest=1e-6))
+    with pytest.raises(InputError, match="leaves"):
+        Variable(gap, Distribution("uniform", 0.9e-3, 0.2e-3))
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: Distribution("nrom", 0.0, 1.0), "did you mean 'norm'"),
+        (lambda: Distribution("norm", 0.0, 0.0), "scale = 0 must be positive"),
+        (lambda: Distribution("lognorm", 0.0, 1.0), "shape parameters s; given: none"),
+        (lambda: Distribution("norm", 0.0, 1.0, (("a", 1.0),)), "no shape parameters; given: a"),
+        (lambda: Distribution("uniform", 0.0, 1.0, lowest=2.0), "nothing of the distribution"),
+        (lambda: Choice((1, 2), ("a", "b"), (1.0,)), "1 weights for 2 choices"),
+        (lambda: Choice((1, 2), ("a", "b"), (0.0, 0.0)), "nor all of them zero"),
+        (lambda: Design(kind="saltelli", members=100), "power of two"),
+        (lambda: Design(kind="lhs"), "unknown design 'lhs'"),
+        (lambda: Design(members=0), "design.members = 0"),
+        (lambda: Design(seed=-1), "design.seed = -1"),
+        (lambda: Design(kind="table", members=3), "a table has rows"),
+        (lambda: small(keep=()), "nothing is kept"),
+        (lambda: small(variables=()), "nothing varies"),
+        (lambda: small(variables=of("valve.null_gap", "valve.null_gap")), "varies twice"),
+        (lambda: small(keep=("runs.x.y",)), "unknown family of figures 'runs'; did you mean 'run'"),
+        (lambda: small(block=0), "block = 0"),
+        (lambda: small(whole=WholeChannels(members=(12,), channels=("spool_position",))), "12 is no member"),
+        (lambda: small(percentiles=ChannelPercentiles(channels=("spool",))), "unknown channel 'spool'"),
+        (lambda: ChannelPercentiles(channels=("spool_position",), levels=(101.0,)), "within 0 and 100"),
+        (lambda: small(options=FigureOptions(start=0.02)), "before the end of the run"),
+        (lambda: make_plan(small(keep=("run.spool_position.larges",))), "did you mean 'run.spool_position.largest'"),
+        (lambda: make_plan(small(keep=("bench.flows.lap",))), "unknown test of bench 'flows'; did you mean 'flow'"),
+        (lambda: find_quantity(BASE, "valve.null_gpa"), "did you mean 'null_gap'"),
+        (lambda: find_quantity(BASE, "valves.null_gap"), "unknown section 'valves'; did you mean 'valve'"),
+        (lambda: find_quantity(BASE, "thermal.body_capacity"), "isothermal"),
+        (lambda: find_quantity(BASE, "effects.spool_coulomb_friction.friction_force"), "scenario has no effects"),
+        (lambda: find_quantity(BASE, "command.current.ramp.rate"), "which has: step"),
+        (lambda: find_quantity(BASE, "command.current.step.afer"), "did you mean 'after'"),
+        (lambda: find_quantity(BASE, "loop.mass"), "no \\[loop\\]"),
+        (lambda: of("valve.supply_pressure"), "has no tolerance of its own"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_told(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_every_kind_of_key_finds_its_quantity_and_changes_it():
+    friction = vs.effect("spool_coulomb_friction")(friction_force=1.0)
+    case = vs.Scenario(
+        duration=1.0, effects=(friction,), supply_pressure=vs.Constant(value=20e6),
+        oil_temperature=vs.Sum((vs.Ramp(start_value=20.0, end_value=90.0, rate=30.0), vs.Sine(amplitude=2.0))),
+        command=vs.Step(after=2e-3),
+    )  # fmt: skip
+    changes = {
+        "valve.null_gap": 34e-6, "oil.density_at_20": 870.0, "thermal.body_capacity": 120.0,
+        "thermal.ambient_temperature": 25.0, "effects.spool_coulomb_friction.friction_force": 2.0,
+        "pressures.supply": 19e6, "command.current.step.after": 3e-3, "thermal.oil_temperature.ramp.rate": 25.0,
+        "thermal.oil_temperature.sine.amplitude": 1.0, "pressures.return": 4e5,
+    }  # fmt: skip
+    changed = apply(case, changes)
+    for key, value in changes.items():
+        before, after = find_quantity(case, key), find_quantity(changed, key)
+        assert after.nominal == value != before.nominal, key
+        assert after == replace(before, nominal=value, tolerance=after.tolerance)
+    back = apply(changed, {key: find_quantity(case, key).nominal for key in changes})
+    assert replace(back, return_pressure=None) == case
+
+
+# ---------------------------------------------------------------- yield and capability
+
+
+def test_the_interval_of_a_yield_is_that_of_clopper_and_pearson():
+    own = yield_of(np.arange(50) < 45)
+    assert own.share == 0.9
+    assert (own.low, own.high) == pytest.approx((stats.beta.ppf(0.025, 45, 6), stats.beta.ppf(0.975, 46, 5)))
+
+
+def test_capability_of_a_normal_figure(finished):
+    from valvesim.studies.criteria import FigureLimit, criteria_of
+
+    (criterion,), _ = criteria_of(
+        finished.figures, finished.nominal, [FigureLimit("run.spool_position.end", 0.0, 4.0)], None
+    )
+    values = stats.norm(1.0, 0.25).ppf((np.arange(20_000) + 0.5) / 20_000)
+    told = capability_of(criterion, values)
+    assert told.index == pytest.approx(1.0 / 0.75, rel=1e-3) and told.low < told.index < told.high
+    assert told.by_quantiles == pytest.approx(told.index, rel=1e-2)
+    assert np.isnan(capability_of(criterion, np.ones(5)).index)
+
+
+# ---------------------------------------------------------------- files and the command line
+
+
+STUDY = """
+title = "Two tolerances"
+[scenario]
+duration = "20 ms"
+thermal.isothermal = true
+thermal.oil_temperature = "60 degC"
+command.current.step = { after = "5 mA", time = "2 ms" }
+outputs.rate = "2 kHz"
+[design]
+members = 8
+[vary]
+"valve.null_gap" = {}
+valve.null_gap_difference.tolerance = "0.5 um"
+"oil" = { values = ["mil_prf_5606", "mil_prf_83282"], weights = [3, 1] }
+[[correlations]]
+between = ["valve.null_gap", "valve.null_gap_difference"]
+value = 0.5
+[figures]
+keep = ["run.spool_position.end"]
+[limits]
+run.spool_position.end = { low = "0.1 mm", high = "0.2 mm" }
+"""
+
+
+@pytest.fixture
+def study_file(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path
+
+
+def test_a_study_file_is_read(study_file):
+    own = load_study(study_file)
+    assert own.keys == ("valve.null_gap", "valve.null_gap_difference", "oil") and own.members == 8
+    assert own.variables[1].distribution.highest == 0.5e-6
+    draws = own.draws()
+    assert set(draws[:, 2]) == {0.0, 1.0} and own.member(draws[0]).oil.name in ("mil_prf_5606", "mil_prf_83282")
+    assert load_study(study_file, settings=["design.members=5"]).members == 5
+    assert len(load_study(study_file, settings=["vary.tolerances=true"]).variables) == len(tolerated(BASE)) + 1
+
+
+def test_the_command_runs_a_study_and_a_member_of_it(call, study_file, tmp_path):
+    folder = tmp_path / "out"
+    code, out, err = call("study", study_file, "-o", folder, "--workers", "0", "--no-pictures")
+    assert code == 0, err
+    assert "run.spool_position.end" in out and "yield" in out and "8" in out
+    value = open_result(load_study(study_file), folder).values[5, 0]
+    code, text, err = call("study", study_file, "--member", "5")
+    assert code == 0, err
+    (tmp_path / "member.toml").write_text(text, encoding="utf-8")
+    alone = vs.simulate(vs.load_scenario(tmp_path / "member.toml"))
+    assert alone["spool_position"].values[-1] == pytest.approx(value, rel=1e-9)
+
+
+def test_a_dry_run_writes_nothing(call, study_file, tmp_path):
+    code, out, err = call("study", study_file, "-o", tmp_path / "out", "--dry-run")
+    assert code == 0, err
+    assert "members" in out and "MB" in out and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ('"valve.null_gap" = {}', '"valve.nul_gap" = {}', r"line 12: vary\.valve: .*did you mean 'null_gap'"),
+        ("members = 8", "members = 0", r"line 10: design\.members: 0 must be"),
+        ("members = 8", 'kind = "saltelli"\nmembers = 8', "has base_samples"),
+        ('tolerance = "0.5 um"', 'tolerance = "0.5 bar"', r"line 13: .*wrong dimension"),
+        ('"mil_prf_83282"]', '"mil_prf_83292"]', r"line 14: .*mil_prf_83282"),
+        ("weights = [3, 1]", "weights = [3]", r"line 14: vary\.oil\.weights: 1 weights"),
+        ("value = 0.5", "value = 1.5", "within -1 and 1"),
+        ('between = ["valve.null_gap", ', 'between = ["valve.nullgap", ', r"line 16: .*did you mean 'valve\.null_gap'"),
+        ('keep = ["run.spool_position.end"]', 'keep = ["rum.x"]', "did you mean 'run'"),
+        ('low = "0.1 mm"', 'low = "0.3 mm"', "needs low below high"),
+        ('low = "0.1 mm"', 'low = "0.1 bar"', "wrong dimension"),
+        ("run.spool_position.end = {", "run.spool_position.largest = {", "unknown figure of merit that is kept"),
+        ("[design]", "[desing]", r"line 9: .*did you mean 'design'"),
+        ("[scenario]\nduration", '[scenario]\nfile = "none.toml"\nduration', "no such file"),
+    ],
+)
+def test_bad_study_files_are_refused_in_one_line(call, study_file, tmp_path, old, new, message):
+    assert old in STUDY
+    study_file.write_text(STUDY.replace(old, new), encoding="utf-8")
+    code, out, err = call("study", study_file, "-o", tmp_path / "out", "--workers", "0")
+    assert code == 2 and err.count("\n") == 1 and re.search(message, err), err
+
+
+def test_a_table_of_ones_own(study_file, tmp_path):
+    (tmp_path / "draws.csv").write_text(
+        "valve.null_gap [um],pressures.supply [bar]\n34,200\n36,210\n", encoding="utf-8"
+    )
+    text = (
+        STUDY[: STUDY.index("[design]")]
+        + '[design]\nkind = "table"\ntable = "draws.csv"\n[figures]\nkeep=["drift.*"]\n'
+    )
+    study_file.write_text(text, encoding="utf-8")
+    own = load_study(study_file)
+    assert np.allclose(own.draws(), [[34e-6, 200e5], [36e-6, 210e5]])
+    (tmp_path / "draws.csv").write_text("valve.null_gap [um]\n34\n1e6\n", encoding="utf-8")
+    with pytest.raises(InputError, match="null_gap"):
+        load_study(study_file)

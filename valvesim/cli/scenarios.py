@@ -1,0 +1,42 @@
+"""`valvesim scenarios`: the scenarios that come along."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from valvesim.cli.display import print_table, print_written
+
+
+@click.command()
+@click.argument("name", required=False)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Copy the scenario to this file, to change it.")
+def scenarios(name: str | None, output: Path | None) -> None:
+    """The scenarios that come along; with a NAME the text of one, or with -o a copy of it.
+
+    Each runs by its name from anywhere: valvesim run launch_shock.
+    """
+    from valvesim.errors import InputError, unknown_name
+    from valvesim.io import read_toml, write_atomically, write_text
+    from valvesim.simulation.scenario_files import bundled_scenarios
+
+    known = bundled_scenarios()
+    if name is None:
+        if output is not None:
+            raise InputError("-o needs the NAME of a scenario")
+        rows = []
+        for own, path in known.items():
+            _, table = read_toml(path)
+            rows.append((own, str(table["title"]), str(table["duration"])))
+        print_table("scenarios that come along", ("name", "title", "duration"), rows)
+        return
+    if name not in known:
+        raise unknown_name("scenario", name, known)
+    text = known[name].read_text(encoding="utf-8")
+    if output is None:
+        click.echo(text, nl=False)
+        return
+    files = [path for path in known[name].parent.glob("*.csv") if path.name in text]
+    for file, content in ((output, text), *((output.parent / file.name, file.read_text("utf-8")) for file in files)):
+        print_written([write_atomically(file, lambda path, content=content: write_text(path, content))])  # type: ignore[misc]

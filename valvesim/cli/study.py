@@ -1,0 +1,116 @@
+"""`valvesim study`: many valves, from one file, on any number of processes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from valvesim.cli.display import console, print_table, print_written, progress_bar
+from valvesim.cli.options import settings_option
+
+
+@click.command()
+@click.argument("study", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder of the store and page [results/STUDY].")
+@click.option("--workers", type=click.IntRange(0), help="Processes on this machine; 0: this one [all cores].")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask scheduler, such as tcp://host:8786.")
+@click.option("--dry-run", is_flag=True, help="Tell members, size and time; run and write nothing.")
+@click.option("--member", type=click.IntRange(0), help="Print the scenario of one member by its number, to be run.")
+@click.option("--yield", "wanted", help="Yield to reach by tightening tolerances, such as '99 %'.")
+@click.option("--no-pictures", is_flag=True, help="Leave pictures and page out.")
+@settings_option
+def study(
+    study: Path, output: Path | None, workers: int | None, scheduler: str | None, dry_run: bool, member: int | None,
+    wanted: str | None, no_pictures: bool, settings: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Run a STUDY file: thousands of valves within their tolerances, what becomes of their figures, and why.
+
+    Stopped at any moment and started again it goes on where it was. The folder gets study.zarr (xarray.open_zarr) and
+    study.html.
+    """
+    from valvesim.errors import InputError
+    from valvesim.io import check_folder
+    from valvesim.studies.engine import run_study
+    from valvesim.studies.study_result import open_result
+    from valvesim.studies.study_toml import load_study
+    from valvesim.units import parse
+
+    case = load_study(study, settings=settings)
+    folder = output or Path("results") / study.stem
+    if member is not None:
+        click.echo(_member_text(case, member), nl=False)
+        return
+    if dry_run:
+        _print_forecast(case, workers)
+        return
+    goal = None if wanted is None else parse(wanted, "1", "--yield")
+    if goal is not None and not 0.0 < goal < 1.0:
+        raise InputError(f"{wanted!r} must be between 0 and 100 %", key="--yield")
+    check_folder(folder)
+    with progress_bar() as bar:
+        stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
+
+        def tell(done: int, members: int) -> None:
+            bar.update(stage, description=f"{done} of {members} members", total=members, completed=done)
+
+        run_study(case, folder, workers=workers, scheduler=scheduler, progress=tell)
+    result = open_result(case, folder)
+    _print_result(result)
+    print_written([folder / "study.zarr"])
+
+
+def _member_text(case: Any, number: int) -> str:
+    """A member as a scenario file; of a loop that of its valve."""
+    from valvesim.errors import InputError
+    from valvesim.simulation.scenario_toml import scenario_to_toml
+    from valvesim.studies.variables import scenario_of
+
+    if number >= case.members:
+        raise InputError(f"{number} is no member: they are numbered 0 to {case.members - 1}", key="--member")
+    return scenario_to_toml(scenario_of(case.member(case.draws()[number])))
+
+
+def _print_forecast(case: Any, workers: int | None) -> None:
+    from valvesim.simulation.batch import cores
+    from valvesim.studies.engine import forecast
+
+    told, processes = forecast(case), workers or cores()
+    design = f"{case.design.kind}, seed {case.design.seed}, {len(case.variables)} quantities"
+    rows = [
+        ("members", f"{told.members}", design),
+        ("blocks", f"{told.blocks}", f"of {told.block_size} members"),
+        ("store", f"{told.bytes / 1e6:.3g} MB", "before compression"),
+        ("a member", f"{1e3 * told.seconds_a_member:.3g} ms", "of one process, timed"),
+        ("time", _duration(told.seconds(processes)), f"on {min(processes, told.blocks)} processes"),
+    ]
+    print_table(case.title, ("", "value", ""), rows)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60.0:.3g} min" if seconds < 7200.0 else f"{seconds / 3600.0:.3g} h"
+
+
+def _print_result(result: Any) -> None:
+    import numpy as np
+
+    from valvesim.studies.summary import figure_rows, limit_rows
+
+    print_table(result.study.title, ("figure of merit", "unit", "nominal", "mean", "deviation", "1 %", "50 %", "99 %",
+                "least", "member", "greatest", "member"), figure_rows(result))  # fmt: skip
+    screen = console()
+    if result.criteria:
+        headings = ("limit", "asked for", "yield", "interval (95 %)", "Cpk", "interval (95 %)", "worst members")
+        print_table("limits", headings, limit_rows(result))
+        y = result.yield_
+        screen.print(f"yield {100 * y.share:.4g} % ({100 * y.low:.4g} to {100 * y.high:.4g} %, 95 %)")
+    for name in result.unjudged:
+        screen.print(f"not judged: {name}, which no kept figure shows")
+    failed = np.flatnonzero(result.ran & (result.reasons != ""))
+    if len(failed):
+        first = int(failed[0])
+        told = f"{len(failed)} members lack a figure, the first is {first}: {result.reasons[first]}"
+        screen.print(told, markup=False)

@@ -1,0 +1,272 @@
+"""Text files of columns (CSV, TSV, TXT, DAT): numbers by pandas, cells counted line by line, so that none is shifted.
+
+pandas rounds every number correctly. It lets a row of too many cells pass where not all columns are wanted, and fills
+one of too few: both are refused here, with the line.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from valvesim.errors import InputError
+from valvesim.io import check_file, reason
+from valvesim.measurement.clock_text import clock_seconds
+from valvesim.measurement.dialect import (
+    MISSING,
+    SAMPLE_BYTES,
+    Dialect,
+    Layout,
+    cells_of,
+    encoding_of,
+    is_begun,
+    is_missing,
+    is_number,
+    layout_of,
+)
+from valvesim.measurement.table import MOST_BYTES, MOST_COLUMNS, MOST_SAMPLES, Choice, Column, MeasuredTable
+
+_CHUNK_ROWS = 500_000
+_CHUNK_BYTES = 1 << 24
+_MISSING = sorted({spelling for word in MISSING for spelling in (word, word.upper(), word.capitalize(), word.title())}
+                  | {"NaN", "-NaN", "1.#QNAN", "-1.#IND"})  # fmt: skip
+_NEWLINE, _RETURN, _QUOTE = (ord(c) for c in '\n\r"')
+
+
+def read_csv(path: Path, choice: Choice, stated: Dialect) -> tuple[MeasuredTable, ...]:
+    """The one table of a text file. Raises InputError with the line of what makes no sense."""
+    check_file(path, MOST_BYTES)
+    try:
+        raw, encoding = _bytes_of(path, stated)
+        layout = layout_of(path, _sample(path, raw, encoding), encoding, stated)
+        if len(layout.kinds) > MOST_COLUMNS:
+            raise InputError(f"{len(layout.kinds)} columns are more than {MOST_COLUMNS}", file=path)
+        rows, notes = _count_rows(path, raw, layout)
+        try:
+            wanted = sorted(choice(layout.headings))
+        except InputError as error:
+            raise error.at(file=path, line=layout.header_line) from None
+        columns, start = _columns(path, raw, layout, wanted, rows)
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"cannot be read ({reason(error)})", file=path) from None
+    return (
+        MeasuredTable(
+            name=path.name, headings=layout.headings, columns=columns, start=start, header_line=layout.header_line,
+            line_of=partial(_line_in_file, path, layout), notes=notes,
+        ),
+    )  # fmt: skip
+
+
+def _bytes_of(path: Path, stated: Dialect) -> tuple[np.ndarray, str]:
+    """The bytes of a file (n,), mapped and not held, and their encoding; of UTF-16 those of the same text in UTF-8."""
+    with open(path, "rb") as file:
+        start = file.read(4096)
+    if not start:
+        raise InputError("holds no data (a header line and rows of numbers are expected)", file=path)
+    encoding = stated.encoding or encoding_of(path, start)
+    return _mapped(path, encoding), "utf-8" if encoding.startswith("utf-16") else encoding
+
+
+def _mapped(path: Path, encoding: str) -> np.ndarray:
+    if encoding.startswith("utf-16"):
+        text = path.read_text(encoding=encoding).lstrip("\ufeff")
+        return np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
+    return np.memmap(path, dtype=np.uint8, mode="r")
+
+
+def _sample(path: Path, raw: np.ndarray, encoding: str) -> str:
+    """The text of the beginning of a file, in whole lines."""
+    start = raw[:SAMPLE_BYTES].tobytes()
+    if 0 in start:
+        raise InputError("holds zero bytes: it is no text", file=path)
+    if len(raw) > SAMPLE_BYTES:
+        start = start[: max(start.rfind(b"\n"), start.rfind(b"\r")) + 1] or start
+    return start.decode(encoding, errors="replace" if len(raw) > SAMPLE_BYTES and b"\n" not in start else "strict")
+
+
+def _lines(raw: np.ndarray) -> Iterator[np.ndarray]:
+    """Blocks of whole lines, (n,) bytes each; lines end with line feeds, or with carriage returns alone."""
+    ends = _line_end(raw)
+    start = 0
+    while start < len(raw):
+        stop = min(start + _CHUNK_BYTES, len(raw))
+        if stop < len(raw):
+            last = np.flatnonzero(np.asarray(raw[start:stop]) == ends)
+            if not len(last):
+                raise InputError(f"a line of more than {_CHUNK_BYTES} bytes")
+            stop = start + int(last[-1]) + 1
+        yield np.asarray(raw[start:stop])
+        start = stop
+
+
+def _line_end(raw: np.ndarray) -> int:
+    return _NEWLINE if (np.asarray(raw[:_CHUNK_BYTES]) == _NEWLINE).any() else _RETURN
+
+
+def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, tuple[str, ...]]:
+    """(rows of data, notes); InputError for a row of other than all columns, and for more than `MOST_SAMPLES`.
+
+    A last line without an end may have been cut off: it is left out where cells are missing, and told in any case.
+    """
+    count, line, rows, cut = len(layout.kinds), 1, 0, False
+    notes: list[str] = []
+    end = _line_end(raw)
+    for block in _lines(raw):
+        if (block == 0).any():
+            raise InputError("holds zero bytes: it is no text", file=path)
+        stops = np.flatnonzero(block == end)
+        last = not len(stops) or stops[-1] != len(block) - 1
+        if last:
+            stops = np.append(stops, len(block))
+        starts = np.concatenate([[0], stops[:-1] + 1])
+        cells = _cells(block, starts, stops, layout.separator)
+        blank = np.flatnonzero(cells == 1)
+        cells[[k for k in blank if not block[starts[k] : stops[k]].tobytes().strip()]] = 0
+        numbers = line + np.arange(len(stops))
+        data = (numbers >= layout.data_line) & (cells > 0)
+        if last and data[-1]:
+            notes.append("the file ends without an end of its last line, which may be cut off")
+            begun = block[starts[-1] : stops[-1]].tobytes().decode(layout.encoding, errors="replace")
+            if 0 < cells[-1] < count and is_begun(cells_of(begun, layout.separator)[0], layout.decimal):
+                notes[-1] += ": its row is left out"
+                data[-1], cut = False, True
+        wrong = np.flatnonzero(data & (cells != count)) if layout.separator != " " else np.array([], dtype=int)
+        if len(wrong):
+            k = int(wrong[0])
+            told = f"{cells[k]} cells under {count} columns"
+            raise InputError(told + ("; is a comma a point?" if layout.separator == "," else ""), file=path,
+                             line=int(numbers[k]))  # fmt: skip
+        rows, line = rows + int(np.count_nonzero(data)), line + len(stops)
+        if rows > MOST_SAMPLES:
+            raise InputError(f"more than {MOST_SAMPLES} rows", file=path)
+    if rows == 0:
+        raise InputError("holds no data (a header line and rows of numbers are expected)", file=path)
+    return rows, tuple(notes) if not cut or rows else ()
+
+
+def _cells(block: np.ndarray, starts: np.ndarray, stops: np.ndarray, separator: str) -> np.ndarray:
+    """How many cells each line of a block has."""
+    if (block == _QUOTE).any():
+        text = [block[a:b].tobytes().decode("latin-1") for a, b in zip(starts, stops, strict=True)]
+        return np.array([len(cells_of(line, separator)) for line in text])
+    separators = np.concatenate([[0], np.cumsum(block == ord(separator), dtype=np.int64)])
+    return separators[stops] - separators[starts] + 1
+
+
+def _columns(
+    path: Path, raw: np.ndarray, layout: Layout, wanted: Sequence[int], rows: int
+) -> tuple[tuple[Column, ...], float | None]:
+    """The wanted columns (rows,) of numbers and times, and when the first row of times of day was."""
+    numbers = [k for k in wanted if layout.kinds[k] == "number"]
+    values = _numbers(path, raw, layout, numbers, rows)
+    start = None
+    for k in wanted:
+        if layout.kinds[k] == "clock":
+            texts = np.concatenate([chunk[k].to_numpy() for chunk in _chunks(raw, layout, [k], str, rows)])
+            values[k], start = clock_seconds(texts, path, lambda row: _line_of(raw, layout, row))
+    headings = layout.headings
+    return tuple(
+        Column(type(headings[k])(headings[k].name, "s") if layout.kinds[k] == "clock" else headings[k], values[k])
+        for k in wanted if k in values
+    ), start  # fmt: skip
+
+
+def _numbers(path: Path, raw: np.ndarray, layout: Layout, wanted: Sequence[int], rows: int) -> dict[int, np.ndarray]:
+    """Columns of numbers by index; where anything is odd, cell by cell, for the line of what makes no sense."""
+    values = {k: np.full(rows, np.nan) for k in wanted}
+    if not values:
+        return values
+    at = 0
+    try:
+        for chunk in _chunks(raw, layout, wanted, float, rows):
+            for k, column in values.items():
+                column[at : at + len(chunk)] = chunk[k].to_numpy()
+            at += len(chunk)
+    except ValueError:  # text among the numbers
+        at = 0
+        for chunk in _chunks(raw, layout, wanted, str, rows):
+            for k, column in values.items():
+                for j, cell in enumerate(chunk[k].tolist(), start=at):
+                    column[j] = _number(path, raw, layout, cell, k, j)
+            at += len(chunk)
+    if at != rows:
+        raise InputError(f"{at} rows were read of {rows}: it is no plain table of columns", file=path)
+    for column in values.values():
+        column[np.isinf(column)] = np.nan
+    return values
+
+
+def _number(path: Path, raw: np.ndarray, layout: Layout, cell: str, k: int, row: int) -> float:
+    if is_number(cell, layout.decimal):
+        return float(cell.replace(",", "."))
+    if is_missing(cell):
+        return np.nan
+    told = f"{cell!r} in column {layout.headings[k].name!r} is not a number"
+    if layout.decimal == "." and is_number(cell, ","):
+        told += " (a decimal comma? then all of the column must have it)"
+    raise InputError(told, file=path, line=_line_of(raw, layout, row))
+
+
+def _chunks(raw: np.ndarray, layout: Layout, wanted: Sequence[int], kind: type, rows: int) -> Iterator[Any]:
+    """Data frames of the rows of data, a part at a time."""
+    import pandas
+
+    options: dict[str, Any] = (
+        {"dtype": float, "keep_default_na": False, "na_values": _MISSING} if kind is float
+        else {"dtype": str, "keep_default_na": False, "na_filter": False}
+    )  # fmt: skip
+    spaced = layout.separator == " "
+    file = io.BufferedReader(_Bytes(raw), 1 << 20)
+    with pandas.read_csv(
+        file, sep=r"\s+" if spaced else layout.separator, decimal=layout.decimal, header=None,
+        names=None if spaced else range(len(layout.kinds)), usecols=None if spaced else list(wanted),
+        skiprows=layout.data_line - 1, nrows=rows, encoding=layout.encoding, skip_blank_lines=True,
+        skipinitialspace=not spaced and layout.separator != "\t", index_col=False, engine="c", chunksize=_CHUNK_ROWS,
+        **options,
+    ) as chunks:  # fmt: skip
+        for chunk in chunks:
+            if spaced and kind is float and chunk.isna().any(axis=None):
+                raise ValueError("a row of too few cells, or a cell of text")
+            yield chunk
+
+
+class _Bytes(io.RawIOBase):
+    """Mapped bytes as a file, of which only what is being read is held."""
+
+    def __init__(self, raw: np.ndarray):
+        self.raw, self.at = raw, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        part = self.raw[self.at : self.at + len(buffer)]
+        buffer[: len(part)] = part.tobytes()
+        self.at += len(part)
+        return len(part)
+
+
+def _line_in_file(path: Path, layout: Layout, row: int) -> int | None:
+    """The line of a row of data in a file as it is now; None where it cannot be read any more."""
+    try:
+        with open(path, "rb") as file:
+            return _line_of(_mapped(path, encoding_of(path, file.read(4096))), layout, row)
+    except (OSError, ValueError):
+        return None
+
+
+def _line_of(raw: np.ndarray, layout: Layout, row: int) -> int:
+    """The line of a row of data, counted from 0."""
+    line, seen, end = 0, -1, bytes([_line_end(raw)])
+    for block in _lines(raw):
+        for text in block.tobytes().split(end)[: None if block[-1] != end[0] else -1]:
+            line += 1
+            seen += line >= layout.data_line and bool(text.strip())
+            if seen == row:
+                return line
+    return line

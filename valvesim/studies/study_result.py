@@ -1,0 +1,274 @@
+"""What came of a study, read from its store: members, yield with its interval, percentiles, capability, worst cases."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from valvesim.errors import InputError
+from valvesim.studies import channel_histogram
+from valvesim.studies.criteria import Criterion, criteria_of
+from valvesim.studies.figures import Figure
+from valvesim.studies.parameter_study import ParameterStudy
+from valvesim.studies.store import (
+    COUNTS,
+    DONE,
+    DRAWS,
+    FIGURES,
+    HIGHEST,
+    LOWEST,
+    NAME,
+    REASONS,
+    TIME,
+    WHOLE,
+    check_identity,
+)
+from valvesim.studies.variables import Case
+
+CONFIDENCE = 0.95
+LEVELS = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)  # %, of the figures of merit
+
+
+@dataclass(frozen=True)
+class Yield:
+    """Members that pass, of all that have run; `low` to `high` is the interval of the share by Clopper and Pearson.
+
+    It is that of independent draws: a stratified design is the more exact, by how much is not told.
+    """
+
+    passed: int
+    members: int
+    low: float
+    high: float
+
+    @property
+    def share(self) -> float:
+        """Share that passes."""
+        return self.passed / self.members
+
+
+def yield_of(passes: np.ndarray) -> Yield:
+    """The yield of members (n,) of bool."""
+    from scipy.stats import binomtest
+
+    passed, members = int(np.count_nonzero(passes)), len(passes)
+    interval = binomtest(passed, members).proportion_ci(CONFIDENCE, method="exact")
+    return Yield(passed, members, float(interval.low), float(interval.high))
+
+
+@dataclass(frozen=True)
+class Capability:
+    """Process capability of a figure within its limits: `index` is Cpk with its interval (Bissell 1990).
+
+    `by_quantiles` is the same from the quantiles 0.135, 50 and 99.865 % (ISO 22514-2), for what is not normal; NaN
+    where there are too few members to tell them.
+    """
+
+    index: float
+    low: float
+    high: float
+    by_quantiles: float
+
+
+def capability_of(criterion: Criterion, values: np.ndarray) -> Capability:
+    """The capability of values (n,), those that are numbers; NaN for fewer than two or no spread."""
+    from scipy.stats import norm
+
+    judged = criterion.judged(values[np.isfinite(values)])
+    n = len(judged)
+    spread = float(np.std(judged, ddof=1)) if n > 1 else 0.0
+    if not spread > 0.0:
+        return Capability(np.nan, np.nan, np.nan, np.nan)
+    mean = float(np.mean(judged))
+    index = min(mean - criterion.low, criterion.high - mean) / (3.0 * spread)
+    error = float(norm.ppf(0.5 + CONFIDENCE / 2.0)) * np.sqrt(1.0 / (9.0 * n) + index**2 / (2.0 * (n - 1)))
+    by_quantiles = np.nan
+    if n >= 1000:
+        low, middle, high = np.quantile(judged, [0.00135, 0.5, 0.99865])
+        sides = [(middle - criterion.low) / (middle - low) if middle > low else np.inf,
+                 (criterion.high - middle) / (high - middle) if high > middle else np.inf]  # fmt: skip
+        by_quantiles = float(min(sides))
+    return Capability(float(index), float(index - error), float(index + error), by_quantiles)
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """The store of a study, opened: arrays are read when they are asked for. `finished` tells whether all have run."""
+
+    study: ParameterStudy
+    folder: Path
+    group: Any
+    attributes: dict[str, Any]
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """The figures of merit that were kept."""
+        return tuple(Figure(f["name"], f["unit"], f["doc"]) for f in self.attributes["figures"])
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """Figures of merit of the nominal member, (figures,)."""
+        return np.array([np.nan if f["nominal"] is None else f["nominal"] for f in self.attributes["figures"]])
+
+    @functools.cached_property
+    def ran(self) -> np.ndarray:
+        """Whether each member has run, (members,)."""
+        done = np.asarray(self.group[DONE][:])
+        return np.repeat(done, self.attributes["block_size"])[: self.attributes["members"]]
+
+    @property
+    def finished(self) -> bool:
+        """Whether all members have run."""
+        return bool(self.ran.all())
+
+    @functools.cached_property
+    def draws(self) -> np.ndarray:
+        """What each member has, (members, variables)."""
+        return np.asarray(self.group[DRAWS][:])
+
+    @functools.cached_property
+    def values(self) -> np.ndarray:
+        """Figures of merit (members, figures), NaN where there are none."""
+        return np.asarray(self.group[FIGURES][:])
+
+    @functools.cached_property
+    def reasons(self) -> np.ndarray:
+        """Why a figure is missing, (members,) of text."""
+        return np.char.decode(np.asarray(self.group[REASONS][:]), "utf-8")
+
+    def column(self, figure: str) -> np.ndarray:
+        """One figure of merit of all members, (members,)."""
+        return self.values[:, [f.name for f in self.figures].index(figure)]
+
+    @functools.cached_property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """What a member must keep to pass."""
+        return self._criteria[0]
+
+    @property
+    def unjudged(self) -> tuple[str, ...]:
+        """Figures of the specification that no kept figure shows."""
+        return self._criteria[1]
+
+    @functools.cached_property
+    def _criteria(self) -> tuple[tuple[Criterion, ...], tuple[str, ...]]:
+        return criteria_of(self.figures, self.nominal, self.study.limits, self.study.specification)
+
+    @functools.cached_property
+    def passes(self) -> np.ndarray:
+        """Whether each member that has run keeps every limit, (members,); one that failed does not."""
+        passes = self.ran.copy()
+        for criterion in self.criteria:
+            passes &= criterion.passes(self.column(criterion.figure.name))
+        return passes & np.isfinite(self.values).any(axis=1)
+
+    @property
+    def yield_(self) -> Yield:
+        """The yield against all limits. InputError without limits or members."""
+        if not self.criteria:
+            raise InputError("no limits: a yield needs [limits] or a specification", key="limits")
+        self._check_any()
+        return yield_of(self.passes[self.ran])
+
+    def yield_by(self, criterion: Criterion) -> Yield:
+        """The yield against one limit alone."""
+        self._check_any()
+        return yield_of(criterion.passes(self.column(criterion.figure.name)[self.ran]))
+
+    def capability(self, criterion: Criterion) -> Capability:
+        """Cpk of one limit."""
+        return capability_of(criterion, self.column(criterion.figure.name))
+
+    def _check_any(self) -> None:
+        if not self.ran.any():
+            raise InputError("no member has run yet", file=self.folder)
+
+    def worst(self, criterion: Criterion, count: int = 10) -> np.ndarray:
+        """Numbers of the members (count,) that are nearest to or farthest beyond a limit, the worst first."""
+        margin = criterion.margin(self.column(criterion.figure.name))
+        order = np.argsort(np.where(self.ran, margin, np.inf), kind="stable")
+        return order[: min(count, int(self.ran.sum()))]
+
+    def extremes(self, figure: str) -> tuple[int, int]:
+        """Numbers of the members of the least and the greatest value of a figure; InputError where none has one."""
+        column = self.column(figure)
+        if not np.isfinite(column).any():
+            raise InputError("no member has this figure", key=figure)
+        return int(np.nanargmin(column)), int(np.nanargmax(column))
+
+    def member(self, number: int) -> Case:
+        """The case of a member by its number, to be run again. InputError where there is none."""
+        if not 0 <= number < len(self.ran):
+            raise InputError(f"{number} is no member: they are numbered 0 to {len(self.ran) - 1}", key="member")
+        return self.study.member(self.draws[number])
+
+    @property
+    def percentiles(self) -> Any:
+        """Percentiles of channels over time: an xarray.DataArray (channel, level, time), or None without."""
+        return None if self.study.percentiles is None else self.dataset["percentile"]
+
+    @functools.cached_property
+    def dataset(self) -> Any:
+        """All of it as one xarray.Dataset: draw, figure, reason, ran, and what was kept over time."""
+        import xarray
+
+        told = self.attributes
+        keys, names = [p["key"] for p in told["parameters"]], [f["name"] for f in told["figures"]]
+        columns: dict[str, Any] = {
+            "draw": (("member", "parameter"), self.draws),
+            "figure_of_merit": (("member", "figure"), self.values),
+            "reason": ("member", self.reasons),
+            "ran": ("member", self.ran),
+            "nominal": ("figure", self.nominal),
+        }
+        coordinates: dict[str, Any] = {
+            "member": np.arange(told["members"]), "parameter": keys, "figure": names,
+            "parameter_unit": ("parameter", [p["unit"] for p in told["parameters"]]),
+            "figure_unit": ("figure", [f["unit"] for f in told["figures"]]),
+        }  # fmt: skip
+        if "percentiles" in told:
+            own = told["percentiles"]
+            columns["percentile"] = (("channel", "level", "sample_time"), self._percentiles(own))
+            columns["nominal_run"] = (("channel", "sample_time"), np.array(own["nominal"]))
+            time = np.asarray(self.group[TIME][:])[own["samples"]]
+            coordinates |= {
+                "channel": [c["name"] for c in own["channels"]], "level": own["levels"], "sample_time": time,
+                "channel_unit": ("channel", [c["unit"] for c in own["channels"]]),
+            }  # fmt: skip
+        if "whole" in told:
+            own = told["whole"]
+            columns["run"] = (("kept_member", "kept_channel", "time"), np.asarray(self.group[WHOLE][:]))
+            coordinates |= {
+                "kept_member": own["members"], "kept_channel": [c["name"] for c in own["channels"]],
+                "time": np.asarray(self.group[TIME][:]),
+                "kept_channel_unit": ("kept_channel", [c["unit"] for c in own["channels"]]),
+            }  # fmt: skip
+        attributes = {"title": told["title"], "source": "valvesim", "seed": told["seed"], "design": told["design"]}
+        return xarray.Dataset(columns, coordinates, attributes)
+
+    def _percentiles(self, own: dict[str, Any]) -> np.ndarray:
+        """(channels, levels, n_t), from the counts of all blocks added up one at a time."""
+        counts = np.zeros(self.group[COUNTS].shape[1:], dtype=np.int64)
+        for block in range(self.group[COUNTS].shape[0]):
+            counts += self.group[COUNTS][block]
+        lowest, highest = np.min(self.group[LOWEST][:], axis=0), np.max(self.group[HIGHEST][:], axis=0)
+        reference = channel_histogram.Reference(np.array(own["nominal"]), np.array(own["spans"]))
+        return channel_histogram.percentiles(counts, reference, lowest, highest, np.array(own["levels"]))
+
+
+def open_result(study: ParameterStudy, folder: Path) -> StudyResult:
+    """The result of a study from its folder, whole or as far as it has run. InputError for another study's store."""
+    import zarr
+
+    path = Path(folder) / NAME
+    try:
+        group = zarr.open_group(path, mode="r", zarr_format=2)
+        attributes = dict(group.attrs)
+    except Exception as error:  # zarr has errors of many kinds for what is no store
+        raise InputError(f"is no store of a study ({error})", file=path) from None
+    check_identity(path, attributes, study)
+    return StudyResult(study, Path(folder), group, attributes)
