@@ -10,13 +10,14 @@ from typing import Any
 import click
 
 from valvesim.cli.display import print_table, print_written, progress_bar
-from valvesim.cli.options import output_option, settings_option, temperatures_option, valve_option
+from valvesim.cli.options import columns_option, output_option, settings_option, temperatures_option, valve_option
 from valvesim.cli.output_folder import all_or_nothing
 
 
 @click.command()
 @output_option("results/bench")
-@click.option("--measured", multiple=True, type=click.Path(path_type=Path), help="A CSV record, or several.")
+@click.option("--measured", multiple=True, type=click.Path(path_type=Path), help="A record of any format, or several.")
+@columns_option
 @click.option("--test", "kind", help="What was measured: flow, pressure-gain, leakage or flow-load.")
 @click.option("--lag", help="Lag of the meter, such as '1 s' [estimated where the record allows it].")
 @click.option("--dead-zone", help="Dead zone of the meter, such as '0.2 L/min' [estimated].")
@@ -25,30 +26,33 @@ from valvesim.cli.output_folder import all_or_nothing
 @valve_option
 @settings_option
 def bench(
-    output: Path, measured: tuple[Path, ...], kind: str | None, lag: str | None, dead_zone: str | None,
-    rated_current: str | None, oil_temperature: str, valve: str | None, settings: tuple[str, ...],
+    output: Path, measured: tuple[Path, ...], columns: Path | None, kind: str | None, lag: str | None,
+    dead_zone: str | None, rated_current: str | None, oil_temperature: str, valve: str | None, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of measured records.
 
     Several leakage records of different periods also give the hysteresis that they have in common, and the meter's lag.
     """
     from valvesim.errors import InputError
+    from valvesim.measurement.columns_table import NOTHING_STATED, read_statements
     from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse, parse_list
 
     if not measured:
-        if given := [n for n, v in (("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone)) if v is not None]:
+        stated = (("--columns", columns), ("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone))
+        if given := [name for name, value in stated if value is not None]:
             raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
         own = read_tables(settings, valve=valve)
         _test_model(own, parse_list(oil_temperature, "degC", "--oil-temperature").tolist(), output)
         return
     if kind is None:
         raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
-    options = {
+    options: dict[str, Any] = {
         "lag": None if lag is None else parse(lag, "s", "--lag"),
         "dead_zone": None if dead_zone is None else parse(dead_zone, "m^3/s", "--dead-zone"),
         "rated_current": None if rated_current is None else parse(rated_current, "A", "--rated-current"),
     }
+    options["stated"] = NOTHING_STATED if columns is None else read_statements(columns)
     _test_records(measured, kind, options, output)
 
 
@@ -94,7 +98,7 @@ def _test_records(files: Sequence[Path], kind: str, options: dict[str, Any], out
             names += [path.name for path in written]
             tables.append((f"{kind} of {file}", table(one.figures)))
         if kind == "leakage" and len(files) > 1:
-            common = common_hysteresis([read_record(file) for file in files])
+            common = common_hysteresis([read_record(file, stated=options["stated"]) for file in files])
             tables.append(("what the records have in common", table(common)))
     for title, rows in tables:
         print_table(title, HEADINGS, rows)

@@ -17,7 +17,9 @@ valve_option = click.option(
 temperatures_option = click.option(
     "--oil-temperature", default="20 degC", show_default=True, help="One or more: '20,100,200 degC'."
 )
-
+columns_option = click.option(
+    "--columns", type=click.Path(path_type=Path), help="A file with the table [columns], as `records` writes it."
+)
 
 _OVERWRITE = "valvesim.overwrite"
 

@@ -11,6 +11,7 @@ import numpy as np
 from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, value_text
+from valvesim.measurement.quality import grid_step
 from valvesim.units import DISPLAY, quantities
 from valvesim.valve.fluid import COMPUTED_RANGE
 from valvesim.valve.parameters import Valve
@@ -139,7 +140,7 @@ def audited_sensors(
         sensor = stated.get(name, Sensor(name, UNITS[name]))
         if sensor.resolution == 0.0:
             readings = [record.values[name][record.usable[name]] for record in records if name in record.outputs]
-            step = _grid(readings, options=options)
+            step = grid_step(readings, options.audit.finest_grid)
             if step > 0.0:
                 notes.append(
                     f"{name}: readings sit on a grid of {value_text(step, sensor.unit)}, taken as the resolution"
@@ -147,19 +148,6 @@ def audited_sensors(
             sensor = replace(sensor, resolution=step)
         sensors[name] = sensor
     return sensors
-
-
-def _grid(readings: Sequence[np.ndarray], *, options: IdentificationOptions) -> float:
-    """The step of the grid on which all readings sit, or 0 where they sit on none that is coarse enough to matter."""
-    levels = np.unique(np.concatenate(readings))
-    span = levels[-1] - levels[0]
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels))]  # equal readings that the conversion of units has parted
-    if len(gaps) < 2 or np.min(gaps) < options.audit.finest_grid * span:
-        return 0.0
-    step = float(span / np.round(span / np.min(gaps)))  # the smallest gap alone is rounded; the whole span is not
-    turns = (levels - levels[0]) / step
-    return step if np.max(np.abs(turns - np.round(turns))) < 0.02 else 0.0
 
 
 def usable_record(

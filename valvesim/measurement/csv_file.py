@@ -57,7 +57,7 @@ def read_csv(path: Path, choice: Choice, stated: Dialect) -> tuple[MeasuredTable
     return (
         MeasuredTable(
             name=path.name, headings=layout.headings, columns=columns, start=start, header_line=layout.header_line,
-            line_of=partial(_line_in_file, path, layout), notes=notes,
+            line_of=partial(_line_in_file, path, layout), notes=notes, form=layout.in_words,
         ),
     )  # fmt: skip
 

@@ -62,6 +62,14 @@ class Layout:
     kinds: tuple[str, ...]
     trailing: bool  # every row of data ends with a separator
 
+    @property
+    def in_words(self) -> str:
+        """Separator, decimal sign, encoding and header."""
+        separator = next(name for name, sign in SEPARATORS.items() if sign == self.separator)
+        names = f"names in line {self.header_line}" if self.header_line is not None else "no names"
+        decimal = "comma" if self.decimal == "," else "point"
+        return f"separator {separator}, decimal {decimal}, {self.encoding}, {names}, data from line {self.data_line}"
+
 
 def is_number(cell: str, decimal: str) -> bool:
     """Whether a cell is a number with this decimal sign."""
@@ -155,6 +163,8 @@ def layout_of(path: Path, text: str, encoding: str, stated: Dialect) -> Layout:
     ]
     if not readings:
         raise InputError(f"holds no data ({expected})", file=path)
+    if any(one.separator != " " and one.header and one.rank[1] == 1.0 for one in readings):
+        readings = [one for one in readings if one.separator != " "]
     readings.sort(key=lambda reading: reading.rank, reverse=True)
     best = readings[0]
     for other in readings[1:]:

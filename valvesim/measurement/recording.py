@@ -45,7 +45,8 @@ class Recording:
     `headings.UNITS`, NaN where nothing was measured.
 
     `sources` say where each channel comes from, `left_out` which columns were not understood, and `notes`, in words,
-    what was done to times and rows. `line_of(sample)` is the line of a sample in the one text file that there is.
+    what was done to times and rows. `line_of(sample)` is the line of a sample in the one text file that there is,
+    `forms` say how files of text are written, `times` what is known of the columns of times.
     """
 
     paths: tuple[Path, ...]
@@ -54,6 +55,8 @@ class Recording:
     sources: dict[str, Source]
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
+    forms: tuple[str, ...] = ()
+    times: tuple[ColumnStatement, ...] = ()
     line_of: Callable[[int], int | None] = no_line
 
 
@@ -92,13 +95,16 @@ def read_recording(
         _check_spelling(paths[0], tables, wanted, sources)
     if not laid:
         have = sorted({h.name for _, table, _ in tables for h in table.headings})
-        told = (
-            f"no column is one of {', '.join(sorted(set(wanted) - {'time'}))}; it has {', '.join(have[:20]) or 'none'}"
-        )
+        sought = ", ".join(wanted) if len(wanted) < 15 else "the channels that are known"
+        told = f"no column is one of {sought}; there are {', '.join(have[:20]) or 'none'}"
         raise InputError(f"{told}. State which is which in [columns]: `valvesim records` writes one", file=paths[0])
     time, joined = _joined(paths[0], laid)
     line_of = partial(_line_of, tables[0][1].line_of, laid[0][0]) if len(tables) == 1 else no_line
-    return Recording(tuple(paths), time, joined, sources, tuple(dict.fromkeys(left_out)), tuple(notes), line_of)
+    return Recording(
+        paths=tuple(paths), time=time, values=joined, sources=sources, left_out=tuple(dict.fromkeys(left_out)),
+        notes=tuple(notes), forms=tuple(f"{path.name}: {table.form}" for path, table, _ in tables if table.form),
+        times=tuple(dict.fromkeys(chosen["time"] for _, _, chosen in tables if "time" in chosen)), line_of=line_of,
+    )  # fmt: skip
 
 
 def _line_of(line_of: Callable[[int], int | None], clock: EvenClock, sample: int) -> int | None:

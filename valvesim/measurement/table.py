@@ -38,7 +38,8 @@ class MeasuredTable:
 
     `headings` are those of all columns of the table, `columns` those that were chosen. Times of day are columns in "s"
     from the first row, and `start` says when that was, in s of an absolute clock. `header_line` and `line_of(row)`
-    are lines of a text file, None elsewhere. `notes` say in words what was left out.
+    are lines of a text file, None elsewhere. `notes` say in words what was left out, `form` how the
+    file is written.
     """
 
     name: str
@@ -48,3 +49,4 @@ class MeasuredTable:
     header_line: int | None = None
     line_of: Callable[[int], int | None] = lambda row: None
     notes: tuple[str, ...] = ()
+    form: str = ""

@@ -18,6 +18,7 @@ from valvesim.characterisation.acceptance.rig import Rig
 from valvesim.characterisation.acceptance.threshold import threshold_figure
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit
 from valvesim.errors import unknown_name
+from valvesim.measurement.columns_table import NOTHING_STATED, Statements
 from valvesim.shown import Shown, notebook
 from valvesim.units import reads_units
 from valvesim.valve.effect import ActiveEffect
@@ -65,10 +66,10 @@ class MeasuredTest:
 @reads_units(lag="s", dead_zone="m^3/s", rated_current="A")
 def measured_test(
     file: Path, test: str, *, resolution: float | None = None, lag: float | None = None,
-    dead_zone: float | None = None, rated_current: float | None = None,
+    dead_zone: float | None = None, rated_current: float | None = None, stated: Statements = NOTHING_STATED,
 ) -> MeasuredTest:  # fmt: skip
-    """Read a measured CSV file and reduce it. Raises as `read_record` and `record_figures` do."""
-    record = read_record(file)
+    """Read a measured file and reduce it. Raises as `read_record` and `record_figures` do."""
+    record = read_record(file, stated=stated)
     figures = record_figures(
         record, test, resolution=resolution, lag=lag, dead_zone=dead_zone, rated_current=rated_current
     )  # fmt: skip
