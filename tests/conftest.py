@@ -33,6 +33,12 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(autouse=True)
+def _nothing_trusted(monkeypatch, tmp_path_factory):
+    """Each test starts with no file of effects trusted, whatever the user's own list holds."""
+    monkeypatch.setenv("VALVESIM_DATA_DIR", str(tmp_path_factory.getbasetemp() / "data_of_no_one"))
+
+
+@pytest.fixture(autouse=True)
 def _validity_warnings_forgotten():
     """Each test sees the once-only warnings as a new process would."""
     forget_warnings()

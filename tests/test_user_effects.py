@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -49,7 +50,7 @@ def case(tmp_path):
 
 
 def test_a_scenario_runs_with_a_users_effect(case):
-    scenario = vs.load_scenario(case())
+    scenario = vs.load_scenario(case(), trust=True)
     (active,) = scenario.effects
     assert (active.effect.name, active.values.force) == ("side_load", 5.0)
     results = [vs.simulate(replace(scenario, effects=(active.effect(force=force),))) for force in (5.0, 0.0)]
@@ -58,7 +59,7 @@ def test_a_scenario_runs_with_a_users_effect(case):
 
 
 def test_settings_reach_a_users_effect(case):
-    scenario = vs.load_scenario(case(), settings=["effects.side_load.force=7 N"])
+    scenario = vs.load_scenario(case(), trust=True, settings=["effects.side_load.force=7 N"])
     assert scenario.effects[0].values.force == 7.0
 
 
@@ -76,7 +77,7 @@ def test_settings_reach_a_users_effect(case):
 )
 def test_a_wrong_line_about_a_users_effect_is_refused(case, old, new, message):
     path = case(SCENARIO.replace(old, new))
-    assert refused(vs.load_scenario, path).startswith(f"{path}{message}")
+    assert refused(partial(vs.load_scenario, trust=True), path).startswith(f"{path}{message}")
 
 
 def test_without_its_file_a_users_effect_is_unknown(case):
@@ -87,7 +88,7 @@ def test_without_its_file_a_users_effect_is_unknown(case):
 def test_files_are_found_from_their_folder_or_by_absolute_path(tmp_path):
     (tmp_path / "one.py").write_text(EFFECT, encoding="utf-8")
     (tmp_path / "two.py").write_text(EFFECT.replace("side_load", "other"), encoding="utf-8")
-    found = load_effects_files(tmp_path, ["one.py", tmp_path.absolute() / "two.py"])
+    found = load_effects_files(tmp_path, [], given=["one.py", tmp_path.absolute() / "two.py"])
     assert [effect.name for effect in found] == ["side_load", "other"]
     assert load_effects_files(tmp_path, []) == ()
 
@@ -95,7 +96,7 @@ def test_files_are_found_from_their_folder_or_by_absolute_path(tmp_path):
 def test_one_name_in_two_files_is_refused(tmp_path):
     for name in ("one", "two"):
         (tmp_path / f"{name}.py").write_text(EFFECT, encoding="utf-8")
-    told = refused(load_effects_files, tmp_path, ["one.py", "two.py"])
+    told = refused(partial(load_effects_files, given=["one.py", "two.py"]), tmp_path, [])
     assert told == "effects_files: 'two.py' declares 'side_load', which another file did already"
 
 

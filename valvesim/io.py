@@ -358,6 +358,24 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
     return path
 
 
+class UnsafeFile(Exception):
+    """A file or folder in which somebody else can put what the user then trusts."""
+
+
+def check_own(path: Path) -> None:
+    """UnsafeFile unless a file or folder belongs to the user and nobody else may write to it."""
+    status = os.stat(path)
+    if hasattr(os, "getuid") and status.st_uid != os.getuid():
+        raise UnsafeFile(f"{path} belongs to another user")
+    if os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise UnsafeFile(f"{path} can be written by other users")
+
+
+def is_inside(path: Path, folder: Path) -> bool:
+    """Whether a path leads to a place below a folder, once its links are followed."""
+    return path.resolve().is_relative_to(folder.resolve())
+
+
 def to_disc(path: Path) -> None:
     """Have the system write a file to its disc now: a rename may reach it before what the file holds."""
     handle = os.open(path, os.O_RDWR)

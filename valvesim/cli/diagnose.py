@@ -11,6 +11,7 @@ import click
 from valvesim.cli.display import console, print_written, progress_bar
 from valvesim.cli.options import output_option, valve_option
 from valvesim.cli.output_folder import all_or_nothing
+from valvesim.cli.permissions import remember_files
 
 
 @click.command()
@@ -33,12 +34,14 @@ def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...
         from valvesim.identification.session_toml import load_session
 
         read = load_session(session, seed=seed, effects=own, valve=valve)
+        remember_files(own)  # the extended model names them
         found = find(
             read,
             progress=lambda text, share: bar.update(stage, description=text, completed=share),
         )
         bar.update(stage, description="drawing", total=None)
         names = [path.name for path in _write_diagnosis(found, read.valve, folder)]
+    remember_files(output / name for name in found.extended_effects)
     _print_diagnosis(found)
     print_written([output / name for name in names])
 

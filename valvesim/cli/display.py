@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,7 +50,25 @@ def progress_bar() -> Progress:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    bar = Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    _bars.add(bar)
+    return bar
+
+
+_bars: weakref.WeakSet[Any] = weakref.WeakSet()
+
+
+@contextlib.contextmanager
+def bars_hidden() -> Iterator[None]:
+    """No bar is shown inside, where the user is asked something."""
+    shown_now = [bar for bar in _bars if bar.live.is_started]
+    for bar in shown_now:
+        bar.stop()
+    try:
+        yield
+    finally:
+        for bar in shown_now:
+            bar.start()
 
 
 def titled_table(title: str) -> Table:

@@ -20,6 +20,7 @@ from typing import Any
 import click
 
 from valvesim.cli.interrupts import MESSAGE, ended_by_signals
+from valvesim.cli.permissions import with_permissions
 from valvesim.cli.streams import CLOSED_PIPE, drop_output, prepare_streams
 from valvesim.errors import InputError, SolveError, ValidityWarning, nearest, one_line
 
@@ -46,7 +47,9 @@ class _Commands(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        return getattr(import_module(f"valvesim.cli.{cmd_name}"), cmd_name) if cmd_name in COMMANDS else None
+        if cmd_name not in COMMANDS:
+            return None
+        return with_permissions(getattr(import_module(f"valvesim.cli.{cmd_name}"), cmd_name))
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and not args[0].startswith("-") and args[0] not in COMMANDS:

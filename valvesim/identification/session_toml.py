@@ -30,12 +30,13 @@ from valvesim.identification.record_audit import (
     usable_record,
 )
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session
-from valvesim.io import check_known, check_printable, check_tables, located, read_toml
+from valvesim.io import check_known, check_printable, check_tables, is_inside, located, read_toml
 from valvesim.measurement.columns_table import NOTHING_STATED, Statements, statements_of
 from valvesim.measurement.formats import LISTED
 from valvesim.measurement.recording import Recording, read_recording
 from valvesim.simulation.scenario_toml import Reader, valve_argument
 from valvesim.units import parse
+from valvesim.valve.effect_trust import outside_permitted, permitting
 from valvesim.valve.parameters import REFERENCE_TEMPERATURE
 from valvesim.valve.valve_toml import read_tolerance
 
@@ -51,17 +52,30 @@ def load_session(
     seed: int | None = None,
     effects: Sequence[str | Path] = (),
     valve: str | Path | None = None,
+    trust: bool = False,
+    outside: bool = False,
     options: IdentificationOptions = DEFAULT_IDENTIFICATION,
 ) -> Session:
     """Read a session folder and audit it.
 
     `seed` and `valve` (a valve file or a preset's name) take the place of the session's own; `effects` are further
-    files of a user's own effects.
+    files of a user's own effects. With `trust` the Python files of effects that the session names are run, with
+    `outside` they and its records may stand outside the folder (`valve/effect_trust`).
 
     Raises InputError (file, line, key) for a missing or broken `session.toml`, unknown keys, and records that make no
     sense: see the module's tests for every case.
     """
-    folder = Path(folder)
+    with permitting(trust=trust, outside=outside):
+        return _load(Path(folder), seed, effects, valve, options)
+
+
+def _load(
+    folder: Path,
+    seed: int | None,
+    effects: Sequence[str | Path],
+    valve: str | Path | None,
+    options: IdentificationOptions,
+) -> Session:
     path = folder / "session.toml"
     text, table = read_toml(path, "a session is a folder with session.toml and records")
     if valve is not None:
@@ -189,7 +203,7 @@ def _listed(folder: Path, records: Any, columns: Statements) -> list[ListedRecor
     if records is None:
         if not have:
             raise InputError("no record: the folder holds no CSV file, nor one of another format")
-        return [ListedRecord(files=(name,), columns=columns) for name in have]
+        return [ListedRecord(files=(_inside(name, folder, "records"),), columns=columns) for name in have]
     if not isinstance(records, list) or not all(isinstance(entry, dict) for entry in records):
         raise InputError("expected [[records]], one for each file", key="records")
     if not records:
@@ -234,9 +248,18 @@ def _files(folder: Path, entry: dict[str, Any], where: str, have: Sequence[str])
             raise InputError(f"expected the name of a CSV file, got {file!r}", key=f"{where}.{key}")
         if not (folder / file).is_file():
             raise InputError(f"{file!r} is not in the folder{nearest(file, have)}", key=f"{where}.{key}")
+        _inside(file, folder, f"{where}.{key}")
     if not files or len(set(files)) < len(files):
         raise InputError("expected different files", key=f"{where}.{key}")
     return tuple(files)
+
+
+def _inside(file: str, folder: Path, where: str) -> str:
+    """The name of a record's file; InputError where it stands elsewhere and nobody said that it may."""
+    if not is_inside(folder / file, folder) and not outside_permitted():
+        problem = f"{file!r} stands outside the session's folder"
+        raise InputError(f"{problem}; give --outside (in Python: outside=True) to read it", key=where)
+    return file
 
 
 def _called(file: str) -> str:

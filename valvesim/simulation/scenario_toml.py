@@ -23,6 +23,7 @@ from valvesim.units import change, exact_text, parse, quantities
 from valvesim.valve.coefficients import ROUTES, check_routes
 from valvesim.valve.effect import Effect, check_listed_once
 from valvesim.valve.effect_files import load_effects_files
+from valvesim.valve.effect_trust import permitting
 from valvesim.valve.equations import DRIVES
 from valvesim.valve.thermal_network import NODES, ThermalNetwork
 from valvesim.valve.valve_file import PRESETS, ValveFile, read_valve_entry
@@ -50,14 +51,22 @@ _THERMAL_KEYS = (
 # ---------------------------------------------------------------- reading
 
 
-def load_scenario(path: str | Path, *, settings: Sequence[str] = (), valve: str | Path | None = None) -> Scenario:
+def load_scenario(
+    path: str | Path, *, settings: Sequence[str] = (), valve: str | Path | None = None, trust: bool = False,
+    outside: bool = False,
+) -> Scenario:  # fmt: skip
     """Read a scenario file, or the scenario of that name that comes along (`launch_shock`).
 
-    `settings` such as `valve.null_gap=0.03 mm` override or add keys.
-    `valve` (a valve file or a preset's name) takes the place of the file's own. Raises InputError for a missing file,
-    broken TOML, or any key or figure that makes no sense.
+    `settings` such as `valve.null_gap=0.03 mm` override or add keys; `valve` (a valve file or a preset's name) takes
+    the place of the file's own. With `trust` the Python files of effects that it names are run, with `outside` also
+    those outside its folder (`valve/effect_trust`). Raises InputError for a missing file, broken TOML, or any key or
+    figure that makes no sense.
     """
-    path = scenario_file(path)
+    with permitting(trust=trust, outside=outside):
+        return _load(scenario_file(path), settings, valve)
+
+
+def _load(path: Path, settings: Sequence[str], valve: str | Path | None) -> Scenario:
     text, table = read_toml(path)
     if valve is not None:
         table["valve"] = valve_argument(valve)
@@ -172,7 +181,7 @@ class Reader:
         named = read_valve_entry(table.get("valve", {}), self.folder)
         files = read_names(table.get("effects_files", []), "effects_files", "file")
         paths = (*named.effects_files, *map(Path, files), *more_effects)
-        own = load_effects_files(self.folder, paths)
+        own = load_effects_files(self.folder, files, given=(*named.effects_files, *more_effects))
         absolute = tuple(self.folder.absolute() / path for path in paths)
         effects = (*named.effects, *read_effects(table.get("effects", {}), own))
         check_listed_once(effects)

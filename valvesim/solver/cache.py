@@ -18,7 +18,6 @@ import hashlib
 import json
 import os
 import re
-import stat
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -26,6 +25,7 @@ from types import ModuleType
 from typing import Any
 
 from valvesim.errors import warn_once
+from valvesim.io import UnsafeFile, check_own
 from valvesim.temporary_files import temporary_folder, temporary_path
 
 SOURCE = "model.py"
@@ -33,10 +33,6 @@ MACHINE_CODE = "__pycache__"  # where numba keeps what it compiles of a file
 LIST = "hashes.json"
 NEW = ".new-"  # begins the name of an entry that is being filled
 ABANDONED = 3600.0  # s; a process that fills an entry for longer was killed
-
-
-class UnsafeFolder(Exception):
-    """A folder or file of the cache in which somebody else can put code."""
 
 
 def load(
@@ -54,7 +50,7 @@ def load(
     try:
         folder = _own_folder()
         return _kept(folder, short_name, printed, _surroundings(called), call_once)
-    except (OSError, UnsafeFolder) as error:
+    except (OSError, UnsafeFile) as error:
         warn_once(
             f"compiled equations are not kept, so that each start takes seconds longer: {error}; "
             "VALVESIM_CACHE_DIR names another folder",
@@ -85,11 +81,11 @@ def _kept(folder: Path, short_name, printed, surroundings: bytes, call_once) -> 
 
 
 def _fits(entry: Path) -> bool:
-    """Whether an entry is whole. UnsafeFolder where somebody else can write to it."""
+    """Whether an entry is whole. UnsafeFile where somebody else can write to it."""
     try:
         listed = json.loads(_read(entry / LIST))
-        _check_own(entry)
-        _check_own(entry / MACHINE_CODE)
+        check_own(entry)
+        check_own(entry / MACHINE_CODE)
         present = {str(path.relative_to(entry)) for path in entry.rglob("*") if path.is_file()} - {LIST}
         return present == set(listed) and all(_hash(_read(entry / name)) == listed[name] for name in present)
     except (FileNotFoundError, NotADirectoryError, ValueError, TypeError):
@@ -208,22 +204,13 @@ def _own_folder() -> Path:
     if not folder.is_dir():
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
-    _check_own(folder)
+    check_own(folder)
     return folder
 
 
-def _check_own(path: Path) -> None:
-    """UnsafeFolder unless a file or folder belongs to the user and nobody else may write to it."""
-    status = os.stat(path)
-    if hasattr(os, "getuid") and status.st_uid != os.getuid():
-        raise UnsafeFolder(f"{path} belongs to another user")
-    if os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise UnsafeFolder(f"{path} can be written by other users")
-
-
 def _read(path: Path) -> bytes:
-    """A file's bytes. UnsafeFolder where somebody else can write to it."""
-    _check_own(path)
+    """A file's bytes. UnsafeFile where somebody else can write to it."""
+    check_own(path)
     return path.read_bytes()
 
 

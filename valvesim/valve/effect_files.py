@@ -9,27 +9,39 @@ from pathlib import Path
 
 from valvesim.channels import INPUT_CHANNELS, STATE_CHANNELS, Inputs, State
 from valvesim.errors import InputError
-from valvesim.io import MOST_TEXT, check_file
+from valvesim.io import MOST_TEXT, check_file, reason
 from valvesim.units import parse
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import CHANNEL, Effect, Ports, Situation
+from valvesim.valve.effect_trust import check_trusted
 from valvesim.valve.equations import AT_20
 from valvesim.valve.parameters import Valve
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
-    """The effects that a Python file declares at its top level, in their order.
+    """The effects that a Python file declares at its top level, in their order. The file is run, as an import would.
 
     Raises InputError for a file that fails to run (with its line), holds no `Effect`, or has a name of the catalogue,
     and for an effect with a name that files cannot hold, an unknown unit, or a balance of another form.
     """
-    path = Path(path)
+    return _run(Path(path), _content(Path(path)))
+
+
+def _content(path: Path) -> bytes:
     check_file(path, MOST_TEXT)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({reason(error)})", file=path) from None
+
+
+def _run(path: Path, content: bytes) -> tuple[Effect, ...]:
+    """The effects of a file's content, which is what was trusted, whatever stands in the file by now."""
     module = types.ModuleType(path.stem)
     module.__file__ = str(path)
     try:
         # executed, not imported: an import would leave its bytecode in the user's folder
-        exec(compile(path.read_text(encoding="utf-8-sig"), str(path), "exec"), vars(module))
+        exec(compile(content.decode("utf-8-sig"), str(path), "exec"), vars(module))
     except (Exception, SystemExit) as error:  # a user's file may raise anything
         raise _failed(path, error) from error
     own = list({id(v): v for v in vars(module).values() if isinstance(v, Effect)}.values())
@@ -81,15 +93,24 @@ def _check_balance(effect: Effect) -> None:
         )
 
 
-def load_effects_files(folder: Path, files: Sequence[str | Path]) -> tuple[Effect, ...]:
-    """The effects of several files, given relative to `folder` or absolute.
+def load_effects_files(
+    folder: Path, files: Sequence[str | Path], *, given: Sequence[str | Path] = ()
+) -> tuple[Effect, ...]:
+    """The effects of files that a file in `folder` names, relative to it or absolute, and of those that a caller gives.
 
-    Raises InputError as `load_effects` does, and where two files declare one name.
+    Raises InputError as `load_effects` does, where two files declare one name, and for a named one that may not be run
+    (`effect_trust`).
     """
     effects: dict[str, Effect] = {}
-    for file in files:
+    for file, named in [*((file, True) for file in files), *((file, False) for file in given)]:
         try:
-            own = load_effects(folder / file)
+            content = _content(folder / file)
+        except InputError as error:
+            raise InputError(str(error), key="effects_files") from None
+        if named:
+            check_trusted(folder / file, content, folder)
+        try:
+            own = _run(folder / file, content)
         except InputError as error:
             raise InputError(str(error), key="effects_files") from None
         for effect in own:

@@ -33,6 +33,7 @@ from valvesim.io import (
 from valvesim.units import exact_text, parse, quantities
 from valvesim.valve.effect import ActiveEffect, Effect
 from valvesim.valve.effect_files import load_effects_files
+from valvesim.valve.effect_trust import permitting
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 from valvesim.valve.valve_toml import (
@@ -88,15 +89,18 @@ class ValveFile:
 # ---------------------------------------------------------------- reading
 
 
-def load_valve(valve: str | Path, *, folder: str | Path = ".") -> ValveFile:
+def load_valve(
+    valve: str | Path, *, folder: str | Path = ".", trust: bool = False, outside: bool = False
+) -> ValveFile:
     """The valve of a file, its name relative to `folder`, or one of `PRESETS` by name.
 
+    With `trust` the Python files of effects that it names are run, with `outside` also those outside its folder.
     Raises InputError (file, line, key) for a missing file, unknown keys, and figures that make no sense.
     """
     path = PRESETS.get(str(valve), Path(folder) / valve)
     expected = f"a valve is a TOML file or one of {', '.join(PRESETS)}{_meant(str(valve))}"
     text, table = read_toml(path, expected)
-    with located(path, text, document="valve file"):
+    with located(path, text, document="valve file"), permitting(trust=trust, outside=outside):
         return _read(table, path.parent)
 
 

@@ -1,0 +1,113 @@
+"""Whether Python code that a file names is run: where the user trusts it, by its content.
+
+A scenario, a session or a valve file may name files of effects (`effects_files`), and these run with the user's rights.
+Such a file is run where its very content was trusted before (SHA-256 in `trusted_effects.txt` of the user's data
+folder, which `VALVESIM_DATA_DIR` moves), or where the caller says so: `trust=True`, `--trust`, or a yes to the question
+of the command line. One outside the folder of the file that names it needs `outside=True` or `--outside` too, unless it
+was trusted at that place.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+
+from valvesim.errors import InputError
+from valvesim.io import UnsafeFile, check_own, is_inside
+
+LIST = "trusted_effects.txt"
+MOST_LISTED = 10_000_000  # bytes of the list that are read
+
+
+@dataclass(frozen=True)
+class Permission:
+    """What may be run and read. `ask(file, content)` is asked about code that was not trusted before."""
+
+    ask: Callable[[Path, bytes], bool]
+    outside: bool = False
+
+
+def _never(file: Path, content: bytes) -> bool:
+    return False
+
+
+def _always(file: Path, content: bytes) -> bool:
+    return True
+
+
+NOTHING = Permission(ask=_never)
+_GIVEN: ContextVar[Permission] = ContextVar("permission", default=NOTHING)
+
+
+@contextlib.contextmanager
+def permitting(
+    *, trust: bool = False, outside: bool = False, ask: Callable[[Path, bytes], bool] | None = None
+) -> Iterator[None]:
+    """Inside, files of effects are run (`trust`, or where `ask` says yes) and files outside a folder are read.
+
+    What is permitted around it stays permitted.
+    """
+    given = _GIVEN.get()
+    asked = _always if trust else ask if ask is not None else given.ask
+    token = _GIVEN.set(Permission(ask=asked, outside=given.outside or outside))
+    try:
+        yield
+    finally:
+        _GIVEN.reset(token)
+
+
+def outside_permitted() -> bool:
+    """Whether files outside the folder of the file that names them may be read."""
+    return _GIVEN.get().outside
+
+
+def check_trusted(file: Path, content: bytes, folder: Path) -> None:
+    """InputError unless the code in a `file` that a file in `folder` names may be run."""
+    known = _trusted(content)
+    if not is_inside(file, folder) and not outside_permitted() and file.resolve() not in known:
+        problem = f"{str(file)!r} stands outside the folder {str(folder)!r}"
+        raise InputError(f"{problem}; copy it there, or give --outside (in Python: outside=True)", key="effects_files")
+    if not known and not _GIVEN.get().ask(file, content):
+        problem = f"{str(file)!r} is Python code that would run with your rights, and it was not trusted before"
+        raise InputError(f"{problem}; read it, then give --trust (in Python: trust=True)", key="effects_files")
+
+
+def remember(file: Path, content: bytes) -> None:
+    """Trust this content from now on, and the file that holds it wherever it is named. OSError where that cannot be."""
+    path = file.resolve()
+    if path in _trusted(content) or not str(path).isprintable():
+        return
+    store = _list()
+    store.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with open(os.open(store, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600), "a", encoding="utf-8") as lines:
+        lines.write(f"{hash_of(content)} {path}\n")
+
+
+def hash_of(content: bytes) -> str:
+    """SHA-256 of a file's content."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def _trusted(content: bytes) -> set[Path]:
+    """The places at which this content was trusted; none where another user could have written the list."""
+    store = _list()
+    with contextlib.suppress(OSError, UnsafeFile, UnicodeDecodeError):
+        check_own(store.parent)
+        check_own(store)
+        if store.stat().st_size <= MOST_LISTED:
+            lines = (line.partition(" ") for line in store.read_text(encoding="utf-8").splitlines())
+            return {Path(path) for digest, _, path in lines if digest == hash_of(content)}
+    return set()
+
+
+def _list() -> Path:
+    """Where the hashes of trusted files stand."""
+    import platformdirs
+
+    named = os.environ.get("VALVESIM_DATA_DIR")
+    return Path(named or platformdirs.user_data_dir("valvesim", appauthor=False)) / LIST
