@@ -33,7 +33,6 @@ import numpy as np
 import valvesim as vs
 from valvesim import inputs as commands
 from valvesim.simulation.batch import cores
-from valvesim.solver import rodas5p as rosenbrock
 from valvesim.solver.codegen import trace
 from valvesim.valve.equilibrium import follow_branch
 
@@ -148,16 +147,15 @@ def machine_code() -> tuple[Any, Any]:
 
     compiled = vs.compile_model(vs.Model())
     derivative, jacobian = compiled.derivative, compiled.jacobian
-    set_inputs, set_coefficients = rosenbrock.set_inputs, rosenbrock.set_coefficients
+    piece_value, on_line = njit(commands.piece_value), njit(coefficients_on_line)
 
     @njit(error_model="numpy")
     def conditions(t, rows, knot_times, knots):
-        u, c = np.empty(rows.shape[0] + 1), knots[0].copy()
-        at = 0
-        if len(knot_times) > 1:
-            at = min(int(t / (knot_times[1] - knot_times[0])), len(knot_times) - 2)
-        set_inputs(rows, t, u)
-        set_coefficients(knot_times, knots, at, t, c)
+        u, c = np.empty(rows.shape[0] + 1), np.empty(knots.shape[1])
+        u[0], u[1] = piece_value(rows[0], t)
+        for k in range(1, rows.shape[0]):
+            u[k + 1] = piece_value(rows[k], t)[0]
+        on_line(t, knot_times, knots, c)
         return u, c
 
     @njit(error_model="numpy")
@@ -213,11 +211,19 @@ def held_pressures(case: Case) -> list[float]:
 
 def coefficients_at(case: Case, t: float) -> np.ndarray:
     """Coefficients (n_c,) at time t."""
-    c = case.knots[0].copy()
-    if len(case.knots) > 1:
-        at = min(int(t / case.knot_times[1]), len(case.knots) - 2)
-        rosenbrock.set_coefficients(case.knot_times, case.knots, at, t, c)
+    c = np.empty(case.knots.shape[1])
+    coefficients_on_line(t, case.knot_times, case.knots, c)
     return c
+
+
+def coefficients_on_line(t, knot_times, knots, c):
+    """Coefficients at time t on the straight line between evenly spaced knots. Compiled as it stands."""
+    at, share = 0, 0.0
+    if len(knot_times) > 1:
+        at = min(int(t / knot_times[1]), len(knot_times) - 2)
+        share = (t - knot_times[at]) / (knot_times[at + 1] - knot_times[at])
+    for k in range(len(c)):
+        c[k] = knots[at, k] + (share * (knots[at + 1, k] - knots[at, k]) if len(knot_times) > 1 else 0.0)
 
 
 # ---------------------------------------------------------------- the peers: (case, rtol) -> run() -> spool positions

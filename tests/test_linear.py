@@ -451,7 +451,7 @@ def test_the_nonlinear_system_takes_a_voltage_drive_and_effects():
     u = Inputs(1.2, 0.0, VALVE.supply_pressure, VALVE.return_pressure, 2e6)
     flat = model.flat_coefficients(VALVE.at(vs.PartTemperatures.uniform(20.0)), active)
     rates = np.array(model.rhs(tuple(x * scale), u, flat)) / scale
-    np.testing.assert_allclose(block.updfcn(0.0, x, np.array([1.2, 2e6]), {}), rates, rtol=1e-9)
+    np.testing.assert_allclose(block.updfcn(0.0, x, np.array([1.2, 2e6]), {}), rates, rtol=1e-9, atol=1e-12)
     named = {**model.signals(tuple(x * scale), u, flat)._asdict(), "oil_temperature": 20.0}
     named |= {channel.name: value for channel, value in zip(model.state_channels, x * scale, strict=True)}
     expected = [named[name] for name in block.output_labels]

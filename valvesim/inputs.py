@@ -83,18 +83,27 @@ def as_command(given: Any, unit: str, where: str) -> Command:
 
 
 def piece_value(row, t):
-    """(value, rate) of one piece at time t, or times; `row` is a row of `Command.pieces`. Compiled as it stands."""
+    """(value, rate) of one piece at time t, or times; `row` is a row of `Command.pieces`."""
+    value, rate, _ = piece_motion(row, t)
+    return value, rate
+
+
+def piece_motion(row, t):
+    """(value, rate, rate of the rate) of one piece at time t, or times. Compiled as it stands."""
     tau = t - row[0]
-    value, rate = row[1] + row[2] * tau, row[2]
+    value, rate, bend = row[1] + row[2] * tau, row[2], 0.0
     for k in range(3, row.shape[0], 5):
         amplitude, frequency, sweep, growth, phase = row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4]
         if amplitude != 0.0:
             swelling = 0.0 if growth == 0.0 else np.expm1(growth * tau)
             turns = frequency * tau if growth == 0.0 else frequency * swelling / growth
             angle = 2.0 * np.pi * (turns + 0.5 * sweep * tau * tau) + phase
+            speed = 2.0 * np.pi * (frequency * (1.0 + swelling) + sweep * tau)
             value += amplitude * np.sin(angle)
-            rate += amplitude * np.cos(angle) * 2.0 * np.pi * (frequency * (1.0 + swelling) + sweep * tau)
-    return value, rate
+            rate += amplitude * np.cos(angle) * speed
+            quickening = 2.0 * np.pi * (frequency * growth * (1.0 + swelling) + sweep)
+            bend += amplitude * (np.cos(angle) * quickening - np.sin(angle) * speed * speed)
+    return value, rate, bend
 
 
 class Command(Protocol):

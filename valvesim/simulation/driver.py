@@ -13,7 +13,9 @@ from valvesim.solver.rodas5p import STEP_TOO_SMALL, TOO_MANY_STEPS, set_inputs
 from valvesim.units import symbol
 
 FIRST_STEP = 1e-5  # s
-ABSOLUTE_SHARE = 0.003  # absolute tolerance of the scaled states over the relative one: at 0.01, 10 bar of supply gave 5e-4
+ABSOLUTE_SHARE = (
+    0.003  # absolute tolerance of the scaled states over the relative one: at 0.01, 10 bar of supply gave 5e-4
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +53,9 @@ def integrate(
     `progress` is told the share that is done after each of so many slices of time; `most_steps` are those of a slice.
     Raises SolveError, which says `what` has failed, when, in which state, why, and gives the `advice`.
     """
-    compiled, y, count = problem.compiled, problem.initial.copy(), np.zeros(2, dtype=np.int64)
-    out = np.full((len(problem.times), len(y)), np.nan)
+    compiled, count = problem.compiled, np.zeros(2, dtype=np.int64)
+    rest, knots = problem.initial[:, None].copy(), problem.knots[:, :, None].copy()  # one valve is one lane
+    y, out = rest.copy(), np.full((len(problem.times), *rest.shape), np.nan)
     clock = np.array([0.0, min(FIRST_STEP, problem.end), 0.0])
     atol = np.full(len(y), ABSOLUTE_SHARE * problem.tolerance)
     if problem.ignored is not None:
@@ -60,16 +63,16 @@ def integrate(
     for k in range(1, slices + 1):
         end = problem.end * k / slices if k < slices else problem.end
         status = compiled.run(
-            y, clock, end, problem.starts, problem.rows, problem.knot_times, problem.knots, problem.times, out,
-            problem.tolerance, atol, problem.initial, problem.most_steps, count,
+            y, clock, end, problem.starts, problem.rows, problem.knot_times, knots, problem.times, out,
+            problem.tolerance, atol, rest, problem.most_steps, count,
         )  # fmt: skip
         if status:
-            raise _failure(problem, status, y, float(clock[0]), what, advice)
+            raise _failure(problem, status, y[:, 0], float(clock[0]), what, advice)
         if progress is not None:
             progress(k / slices)
     if not np.isfinite(out[-1:]).all():
         raise SolveError(f"{what} failed: its last states are no numbers. {advice}".rstrip())
-    return out * compiled.scale, count
+    return out[:, :, 0] * compiled.scale, count
 
 
 def _failure(problem: InitialValueProblem, status: int, y: np.ndarray, t: float, what: str, advice: str) -> SolveError:
@@ -78,9 +81,9 @@ def _failure(problem: InitialValueProblem, status: int, y: np.ndarray, t: float,
         TOO_MANY_STEPS: f"more than {problem.most_steps} steps were needed",
         STEP_TOO_SMALL: "the step became too small",
     }
-    u, f = np.empty(problem.rows.shape[1] + 1), np.empty(len(y))
-    set_inputs(problem.rows[max(int(np.searchsorted(problem.starts, t, side="right")) - 1, 0)], t, u)
-    problem.compiled.derivative(y, u, problem.knots[0], f)
+    u, u_t, f = np.empty(problem.rows.shape[1] + 1), np.empty(problem.rows.shape[1] + 1), np.empty(len(y))
+    set_inputs(problem.rows, max(int(np.searchsorted(problem.starts, t, side="right")) - 1, 0), t, u, u_t)
+    problem.compiled.derivative(np.ascontiguousarray(y), u, problem.knots[0], f)
     fastest = int(np.argmax(np.where(np.isfinite(f), np.abs(f), np.inf)))
     channel = problem.compiled.model.state_channels[fastest]
     return SolveError(

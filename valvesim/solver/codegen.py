@@ -1,8 +1,9 @@
-"""The model as machine code: traced once by CasADi, with exact derivatives, printed as Python and compiled by numba.
+"""The model as machine code: traced once by CasADi, with exact derivatives, printed line by line and compiled.
 
-`Model.rhs` runs on symbols; what comes out is a straight line of arithmetic. CasADi takes its Jacobian, and each
-line is printed as Python source, which `cache` keeps with its machine code for the next process. States in the compiled
-functions are scaled by the channels' scales.
+`Model.rhs` runs on symbols; what comes out is a straight line of arithmetic. It is rewritten so that a step computes
+as little as it can (`linear_forms`), CasADi takes its derivatives, and `straight_line` makes instructions of the lines.
+The integrator around them is compiled by numba, and `cache` keeps all of it for the next process. States in the
+compiled functions are scaled by the channels' scales.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ import numpy as np
 
 from valvesim import inputs
 from valvesim.channels import INPUT_CHANNELS
-from valvesim.solver import cache, rodas5p
+from valvesim.solver import cache, rodas5p, straight_line
 from valvesim.solver.elimination import print_elimination
+from valvesim.solver.linear_forms import ONE, Expressions
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.equations import CurrentDrive, Model, VoltageDrive
 
@@ -107,9 +109,12 @@ def _load(model: Model, absent: frozenset[str] = frozenset()) -> ModuleType:
     from numba.extending import register_jitable
 
     for function in _CALLED:
-        register_jitable(function)
+        register_jitable(forceinline=True)(function)  # an array that is handed on is some ten numbers
     return cache.load(
-        _short_name(model, absent), lambda: source(model, absent), _CALLED, lambda module: _call_once(module, model)
+        _short_name(model, absent),
+        lambda: source(model, absent),
+        (*_CALLED, straight_line.intrinsics),
+        lambda module: _call_once(module, model),
     )
 
 
@@ -121,15 +126,19 @@ def _short_name(model: Model, absent: frozenset[str]) -> list[str] | None:
     return [type(model.drive).__name__, *(e.name for e in model.effects), "", *sorted(absent)] if own else None
 
 
-def _call_once(module: ModuleType, model: Model) -> None:
+def _call_once(module: ModuleType, model: Model, lanes: int = 1) -> None:
     """Each function called to nowhere, so that it is compiled here and not in somebody's first run."""
     n, n_u, n_c = len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names)
     with _short_loops():
         module.run(
-            np.zeros(n), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, n_u - 1, 3)), np.zeros(1),
-            np.ones((1, n_c)), np.zeros(0), np.zeros((0, n)), 1e-3, np.full(n, 1e-5), np.zeros(n), 1,
-            np.zeros(2, dtype=np.int64),
+            np.zeros((n, lanes)), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, n_u - 1, 3)), np.zeros(1),
+            np.ones((1, n_c, lanes)), np.zeros(0), np.zeros((0, n, lanes)), 1e-3, np.full(n, 1e-5),
+            np.zeros((n, lanes)), 1, np.zeros(2, dtype=np.int64),
         )  # fmt: skip
+        if lanes > 1:
+            return
+        module.derivative(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros(n))
+        module.jacobian(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros((n, n)))
         module.jacobians(np.zeros((0, n)), np.zeros((0, n_u)), np.ones((1, n_c)), np.zeros((0, n, n)))
 
 
@@ -147,40 +156,122 @@ def _short_loops() -> Iterator[None]:
         config.LOOP_VECTORIZE, config.SLP_VECTORIZE = kept
 
 
-def source(model: Model, absent: frozenset[str] = frozenset()) -> str:
-    """The Python source of `derivative` and `jacobian` of a model in scaled states, and of `run`."""
-    import casadi
+SHARED = ("u", "u_t", "atol")
+"""What all lanes have in common, in the printed functions."""
 
-    rates, at = trace(model, absent)
-    scale = casadi.DM([channel.scale for channel in model.state_channels])
-    y = casadi.SX.sym("y", at["state"].shape[0])
-    scaled = casadi.substitute(rates, at["state"], y * scale) / scale
-    arguments = [y, at["inputs"], at["coefficients"]]
-    jacobian: Any = casadi.jacobian(scaled, y)
-    join: Any = casadi.vertcat
-    rows, columns = jacobian.sparsity().get_triplet()
-    rate = casadi.Function("rate", arguments, [casadi.cse(scaled)])
-    slope = casadi.Function("slope", arguments, [casadi.cse(join(*jacobian.nonzeros()))])
-    n = y.shape[0]
-    zeros = [(i, j) for i in range(n) for j in range(n) if (i, j) not in set(zip(rows, columns, strict=True))]
+
+def source(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -> str:
+    """The Python source of a model in scaled states: `run`, and for one lane `derivative`, `jacobian`, `jacobians`."""
+    equations = print_equations(model, absent)
+    n, n_u, n_c = len(model.state_channels), len(INPUT_CHANNELS), equations.coefficients
+    factor, solve = print_elimination(n, equations.entries)
+    factor = ["def factor(J, diagonal, W, pivots):", *(f"    {line}" for line in factor)]
+    lines = [*equations.lines, *factor, *rodas5p.print_step(n, solve)]
+    columns = dict.fromkeys(("J", "W", "K", "bent"), n) | {"u": n_u, "c": n_c}
+    functions = [_integrator_source(n, lanes, n_c)]
+    if lanes == 1:
+        functions += [text.format(n_c=n_c) for text in (_DERIVATIVE, _JACOBIAN, _JACOBIANS)]
     return "\n".join(
         [
             f'"""Printed by valvesim.solver.codegen from {model.state_channels[-1].name} and others."""',
             "import numpy as np",
-            "from math import copysign, exp, log, sqrt, tanh, sin, cos, fabs",
             "from numba import njit",
             "from valvesim.solver.rodas5p import *",
-            "",
-            *_print_function("derivative", rate, [f"out[{k}]" for k in range(n)], []),
-            *_print_solver(*print_elimination(n, zip(rows, columns, strict=True))),
-            *_print_function("jacobian", slope, [f"out[{i}, {j}]" for i, j in zip(rows, columns, strict=True)], zeros),
-            _HEAD,
-            _JACOBIANS,
-            _HEAD,
-            _integrator_source(n, arguments[2].shape[0]),
+            "from valvesim.solver.straight_line import intrinsics",
+            'LINES = """',
+            *lines,
+            '"""',
+            f"globals().update(intrinsics(LINES, lanes={lanes}, columns={columns}, shared={SHARED}))",
+            *(f"@njit(nogil=True, error_model='numpy')\n{function}" for function in functions),
         ]
     )
 
+
+@dataclass(frozen=True)
+class PrintedEquations:
+    """The functions `prepare`, `rates` and `linearise` as lines for `straight_line`.
+
+    `coefficients` is how many `prepare` makes of the flat ones, `entries` the (row, column) of the Jacobian that may
+    differ from zero.
+    """
+
+    lines: list[str]
+    coefficients: int
+    entries: list[tuple[int, int]]
+
+
+def print_equations(model: Model, absent: frozenset[str] = frozenset()) -> PrintedEquations:
+    """The equations of a model in scaled states, as a step computes them (see `linear_forms`).
+
+    `prepare(c, out)` turns flat coefficients into those that the others take; `rates(y, u, c, out)` are the
+    derivatives, and `linearise(y, u, u_t, c, c_t, f, J, f_t)` the same with their exact derivatives by the states and
+    over time, where u_t and c_t are how fast inputs and coefficients change.
+    """
+    import casadi
+
+    join: Any = casadi.vertcat
+    unscaled, at = trace(model, absent)
+    n, n_u = at["state"].shape[0], at["inputs"].shape[0]
+    scale = casadi.DM([channel.scale for channel in model.state_channels])
+    y = casadi.SX.sym("y", n)
+    scaled = casadi.substitute(unscaled, at["state"], y * scale) / scale
+    expressions = Expressions()
+    prepared: dict[tuple[int, float], int] = {}
+    values = expressions.of_symbols({"y": y, "u": at["inputs"], "c": at["coefficients"]}, scaled, constant=("c",))
+    rates = expressions.lines({f"out[{k}]": value for k, value in enumerate(values)}, prepared)
+    ahead = {f"out[{k}]": {(node, ONE): number} for (node, number), k in prepared.items()}
+
+    u, u_t = casadi.SX.sym("u", n_u), casadi.SX.sym("u_t", n_u)
+    c, c_t = casadi.SX.sym("c", len(prepared)), casadi.SX.sym("c_t", len(prepared))
+    f = join(*_on_symbols(rates, y=y, u=u, c=c))
+    jacobian: Any = casadi.jacobian(f, y)
+    f_t: Any = casadi.jtimes(f, join(u, c), join(u_t, c_t))
+    entries = list(zip(*jacobian.sparsity().get_triplet(), strict=True))
+    targets = [*(f"f[{k}]" for k in range(n)), *(f"J[{i}, {j}]" for i, j in entries), *(f"f_t[{k}]" for k in range(n))]
+    derived = Expressions()
+    values = derived.of_symbols(
+        {"y": y, "u": u, "u_t": u_t, "c": c, "c_t": c_t}, casadi.densify(join(f, *jacobian.nonzeros(), f_t)),
+        constant=("c",),
+    )  # fmt: skip
+    lines = [
+        "def prepare(c, out):", *expressions.lines(ahead),
+        "def rates(y, u, c, out):", *rates,
+        "def linearise(y, u, u_t, c, c_t, f, J, f_t):", *derived.lines(dict(zip(targets, values, strict=True))),
+    ]  # fmt: skip
+    return PrintedEquations(lines, len(prepared), entries)
+
+
+def _on_symbols(lines: Sequence[str], **arguments: Any) -> list[Any]:
+    """The outputs `out` of printed lines that run on CasADi's symbols."""
+    import casadi
+
+    functions: dict[str, Any] = {
+        **{name: getattr(casadi, name) for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "fabs", "sign")},
+        # a choice, for the derivative of CasADi's own maximum divides by a sum of two truths
+        "maximum": lambda a, b: casadi.if_else(a < b, b, a), "minimum": lambda a, b: casadi.if_else(b < a, b, a),
+        "where_true": lambda a, b: casadi.if_else(a, b, 0.0), "power": lambda a, b: a**b,
+        "less": lambda a, b: a < b, "less_equal": lambda a, b: a <= b, "logical_not": casadi.logic_not,
+        "logical_and": casadi.logic_and, "logical_or": casadi.logic_or,
+    }  # fmt: skip
+    out: dict[int, Any] = {}
+    exec("\n".join(line.strip() for line in lines), functions | arguments | {"out": out})
+    return [out[k] for k in range(len(out))]
+
+
+_DERIVATIVE = """def derivative(y, u, c, out):
+    prepared = np.empty({n_c})
+    prepare(c, prepared)
+    rates(y, u, prepared, out)
+"""
+
+_JACOBIAN = """def jacobian(y, u, c, out):
+    prepared, none, f, f_t = np.empty({n_c}), np.zeros({n_c}), np.empty(y.shape[0]), np.empty(y.shape[0])
+    prepare(c, prepared)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = 0.0
+    linearise(y, u, np.zeros(u.shape[0]), prepared, none, f, out, f_t)
+"""
 
 _JACOBIANS = """def jacobians(y, u, c, out):
     for k in range(y.shape[0]):
@@ -189,11 +280,14 @@ _JACOBIANS = """def jacobians(y, u, c, out):
 """The Jacobian along a course: y (n, states), u (n, inputs), c (n or 1, coefficients) -> out (n, states, states)."""
 
 
-_CALLED = (inputs.piece_value, rodas5p.set_inputs, rodas5p.set_coefficients)
+_CALLED = (
+    inputs.piece_motion, rodas5p.set_inputs, rodas5p.set_inputs_of_step, rodas5p.set_coefficients_of_step,
+    rodas5p.copy_rows,
+)  # fmt: skip
 """The plain functions that `integrate` calls."""
 
 
-def _integrator_source(n: int, n_c: int) -> str:
+def _integrator_source(n: int, lanes: int, n_c: int) -> str:
     """`rodas5p.integrate` as `run`, which finds the model's functions in its own module, and has its sizes in figures.
 
     Printed rather than called with them as arguments: numba keeps no compiled code of a function that takes functions,
@@ -202,54 +296,10 @@ def _integrator_source(n: int, n_c: int) -> str:
     text = inspect.getsource(rodas5p.integrate)
     for plain, printed in (
         ("def integrate(", "def run("),
-        ("derivative, jacobian, factor, back_substitute, ", ""),
-        ("n, n_c = y.shape[0], knots.shape[1]", f"n, n_c = {n}, {n_c}"),
+        ("prepare, linearise, factor, step, error, bend, within, n_c, ", ""),
+        ("n, lanes = y.shape", f"n, lanes, n_c = {n}, {lanes}, {n_c}"),
     ):
+        if plain not in text:
+            raise RuntimeError(f"rodas5p.integrate has no {plain!r}")
         text = text.replace(plain, printed, 1)
     return text
-
-
-_HEAD = "@njit(nogil=True, error_model='numpy')"
-
-
-def _print_solver(factor: Sequence[str], back_substitute: Sequence[str]) -> list[str]:
-    """`factor(W)` and `back_substitute(W, x)` from their lines."""
-    bodies = {"factor(W)": factor, "back_substitute(W, x)": back_substitute}
-    return [line for name, body in bodies.items() for line in (_HEAD, f"def {name}:", *(f"    {x}" for x in body), "")]
-
-
-def _print_function(name: str, function: Any, targets: Sequence[str], zeros: Sequence[tuple[int, int]]) -> list[str]:
-    """A CasADi function as Python source: one line an operation."""
-    import casadi
-
-    lines = [_HEAD, f"def {name}(y, u, c, out):"]
-    operations = _operations(casadi)
-    for k in range(function.n_instructions()):
-        code = function.instruction_id(k)
-        into, of = function.instruction_output(k), function.instruction_input(k)
-        if code == casadi.OP_CONST:
-            text = f"w{into[0]} = {function.instruction_constant(k)!r}"
-        elif code == casadi.OP_INPUT:
-            text = f"w{into[0]} = {'yuc'[of[0]]}[{of[1]}]"
-        elif code == casadi.OP_OUTPUT:
-            text = f"{targets[into[1]]} = w{of[0]}"
-        else:
-            text = f"w{into[0]} = " + operations[code].format(*(f"w{k}" for k in of))
-        lines.append("    " + text)
-    return [*lines, *(f"    out[{i}, {j}] = 0.0" for i, j in zeros), ""]
-
-
-def _operations(casadi: ModuleType) -> dict[int, str]:
-    """How each CasADi operation is written in Python."""
-    return {
-        casadi.OP_ASSIGN: "{0}", casadi.OP_ADD: "{0} + {1}", casadi.OP_SUB: "{0} - {1}", casadi.OP_MUL: "{0} * {1}",
-        casadi.OP_DIV: "{0} / {1}", casadi.OP_NEG: "-{0}", casadi.OP_INV: "1.0 / {0}", casadi.OP_SQ: "{0} * {0}",
-        casadi.OP_TWICE: "{0} + {0}", casadi.OP_SQRT: "sqrt({0})", casadi.OP_EXP: "exp({0})", casadi.OP_LOG: "log({0})",
-        casadi.OP_POW: "{0} ** {1}", casadi.OP_CONSTPOW: "{0} ** {1}", casadi.OP_FABS: "fabs({0})",
-        casadi.OP_SIGN: "np.sign({0})", casadi.OP_FMAX: "max({0}, {1})", casadi.OP_FMIN: "min({0}, {1})",
-        casadi.OP_TANH: "tanh({0})", casadi.OP_SIN: "sin({0})", casadi.OP_COS: "cos({0})",
-        casadi.OP_LT: "(1.0 if {0} < {1} else 0.0)", casadi.OP_LE: "(1.0 if {0} <= {1} else 0.0)",
-        casadi.OP_NOT: "(1.0 if {0} == 0.0 else 0.0)", casadi.OP_IF_ELSE_ZERO: "({1} if {0} != 0.0 else 0.0)",
-        casadi.OP_AND: "(1.0 if {0} != 0.0 and {1} != 0.0 else 0.0)",
-        casadi.OP_OR: "(1.0 if {0} != 0.0 or {1} != 0.0 else 0.0)",
-    }  # fmt: skip

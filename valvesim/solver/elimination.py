@@ -6,7 +6,7 @@ Rosenbrock step, 1/(gamma h) - J, has large positive diagonal entries; where an 
 solution is not finite and the integrator refuses the step.
 
 Symbols
-    W matrix, in place its factors with the pivots inverted; x right-hand side, in place the solution
+    J Jacobian; W the matrix, as its factors with the pivots inverted; x right-hand side and solution
 
 The state that fills in least is eliminated first: H. M. Markowitz, Management Science 3 (1957) 255.
 """
@@ -17,27 +17,37 @@ from collections.abc import Iterable
 
 
 def print_elimination(n: int, entries: Iterable[tuple[int, int]]) -> tuple[list[str], list[str]]:
-    """(lines of `factor(W)`, lines of `back_substitute(W, x)`) as Python, one operation each, unindented.
+    """(lines of `factor(J, diagonal, W, pivots)`, lines that solve for x0, x1 ... in place), for `straight_line`.
 
-    `factor` returns False where a pivot is not finite.
-    `entries` are the (row, column) of an n x n matrix that may differ from zero; the diagonal always may.
+    The factors are those of diagonal - J; `pivots[0]` is not finite where one of them is not. `entries` are the
+    (row, column) of an n x n Jacobian that may differ from zero.
     """
-    pattern = {(i, j) for i, j in entries if i != j}
+    given = set(entries)
+    pattern = {(i, j) for i, j in given if i != j}
     left = list(range(n))
-    factor = ["pivots = 0.0"]
+    factor = [f"w{i}_{j} = -J[{i}, {j}]" for i, j in sorted(pattern)]
+    factor += [f"w{k}_{k} = diagonal - J[{k}, {k}]" if (k, k) in given else f"w{k}_{k} = diagonal" for k in left]
     forward: list[str] = []
     backward: list[str] = []
+    order = []
     while left:
-        below = {k: [i for i in left if (i, k) in pattern] for k in left}
-        right = {k: [j for j in left if (k, j) in pattern] for k in left}
+        below = {k: [i for i in left if i != k and (i, k) in pattern] for k in left}
+        right = {k: [j for j in left if j != k and (k, j) in pattern] for k in left}
         k = min(left, key=lambda k: len(below[k]) * len(right[k]))
         left.remove(k)
-        factor += [f"pivots += W[{k}, {k}]", f"pivot = W[{k}, {k}] = 1.0 / W[{k}, {k}]"]
+        order.append(k)
+        factor.append(f"pivot = 1.0 / w{k}_{k}")
+        factor.append(f"W[{k}, {k}] = pivot")
         for i in below[k]:
-            factor.append(f"ratio = W[{i}, {k}] = W[{i}, {k}] * pivot")
-            factor += [f"W[{i}, {j}] -= ratio * W[{k}, {j}]" for j in right[k]]
+            factor.append(f"ratio = w{i}_{k} * pivot")
+            factor.append(f"W[{i}, {k}] = ratio")
+            for j in right[k]:
+                held = f"w{i}_{j} - " if (i, j) in pattern or i == j else "-"
+                factor.append(f"w{i}_{j} = {held}ratio * w{k}_{j}")
             pattern |= {(i, j) for j in right[k] if i != j}
-            forward.append(f"x[{i}] -= W[{i}, {k}] * x[{k}]")
-        known = "".join(f" - W[{k}, {j}] * x[{j}]" for j in right[k])
-        backward.insert(0, f"x[{k}] = (x[{k}]{known}) * W[{k}, {k}]")
-    return [*factor, "return np.isfinite(pivots)"], forward + backward
+            forward.append(f"x{i} = x{i} - W[{i}, {k}] * x{k}")
+        factor += [f"W[{k}, {j}] = w{k}_{j}" for j in right[k]]
+        known = "".join(f" - W[{k}, {j}] * x{j}" for j in right[k])
+        backward.insert(0, f"x{k} = (x{k}{known}) * W[{k}, {k}]")
+    factor.append("pivots[0] = " + " + ".join(f"w{k}_{k}" for k in order))
+    return factor, forward + backward

@@ -8,15 +8,18 @@ Symbols
     y scaled states, h step, f derivative, J its Jacobian, W = 1/(gamma h) - J, k_i stages, e error of the step
     W k_i = f(t + c_i h, y + sum a_ij k_j) + sum C_ij k_j/h + d_i h df/dt
 
-`integrate` is plain Python that numba compiles; `derivative`, `jacobian` and the two functions of the linear systems
-(`solver.elimination`) are printed from a traced model.
+`integrate` is plain Python that numba compiles; what it calls is printed from a traced model (`solver.codegen`) and
+from the figures below, a line for each state. The last axis of its arrays are the lanes: valves that take their steps
+together, each as short as the most demanding of them needs. One valve is one lane.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from valvesim.inputs import piece_value
+from valvesim.inputs import piece_motion
 
 STAGES = 8
 GAMMA = 0.21193756319429014
@@ -60,53 +63,128 @@ DENSE = np.array(
     ]
 )  # fmt: skip
 
-RATE_SPAN = 0.02  # share of a step over which df/dt is taken
+NODE_OF_STAGE = [0, 0, 1, 2, 3, 4, 4, 4]  # from the second stage on; the last three are at the end of the step
+
 FIRST_BEND = 1e4  # tolerances by which a state may bend away, y'' h^2, in the first step after a break or a knot
 
 DONE, TOO_MANY_STEPS, STEP_TOO_SMALL = 0, 1, 2
 
 
-def set_inputs(rows, t, u):
-    """Inputs of the model at time t from the rows of one interval: command with its rate, then the pressures."""
-    u[0], u[1] = piece_value(rows[0], t)
-    for k in range(1, rows.shape[0]):
-        u[k + 1] = piece_value(rows[k], t)[0]
+def print_step(n: int, solve: Sequence[str]) -> list[str]:
+    """`step(y, u, c, h, f, f_t, W, K, new, rate)` and what else a step of n states needs, for `straight_line`.
+
+    `solve` are the lines of `elimination`. A step solves for the k of each stage, a call of `rates` between them, and
+    leaves the states at its end in `new`.
+    """
+    lines = ["def step(y, u, c, h, f, f_t, W, K, new, rate):", "    per_h = 1.0 / h"]
+    for s in range(STAGES):
+        for i in range(n):
+            late = f" + {D[s]} * h * f_t[{i}]" if s < len(D) else ""
+            coupled = f" + per_h * ({_weighted(C[s, :s], i)})" if s else ""
+            lines += [f"    x{i} = {'rate' if s else 'f'}[{i}]{late}{coupled}"]
+        lines += [f"    {line}" for line in solve]
+        lines += [f"    K[{s}, {i}] = x{i}" for i in range(n)]
+        if s + 1 < STAGES:
+            lines += [f"    new[{i}] = y[{i}] + {_weighted(A[s + 1, : s + 1], i)}" for i in range(n)]
+            at = NODE_OF_STAGE[s + 1]
+            lines += [f"    rates(new, u[{at}], c[{at}], rate)"]
+        else:
+            lines += [f"    new[{i}] = new[{i}] + x{i}" for i in range(n)]
+    return [*lines, *_print_output(n), *_print_error(n)]
 
 
-def set_coefficients(knot_times, knots, at, t, c):
-    """Coefficients at time t on the straight line between knots `at` and `at` + 1."""
-    if at + 1 < knot_times.shape[0]:
-        share = (t - knot_times[at]) / (knot_times[at + 1] - knot_times[at])
+def _weighted(weights: np.ndarray, i: int) -> str:
+    """A sum over the stages."""
+    return " + ".join(f"{float(weight)!r} * K[{s}, {i}]" for s, weight in enumerate(weights) if weight)
+
+
+def _print_output(n: int) -> list[str]:
+    """`bend(K, bent)` and `within(y, new, bent, share, out)`: the states at a share of the step."""
+    lines = ["def bend(K, bent):"]
+    lines += [f"    bent[{k}, {i}] = {_weighted(weights, i)}" for k, weights in enumerate(DENSE) for i in range(n)]
+    lines += ["def within(y, new, bent, share, out):", "    left = 1.0 - share"]
+    for i in range(n):
+        curve = f"left * (bent[0, {i}] + share * (bent[1, {i}] + share * bent[2, {i}]))"
+        lines += [f"    out[{i}] = left * y[{i}] + share * (new[{i}] + {curve})"]
+    return lines
+
+
+def _print_error(n: int) -> list[str]:
+    """`error(y, new, K, rest, atol, rtol, e)`: the worst of the states in tolerances, and the sum of them."""
+    lines = ["def error(y, new, K, rest, atol, rtol, e):"]
+    for i in range(n):
+        size = f"atol[{i}] + rtol * maximum(fabs(y[{i}] - rest[{i}]), fabs(new[{i}] - rest[{i}]))"
+        lines += [f"    e{i} = fabs(K[{STAGES - 1}, {i}]) / ({size})"]
+    worst = "e0"
+    for i in range(1, n):
+        worst = f"maximum({worst}, e{i})"
+    return [*lines, f"    e[0] = {worst}", f"    e[1] = {' + '.join(f'e{i}' for i in range(n))}"]
+
+
+def set_inputs(rows, interval, t, u, u_t):
+    """Inputs of the model at time t, and how fast they change: command, its rate, then the pressures."""
+    u[0], u[1], u_t[1] = piece_motion(rows[interval, 0], t)
+    u_t[0] = u[1]
+    for k in range(1, rows.shape[1]):
+        u[k + 1], u_t[k + 1], _ = piece_motion(rows[interval, k], t)
+
+
+def set_inputs_of_step(rows, interval, t, h, u):
+    """Inputs at the nodes of a step from t on: (nodes, inputs)."""
+    for k in range(rows.shape[1]):
+        row = rows[interval, k]
+        at = k + 1 if k else 0
+        for node in range(5):
+            u[node, at], rate, _ = piece_motion(row, t + NODES[node + 1] * h)
+            if k == 0:
+                u[node, 1] = rate
+
+
+def set_coefficients_of_step(c, c_t, past, h, out):
+    """Coefficients at the nodes of a step that begins `past` the knot of c: (nodes, n_c, lanes)."""
+    for node in range(5):
+        late = past + NODES[node + 1] * h
         for k in range(c.shape[0]):
-            c[k] = knots[at, k] + share * (knots[at + 1, k] - knots[at, k])
+            for lane in range(c.shape[1]):
+                out[node, k, lane] = c[k, lane] + late * c_t[k, lane]
+
+
+def copy_rows(rows, out):
+    """Copy rows (n, lanes), element by element: an assignment of slices takes seconds to compile."""
+    for k in range(rows.shape[0]):
+        for lane in range(rows.shape[1]):
+            out[k, lane] = rows[k, lane]
 
 
 def integrate(
-    derivative, jacobian, factor, back_substitute, y, clock, t_end, starts, rows, knot_times, knots, t_out, out, rtol,
-    atol, rest, max_steps, count
+    prepare, linearise, factor, step, error, bend, within, n_c, y, clock, t_end, starts, rows, knot_times,
+    knots, t_out, out, rtol, atol, rest, max_steps, count
 ):  # fmt: skip
-    """Advance scaled states `y` in place from clock[0] to t_end; fill `out` at the times `t_out`; return a status.
+    """Advance scaled states `y` (n, lanes) in place from clock[0] to t_end; return a status.
 
     clock: [time, next step, next output index]; all updated, so that a run can go on in slices.
-    starts, rows: input pieces between breaks; knot_times (m,), knots (m, n_c): coefficients, straight in between.
-    rtol: relative tolerance of a state's distance from `rest` (n,), so that a small motion about a large pressure is
-    as exact as a large one. atol (n,): absolute tolerance of each scaled state; infinite where its error does not
+    starts, rows: input pieces between breaks; knot_times (m,), knots (m, ..., lanes): coefficients, which `prepare`
+    turns into the n_c that the equations use, straight in between.
+    t_out (n_t,), out (n_t, n, lanes): times of the output, which is filled.
+    rtol: relative tolerance of a state's distance from `rest` (n, lanes), so that a small motion about a large pressure
+    is as exact as a large one. atol (n,): absolute tolerance of each scaled state; infinite where its error does not
     matter.
     count: [accepted, rejected] steps, added to. A step crosses neither a break nor a knot.
     """
-    n, n_c = y.shape[0], knots.shape[1]
-    f, f_late, u = np.empty(n), np.empty(n), np.empty(rows.shape[1] + 1)
-    c, stage_y, new, W = np.empty(n_c), np.empty(n), np.empty(n), np.empty((n, n))
-    for k in range(n_c):
-        c[k] = knots[0, k]
-    J, K, bend = np.empty((n, n)), np.empty((STAGES, n)), np.empty((3, n))
+    n, lanes = y.shape
+    u, u_t, u_late = np.empty(rows.shape[1] + 1), np.empty(rows.shape[1] + 1), np.empty((5, rows.shape[1] + 1))
+    c, c_knot, c_next = np.empty((n_c, lanes)), np.empty((n_c, lanes)), np.empty((n_c, lanes))
+    c_t, c_late = np.zeros((n_c, lanes)), np.empty((5, n_c, lanes))
+    f, f_t, J = np.empty((n, lanes)), np.empty((n, lanes)), np.zeros((n, n, lanes))
+    W, pivots, K = np.empty((n, n, lanes)), np.empty((1, lanes)), np.empty((STAGES, n, lanes))
+    new, rate = np.empty((n, lanes)), np.empty((n, lanes))
+    e, bent = np.empty((2, lanes)), np.empty((3, n, lanes))
     t, h, at_out = clock[0], clock[1], int(clock[2])
-    interval, at, fresh = 0, 0, False
+    interval, at, prepared, fresh, moving = 0, 0, -1, False, False
     while interval + 1 < starts.shape[0] and starts[interval + 1] <= t:
         interval += 1
     while at_out < t_out.shape[0] and t_out[at_out] <= t:
-        for i in range(n):
-            out[at_out, i] = y[i]
+        copy_rows(y, out[at_out])
         at_out += 1
     status = DONE
     steps = 0
@@ -114,7 +192,6 @@ def integrate(
         stop = t_end
         if interval + 1 < starts.shape[0] and starts[interval + 1] < stop:
             stop = starts[interval + 1]
-        row = rows[interval]
         while t < stop:
             while at + 2 < knot_times.shape[0] and knot_times[at + 1] <= t:
                 at += 1
@@ -122,24 +199,32 @@ def integrate(
             limit = stop
             if at + 2 < knot_times.shape[0] and knot_times[at + 1] < limit:
                 limit = knot_times[at + 1]  # coefficients bend or jump there
-            set_inputs(row, t, u)
-            set_coefficients(knot_times, knots, at, t, c)
-            derivative(y, u, c, f)
-            jacobian(y, u, c, J)
+            if at != prepared:
+                prepare(knots[at], c_knot)
+                moving = at + 1 < knot_times.shape[0]
+                if moving:
+                    prepare(knots[at + 1], c_next)
+                    for k in range(n_c):
+                        for lane in range(lanes):
+                            c_t[k, lane] = (c_next[k, lane] - c_knot[k, lane]) / (knot_times[at + 1] - knot_times[at])
+                set_coefficients_of_step(c_knot, c_t, 0.0, 0.0, c_late)
+                prepared = at
+            for k in range(n_c):
+                for lane in range(lanes):
+                    c[k, lane] = c_knot[k, lane] + (t - knot_times[at]) * c_t[k, lane]
+            set_inputs(rows, interval, t, u, u_t)
+            linearise(y, u, u_t, c, c_t, f, J, f_t)
             if fresh:
                 # past a break y' bends by y'' = J f + df/dt; a long step would be right at its end alone
                 fresh = False
-                delta = RATE_SPAN * min(h, limit - t)
-                set_inputs(row, t + delta, u)
-                set_coefficients(knot_times, knots, at, t + delta, c)
-                derivative(y, u, c, stage_y)
                 for i in range(n):
-                    bending = (stage_y[i] - f[i]) / delta
-                    for j in range(n):
-                        bending += J[i, j] * f[j]
-                    size = atol[i] + rtol * abs(y[i] - rest[i])
-                    if abs(bending) * h * h > FIRST_BEND * size:
-                        h = np.sqrt(FIRST_BEND * size / abs(bending))
+                    for lane in range(lanes):
+                        bending = f_t[i, lane]
+                        for j in range(n):
+                            bending += J[i, j, lane] * f[j, lane]
+                        size = atol[i] + rtol * abs(y[i, lane] - rest[i, lane])
+                        if abs(bending) * h * h > FIRST_BEND * size:
+                            h = np.sqrt(FIRST_BEND * size / abs(bending))
             free = h  # the step that the error control wants, before any break shortens it
             while True:
                 steps += 1
@@ -152,71 +237,32 @@ def integrate(
                 if h < 1e-14 * max(abs(t), 1.0) and h < limit - t:
                     status = STEP_TOO_SMALL
                     break
-                # df/dt by a second-order difference, long enough to stay clear of rounding
-                for k in range(2):
-                    delta = (k + 1) * RATE_SPAN * h
-                    set_inputs(row, t + delta, u)
-                    set_coefficients(knot_times, knots, at, t + delta, c)
-                    derivative(y, u, c, stage_y)
-                    for i in range(n):
-                        change = (stage_y[i] - f[i]) / (RATE_SPAN * h)
-                        f_late[i] = 2.0 * change if k == 0 else f_late[i] - 0.5 * change
-                for i in range(n):
-                    for j in range(n):
-                        W[i, j] = -J[i, j]
-                    W[i, i] += 1.0 / (GAMMA * h)
-                finite = factor(W)  # where W is singular the stages are not finite, and the step is refused
-                per_h = 1.0 / h
-                for i in range(n):
-                    K[0, i] = f[i] + h * D[0] * f_late[i]
-                back_substitute(W, K[0])
-                for s in range(1, STAGES):
-                    for i in range(n):
-                        advanced, coupled = y[i], 0.0
-                        for j in range(s):
-                            advanced += A[s, j] * K[j, i]
-                            coupled += C[s, j] * K[j, i]
-                        new[i] = advanced
-                        K[s, i] = coupled * per_h
-                    if s < 6:  # the last three stages are at the end of the step
-                        set_inputs(row, t + NODES[s] * h, u)
-                        set_coefficients(knot_times, knots, at, t + NODES[s] * h, c)
-                    derivative(new, u, c, stage_y)
-                    for i in range(n):
-                        K[s, i] += stage_y[i]
-                        if s < 5:
-                            K[s, i] += h * D[s] * f_late[i]
-                    back_substitute(W, K[s])
-                error = 0.0 if finite else 1e10
-                for i in range(n):
-                    new[i] += K[STAGES - 1, i]
-                    size = atol[i] + rtol * max(abs(y[i] - rest[i]), abs(new[i] - rest[i]))
-                    share = abs(K[STAGES - 1, i]) / size
-                    error = max(error, share) if np.isfinite(share) else 1e10
-                if error <= 1.0:
+                set_inputs_of_step(rows, interval, t, h, u_late)
+                if moving:
+                    set_coefficients_of_step(c_knot, c_t, t - knot_times[at], h, c_late)
+                factor(J, 1.0 / (GAMMA * h), W, pivots)
+                step(y, u_late, c_late, h, f, f_t, W, K, new, rate)
+                error(y, new, K, rest, atol, rtol, e)
+                worst = 0.0
+                for lane in range(lanes):  # the stages may be finite where W is singular
+                    finite = np.isfinite(e[1, lane]) and np.isfinite(pivots[0, lane])
+                    worst = max(worst, e[0, lane]) if finite else 1e10
+                if worst <= 1.0:
                     break
                 count[1] += 1
-                free = h * max(0.9 * error**-0.2, 0.1)
+                free = h * max(0.9 * worst**-0.2, 0.1)
             if status != DONE:
                 break
             count[0] += 1
             end = limit if h == limit - t else t + h
             if at_out < t_out.shape[0] and t_out[at_out] <= end:
-                for k in range(3):
-                    for i in range(n):
-                        bend[k, i] = 0.0
-                        for s in range(STAGES):
-                            bend[k, i] += DENSE[k, s] * K[s, i]
+                bend(K, bent)
             while at_out < t_out.shape[0] and t_out[at_out] <= end:
-                share = (t_out[at_out] - t) / h
-                for i in range(n):
-                    bent = (1.0 - share) * (bend[0, i] + share * (bend[1, i] + share * bend[2, i]))
-                    out[at_out, i] = (1.0 - share) * y[i] + share * (new[i] + bent)
+                within(y, new, bent, (t_out[at_out] - t) / h, out[at_out])
                 at_out += 1
-            for i in range(n):
-                y[i] = new[i]
+            copy_rows(new, y)
             t = end
-            grown = h * min(max(0.85 * max(error, 1e-10) ** -0.2, 0.2), 3.0)
+            grown = h * min(max(0.85 * max(worst, 1e-10) ** -0.2, 0.2), 3.0)
             h = free if h < free else grown  # a step that a break has shortened says nothing of longer ones
         if status != DONE:
             break

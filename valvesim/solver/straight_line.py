@@ -1,0 +1,224 @@
+"""Printed functions without loops or branches as machine code: each line acts on all lanes of a processor's vector.
+
+A printed function is Python on arrays whose last axis are the lanes, a valve each: `w3 = w1 * y[2] + c[4]`. Run by
+Python it is numpy. In compiled code each operation becomes one instruction of LLVM on a vector, past numba's own
+passes, which take seconds over hundreds of lines.
+
+A line is `name = expression`, `array[row] = expression`, `array[row, column] = expression`, or a call of another
+printed function with arrays and rows of arrays. Expressions are arithmetic and the functions of `FUNCTIONS`; a truth is
+the number one.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+_OF_LLVM = ("sqrt", "exp", "log", "tanh", "sin", "cos", "fabs")
+_TRUTHS = ("less", "less_equal", "logical_not", "logical_and", "logical_or")
+FUNCTIONS: dict[str, Any] = {
+    **{name: getattr(np, name) for name in (*_OF_LLVM, *_TRUTHS, "maximum", "minimum", "sign", "power")},
+    "where_true": lambda condition, value: np.where(np.not_equal(condition, 0.0), value, 0.0),
+}
+"""What a printed function may call, as numpy has it."""
+
+FLAGS = ("contract", "nsz", "arcp")  # a product may be added without rounding, -0 is 0, a division may be a product
+ALIGNMENT = 8  # bytes, of numpy's arrays
+
+
+def as_python(lines: Sequence[str], **more: Callable) -> dict[str, Callable]:
+    """The functions of some printed lines, run by Python; `more` are functions that they call."""
+    names: dict[str, Any] = FUNCTIONS | more
+    text = "\n".join(lines)
+    exec(text, names)
+    return {name: names[name] for name, _ in _headers(text)}
+
+
+def intrinsics(text: str, *, lanes: int, columns: dict[str, int], shared: Sequence[str]) -> dict[str, Any]:
+    """The functions of a printed text for compiled code, which must call them with contiguous arrays.
+
+    `columns` has those of each array that is written with two indices or of which a row is handed on; `shared` names
+    the arrays without lanes.
+    """
+    from numba.extending import intrinsic
+
+    @functools.cache
+    def trees() -> dict[str, ast.FunctionDef]:
+        return {tree.name: tree for tree in ast.parse(text).body if isinstance(tree, ast.FunctionDef)}
+
+    program = _Program(trees, lanes, columns, frozenset(shared))
+    made = {}
+    for name, arguments in _headers(text):
+        names: dict[str, Any] = {"typed": functools.partial(program.typed, name)}
+        exec(f"def {name}(context, {arguments}):\n    return typed({arguments})", names)  # numba reads the signature
+        made[name] = intrinsic(names[name])
+    return made
+
+
+def _headers(text: str) -> list[tuple[str, str]]:
+    """(name, arguments) of the functions of a printed text."""
+    parts = (line[4:].partition("(") for line in text.splitlines() if line.startswith("def "))
+    return [(name, rest.removesuffix("):")) for name, _, rest in parts]
+
+
+@dataclass(frozen=True)
+class _Program:
+    """The functions of a printed text on their way to LLVM; `trees` parses it, when code is wanted."""
+
+    trees: Callable[[], dict[str, ast.FunctionDef]]
+    lanes: int
+    columns: dict[str, int]
+    shared: frozenset[str]
+
+    def typed(self, name: str, *types: Any) -> tuple[Any, Callable]:
+        """(signature, code generator) of a function for arguments of these numba types."""
+        from numba.core import types as numba_types
+        from numba.core.errors import TypingError
+
+        if any(getattr(kind, "layout", "C") != "C" for kind in types):
+            raise TypingError(f"{name} takes contiguous arrays")
+        return numba_types.void(*types), functools.partial(self._call, name)
+
+    def _call(self, name: str, context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
+        """The call of a function in compiled code."""
+        from numba.core import types
+
+        passed = [
+            context.make_array(kind)(context, builder, value).data
+            if isinstance(kind, types.Array)
+            else context.cast(builder, value, kind, types.float64)
+            for kind, value in zip(signature.args, values, strict=True)
+        ]
+        builder.call(self.function(name, builder.module, [value.type for value in passed]), passed)
+        return context.get_dummy_value()
+
+    def function(self, name: str, module: Any, kinds: Sequence[Any]) -> Any:
+        """A function in a module of LLVM, made there once, of pointers and numbers."""
+        from llvmlite import ir
+        from numba.core import cgutils
+
+        kind = ir.FunctionType(ir.VoidType(), kinds)
+        function = cgutils.get_or_insert_function(module, kind, f"valvesim_{name}")
+        if function.is_declaration:
+            function.linkage = "internal"
+            tree = self.trees()[name]
+            builder = ir.IRBuilder(function.append_basic_block())
+            for value in function.args:
+                if isinstance(value.type, ir.PointerType):
+                    value.add_attribute("noalias")
+            arguments = dict(zip((argument.arg for argument in tree.args.args), function.args, strict=True))
+            _Lines(self, builder, arguments).write(tree.body)
+            builder.ret_void()
+        return function
+
+
+class _Lines:
+    """The lines of one function as instructions; `known` are names and elements of arrays that have a value."""
+
+    def __init__(self, program: _Program, builder: Any, arguments: dict[str, Any]):
+        from llvmlite import ir
+
+        self.program, self.builder, self.arguments, self.ir = program, builder, arguments, ir
+        self.number = ir.DoubleType()
+        self.vector = ir.VectorType(self.number, program.lanes) if program.lanes > 1 else self.number
+        self.known: dict[Any, Any] = {}
+        self.operators = {ast.Add: builder.fadd, ast.Sub: builder.fsub, ast.Mult: builder.fmul, ast.Div: builder.fdiv}
+
+    def write(self, body: Sequence[ast.stmt]) -> None:
+        """All lines. Arrays are written last, or before another function reads them, so that no load waits."""
+        unwritten: dict[tuple[str, int], Any] = {}
+        for line in body:
+            if isinstance(line, ast.Assign):
+                (target,) = line.targets
+                place: Any = target.id if isinstance(target, ast.Name) else self._place(target)
+                self.known[place] = self._value(line.value)
+                if isinstance(place, tuple):
+                    unwritten[place] = self.known[place]
+            elif isinstance(line, ast.Expr):
+                self._store(unwritten)
+                self._call_printed(line.value)
+        self._store(unwritten)
+
+    def _store(self, unwritten: dict[tuple[str, int], Any]) -> None:
+        for place, value in unwritten.items():
+            self.builder.store(value, self._pointer(*place), align=ALIGNMENT)
+        unwritten.clear()
+
+    def _call_printed(self, node: Any) -> None:
+        """Another printed function, which may write to its arguments."""
+        pointers = []
+        for argument in node.args:
+            name, row = self._place(argument) if isinstance(argument, ast.Subscript) else (ast.unparse(argument), 0)
+            pointers.append(self._pointer(name, row * self.program.columns.get(name, 0)))
+            self.known = {place: value for place, value in self.known.items() if place[0] != name}
+        kinds = [pointer.type for pointer in pointers]
+        function = self.program.function(ast.unparse(node.func), self.builder.module, kinds)
+        self.builder.call(function, pointers)
+
+    def _value(self, node: Any) -> Any:
+        """The value of an expression."""
+        if isinstance(node, ast.Constant):
+            return self._constant(float(ast.unparse(node)))
+        if isinstance(node, ast.Name):
+            return self.known[node.id] if node.id in self.known else self._in_all_lanes(self.arguments[node.id])
+        if isinstance(node, ast.Subscript):
+            place = self._place(node)
+            if place not in self.known:
+                self.known[place] = self._load(*place)
+            return self.known[place]
+        if isinstance(node, ast.UnaryOp):
+            return self.builder.fneg(self._value(node.operand), flags=FLAGS)
+        if isinstance(node, ast.BinOp):
+            return self.operators[type(node.op)](self._value(node.left), self._value(node.right), flags=FLAGS)
+        return self._call(ast.unparse(node.func), [self._value(argument) for argument in node.args])
+
+    def _place(self, node: Any) -> tuple[str, int]:
+        """(array, row) of an element; the rows of three axes are counted through."""
+        name, index = ast.unparse(node.value), ast.literal_eval(node.slice)
+        return name, index[0] * self.program.columns[name] + index[1] if isinstance(index, tuple) else index
+
+    def _pointer(self, name: str, row: int) -> Any:
+        index = row if name in self.program.shared else row * self.program.lanes
+        return self.builder.gep(self.arguments[name], [self.ir.IntType(64)(index)], source_etype=self.number)
+
+    def _load(self, name: str, row: int) -> Any:
+        pointer = self._pointer(name, row)
+        if name in self.program.shared:
+            return self._in_all_lanes(self.builder.load(pointer, typ=self.number))
+        return self.builder.load(pointer, typ=self.vector, align=ALIGNMENT)
+
+    def _constant(self, value: float) -> Any:
+        one = self.ir.Constant(self.number, value)
+        return one if self.vector == self.number else self.ir.Constant(self.vector, [one] * self.program.lanes)
+
+    def _in_all_lanes(self, value: Any) -> Any:
+        if self.vector == self.number:
+            return value
+        vector = self.ir.Constant(self.vector, self.ir.Undefined)
+        for lane in range(self.program.lanes):
+            vector = self.builder.insert_element(vector, value, self.ir.IntType(32)(lane))
+        return vector
+
+    def _call(self, name: str, values: list[Any]) -> Any:
+        """A function of `FUNCTIONS`."""
+        b, zero, one = self.builder, self._constant(0.0), self._constant(1.0)
+        if name in _OF_LLVM:
+            return b.call(b.module.declare_intrinsic(f"llvm.{name}", [self.vector]), values, fastmath=FLAGS)
+        if name == "power":
+            return b.call(b.module.declare_intrinsic("llvm.pow", [self.vector]), values)
+        if name in ("maximum", "minimum"):
+            return b.select(b.fcmp_ordered(">" if name == "maximum" else "<", *values), *values)
+        if name == "where_true":
+            return b.select(b.fcmp_unordered("!=", values[0], zero), values[1], zero)
+        if name == "sign":
+            above, below = (b.fcmp_ordered(relation, values[0], zero) for relation in "><")
+            return b.select(above, one, b.select(below, self._constant(-1.0), zero))
+        if name in ("less", "less_equal"):
+            return b.select(b.fcmp_ordered("<" if name == "less" else "<=", *values), one, zero)
+        truths = [b.fcmp_unordered("!=", value, zero) for value in values]
+        return b.select({"logical_not": b.not_, "logical_and": b.and_, "logical_or": b.or_}[name](*truths), one, zero)
