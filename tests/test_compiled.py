@@ -238,34 +238,40 @@ def test_derivative_of_the_code_is_that_of_the_model_on_its_stops(name, way, bey
     assert close(jacobian, numeric, rates, 0.1 * scale) < 1e-5
 
 
-@settings(max_examples=20)
-@given(st.floats(-4e-3, 4e-3), st.floats(-4e-3, 4e-3))  # off the stops, where rounding alone decides upon steps
+@settings(max_examples=10)
+@given(st.floats(-9e-3, 9e-3), st.floats(-9e-3, 9e-3))
 def test_compiled_run_is_the_plain_run(before, amplitude):
     machine = compile_model(NOMINAL)
     commands = [Sine(offset=before, amplitude=amplitude, frequency=50.0), *(Constant(value=p) for p in (21e6, 5e5, 0))]
-    starts, intervals = merge(commands, 2e-3)
+    _, intervals = merge(commands, 2e-3)
     knot_times, knots = np.array([0.0, 2e-3]), np.array([flat("nominal"), flat("nominal", 60.0)])
     rest = static_solution(valve, current=before)
     state = [rest.armature_angle, 0.0, rest.nozzle_pressure_1, rest.nozzle_pressure_2, rest.spool_position, 0.0]
+    start = (np.array(state, dtype=float) / machine.scale)[:, None]
     t_out = np.linspace(0.0, 2e-3, 5)
 
-    def run(integrate, *functions):
-        y, clock = (np.array(state, dtype=float) / machine.scale)[:, None], np.array([0.0, 1e-5, 0.0])
-        out, count = np.empty((5, 6, 1)), np.zeros(2, np.int64)
+    def run(integrate, *functions, rtol, breaks):
+        y, clock, out, count = start.copy(), np.array([0.0, 1e-5, 0.0]), np.empty((5, 6, 1)), np.zeros(2, np.int64)
+        rows = np.repeat(intervals.rows, len(breaks), axis=0)
         status = integrate(
-            *functions, y, clock, 2e-3, starts, intervals.rows, knot_times, knots[:, :, None], t_out, out, 1e-5,
-            np.full(6, 1e-7), np.zeros((6, 1)), 10_000, count,
+            *functions, y, clock, 2e-3, breaks, rows, knot_times, knots[:, :, None], t_out, out, rtol,
+            np.full(6, 1e-2 * rtol), start, 10_000, count,
         )  # fmt: skip
         assert status == rosenbrock.DONE
         return out, count
 
-    fast, fast_count = run(machine.run)
     equations = compiled.print_equations(NOMINAL)
     printed = as_python(equations.lines)
     functions = step_functions(6, printed["rates"], printed["linearise"], printed["prepare"])
-    plain, plain_count = run(rosenbrock.integrate, *functions, equations.coefficients)
-    assert fast == pytest.approx(plain, abs=1e-9)  # in scaled states; the same steps but for rounding
-    assert fast_count.tolist() == plain_count.tolist()
+    same = {"rtol": 1e9, "breaks": np.linspace(0.0, 2e-3, 40, endpoint=False)}  # the same steps
+    fast, _ = run(machine.run, **same)
+    plain, _ = run(rosenbrock.integrate, *functions, equations.coefficients, **same)
+    assert fast == pytest.approx(plain, abs=1e-9)  # in scaled states
+    own = {"rtol": 1e-5, "breaks": np.zeros(1)}  # steps of its own, which rounding has a say in
+    fast, fast_count = run(machine.run, **own)
+    plain, plain_count = run(rosenbrock.integrate, *functions, equations.coefficients, **own)
+    assert fast == pytest.approx(plain, abs=1e-4)
+    assert np.abs(fast_count - plain_count).max() <= 1
 
 
 def test_model_is_compiled_once():
