@@ -8,8 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import valvesim as vs
+from valvesim.characterisation.acceptance.acceptance_tests import record_figures
 from valvesim.characterisation.acceptance.record import read_record
 from valvesim.errors import InputError
+from valvesim.identification.session_toml import load_session
 from valvesim.measurement.columns_table import NOTHING_STATED, read_statements, statements_of, statements_text
 from valvesim.measurement.formats import FORMATS, read_tables
 from valvesim.measurement.headings import UNITS, channel_of, heading_of
@@ -473,3 +476,46 @@ def test_the_quality_of_a_channel_is_seen(tmp_path):
     assert found["current"].noise == pytest.approx(1e-3, rel=0.15)
     assert found["spool_position"].resolution == pytest.approx(0.1)
     assert found["load_flow"].saturated == pytest.approx(np.mean(np.abs(flat) >= 0.9), abs=1e-9)
+
+
+# ---------------------------------------------------------------- what `run` writes is read
+
+
+@pytest.mark.parametrize("form", ["netcdf", "csv", "parquet", "mat"])
+def test_what_a_run_writes_is_a_record_of_a_session_and_of_the_bench(tmp_path, form):
+    triangle = vs.Table(times=(0.0, 0.5, 1.5, 2.0), values=(0.0, 8e-3, -8e-3, 0.0))
+    held = vs.Thermal(network=None)
+    result = vs.simulate(vs.Scenario(duration=2.0, thermal=held, command=triangle, output_rate=500.0))
+    suffix = {"netcdf": "nc"}.get(form, form)
+    path = getattr(result, f"to_{form}")(tmp_path / f"a.{suffix}")
+    (tmp_path / "session.toml").touch()
+    (record,) = load_session(tmp_path).records
+    digits = 1e-8 if form == "csv" else 0.0
+    for name in ("current", "spool_position", "load_flow"):
+        assert record.values[name] == pytest.approx(result.values[name], rel=digits, abs=0.0)
+    figures = {figure.name: figure for figure in record_figures(read_record(path), "flow")}
+    assert figures["flow_gain_positive"].value == pytest.approx(0.0452, rel=1e-2)  # m^3/s/A: a full cycle from null on
+
+
+def test_a_session_takes_columns_and_several_files_of_a_record(tmp_path):
+    slow = np.arange(0.0, 0.3, 0.01)
+    (tmp_path / "slow.csv").write_text(table(slow, 20.0 + 10.0 * slow, slow, head="time [s],T,q [L/min]"))
+    spool = np.where(np.arange(COUNT) == 50, np.nan, 1e-4 * np.sin(60.0 * TIME))
+    (tmp_path / "fast.csv").write_text(table(TIME, 1e3 * CURRENT, spool, head="time [s],AI0,spool_position [m]"))
+    (tmp_path / "session.toml").write_text(
+        """
+        [columns]
+        oil_temperature = { column = "T", unit = "degC" }
+        [[records]]
+        files = ["fast.csv", "slow.csv"]
+        columns.current = { column = "AI0", unit = "mA", sign = -1 }
+        """,
+        encoding="utf-8",
+    )
+    session = load_session(tmp_path)
+    (record,) = session.records
+    assert record.name == "fast" and record.values["current"] == pytest.approx(-CURRENT, abs=1e-15)
+    assert record.values["oil_temperature"][:291] == pytest.approx(20.0 + 10.0 * TIME[:291])  # straight between
+    assert np.flatnonzero(record.usable["load_flow"]).tolist() == list(range(0, COUNT, 10))
+    assert np.flatnonzero(~record.usable["spool_position"]).tolist() == [50]
+    assert any("load_flow was read at 100 Hz, the record's clock has 1000 Hz" in note for note in session.notes)

@@ -7,6 +7,7 @@ import multiprocessing
 import pickle
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import date
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,9 +27,13 @@ from valvesim.cli.output_folder import all_or_nothing
 @valve_option
 @settings_option
 @click.option("--csv", "with_csv", is_flag=True, help="Write result.csv beside result.nc.")
+@click.option("--parquet", is_flag=True, help="Write result.parquet beside result.nc.")
+@click.option("--mat", is_flag=True, help="Write result.mat (MATLAB) beside result.nc.")
+@click.option("--channels", help="Only these channels: 'current,spool_position' [all, or outputs.channels].")
 @click.option("--no-pictures", is_flag=True, help="Leave the pictures out.")
 def run(
-    scenario: Path, output: Path | None, valve: str | None, settings: tuple[str, ...], with_csv: bool, no_pictures: bool
+    scenario: Path, output: Path | None, valve: str | None, settings: tuple[str, ...], with_csv: bool, parquet: bool,
+    mat: bool, channels: str | None, no_pictures: bool,
 ) -> None:  # fmt: skip
     """Simulate a SCENARIO: a table, result.nc, pictures and a page; scenario.toml is what ran, settings and all.
 
@@ -49,6 +54,8 @@ def run(
     from valvesim.simulation.scenario_toml import load_scenario
 
     case = load_scenario(scenario, settings=settings, valve=valve)
+    if channels is not None:
+        case = replace(case, channels=tuple(name.strip() for name in channels.split(",")))
     check_channels(case)
     place = output or Path("results") / scenario.stem
     with all_or_nothing(place) as folder, _artist(wanted=not no_pictures) as draw, progress_bar() as bar:
@@ -68,9 +75,11 @@ def run(
         elif not varies:
             rest = rest_characteristic(case)
             pictures.append(draw("picture_characteristic", result, rest, date.today(), folder / "characteristic.png"))
-        if with_csv:
-            bar.update(stage, description="writing result.csv")
-            written.append(result.select(case.channels).to_csv(folder / "result.csv"))
+        chosen = result.select(case.channels)
+        writers = {"csv": chosen.to_csv, "parquet": chosen.to_parquet, "mat": chosen.to_mat}
+        for form in [form for form, wanted in zip(writers, (with_csv, parquet, mat), strict=True) if wanted]:
+            bar.update(stage, description=f"writing result.{form}")
+            written.append(writers[form](folder / f"result.{form}"))
         drift = None
         if varies:
             bar.update(stage, description="drift against 20 °C")

@@ -1,4 +1,4 @@
-"""What a run gave: every state, signal, input and temperature over time, and writing it as CSV and netCDF."""
+"""What a run gave: every state, signal, input and temperature over time, and writing it: netCDF, CSV, Parquet, MAT."""
 
 from __future__ import annotations
 
@@ -112,6 +112,34 @@ class Result(Shown):
                     variable = file.createVariable(channel.name, "f8", ("time",), compression="zlib", complevel=1)
                     variable.setncatts({"units": channel.unit, "long_name": channel.doc})
                     variable[:] = self.time if channel.name == "time" else self.values[channel.name]
+
+        return write_atomically(Path(path), write)
+
+    def to_parquet(self, path: str | Path) -> Path:
+        """Write all channels as Parquet, units in the fields' metadata. InputError where pyarrow is not installed."""
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError:
+            raise InputError("Parquet files need pyarrow: pip install 'valvesim[parquet]'", file=path) from None
+        channels = (Channel("time", "s", "time"), *self.channels)
+        fields = [
+            pyarrow.field(c.name, pyarrow.float64(), metadata={"units": c.unit, "long_name": c.doc}) for c in channels
+        ]
+        schema = pyarrow.schema(fields, metadata=self._attributes())
+        table = pyarrow.table([self.time, *(self.values[c.name] for c in self.channels)], schema=schema)
+        return write_atomically(Path(path), lambda temporary: pyarrow.parquet.write_table(table, temporary))
+
+    def to_mat(self, path: str | Path) -> Path:
+        """Write all channels as MATLAB variables (version 5, columns), with structures `units` and `about`."""
+
+        def write(temporary: Path) -> None:
+            from scipy.io import savemat
+
+            columns = {"time": self.time} | {c.name: self.values[c.name] for c in self.channels}
+            units = {"time": "s"} | {c.name: c.unit for c in self.channels}
+            content = {**columns, "units": units, "about": self._attributes()}
+            savemat(temporary, content, do_compression=True, oned_as="column", appendmat=False, long_field_names=True)
 
         return write_atomically(Path(path), write)
 

@@ -67,7 +67,7 @@ def cycle(record: AcceptanceRecord, channel: str, *, resolution: float | None = 
     """The branches of a record whose current runs slowly from end to end; all of one direction are put together.
 
     A quantised current is smoothed over two of its steps; the ends that this bends are left out. A branch counts where
-    it spans 80 % of the whole range. InputError without a branch each way, with fewer than 50 points in one, or with a
+    it spans 80 % of the whole range, alone or together with the others of its direction. InputError without a branch each way, with fewer than 50 points in one, or with a
     current that is clipped or held.
     """
     t, i, y = record.channel("time"), record.channel("current"), record.channel(channel)
@@ -75,12 +75,12 @@ def cycle(record: AcceptanceRecord, channel: str, *, resolution: float | None = 
     if span <= 0.0 or np.ptp(y) <= 0.0:
         raise InputError(f"{record.source}: {'current' if span <= 0.0 else channel} never changes: no cycle")
     turns = _turns(i)
-    legs = [(a, b) for a, b in zip(turns[:-1], turns[1:], strict=True) if abs(i[b - 1] - i[a]) >= 0.8 * span]
-    up = [leg for leg in legs if i[leg[1] - 1] > i[leg[0]]]
-    down = [leg for leg in legs if i[leg[1] - 1] < i[leg[0]]]
+    every = [(a, b) for a, b in zip(turns[:-1], turns[1:], strict=True) if b - a > 1]
+    up, down = (_whole([leg for leg in every if side * (i[leg[1] - 1] - i[leg[0]]) > 0.0], i) for side in (1.0, -1.0))
+    legs = sorted([*up, *down])
     if not up or not down:
         raise InputError(f"{record.source}: no complete cycle: the current never runs from end to end and back")
-    shortest = min(b - a for a, b in legs)
+    shortest = int(span * min((b - a) / abs(i[b - 1] - i[a]) for a, b in legs))
     if shortest < LEAST_POINTS:
         raise InputError(
             f"{record.source}: {2 * shortest} points in a period are too few; {2 * LEAST_POINTS} or more are needed"
@@ -119,6 +119,19 @@ def cycle(record: AcceptanceRecord, channel: str, *, resolution: float | None = 
         current_resolution=step,
         resolution=resolution,
     )
+
+
+def _whole(legs: list[tuple[int, int]], i: np.ndarray) -> list[tuple[int, int]]:
+    """The legs of one direction that run from end to end; where none does, all that do so together.
+
+    A period that begins and ends at null has one of its branches in two parts.
+    """
+    span, parts = np.ptp(i), [abs(i[b - 1] - i[a]) for a, b in legs]
+    if whole := [leg for leg, part in zip(legs, parts, strict=True) if part >= 0.8 * span]:
+        return whole
+    ends = [(min(i[a], i[b - 1]), max(i[a], i[b - 1])) for a, b in legs]
+    low, high = min((e[0] for e in ends), default=0.0), max((e[1] for e in ends), default=0.0)
+    return legs if high - low >= 0.8 * span and sum(parts) >= 0.8 * span else []
 
 
 def _turns(i: np.ndarray) -> list[int]:
