@@ -7,7 +7,7 @@ STAMP := $(VENV)/.valvesim-installed
 # Neighbours in a file stay on one worker, which has compiled their models and made what they share.
 PYTEST := $(VENV)/bin/python -m pytest -q -n auto --dist worksteal
 
-.PHONY: launch test test-all coverage lint lock clean
+.PHONY: launch test test-all test-browser docs coverage lint lock clean
 
 launch: $(STAMP)
 	$(VENV)/bin/valvesim run scenarios/launch_shock.toml -o results/launch_shock
@@ -19,6 +19,13 @@ test: $(STAMP)
 # The slow ones too: more cases of the same, and whole diagnoses.
 test-all: $(STAMP)
 	$(PYTEST) -m ""
+
+# The interactive pages in a real browser: Debian's Chromium, or the one that CHROMIUM names.
+test-browser: $(STAMP)
+	@command -v "$${CHROMIUM:-chromium}" >/dev/null || \
+		{ echo "error: no Chromium: sudo apt-get install chromium, or make test-browser CHROMIUM=/path/to/it" >&2; exit 1; }
+	@$(PIP) install -qq playwright axe-playwright-python
+	VALVESIM_BROWSER=required $(VENV)/bin/python -m pytest -q -m "" tests/browser
 
 # By branch, of the quick tests.
 coverage: $(STAMP)

@@ -1,6 +1,9 @@
 """The pictures of a run: they are made, show what they should, and thin long lines without losing their extremes."""
 
+import base64
 import datetime
+import json
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +18,12 @@ from valvesim.characterisation.rest_characteristic import rest_characteristic
 from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift
 from valvesim.errors import InputError
 from valvesim.reports import run as report
+from valvesim.reports.chart import MOST_POINTS as MOST_CHART_POINTS
+from valvesim.reports.chart import Chart, Charts, Series, thinned
+from valvesim.reports.html_page import page, section
 from valvesim.reports.plotting import MOST_POINTS, Figure, label_decades, thin
-from valvesim.reports.title_block import package_version, valve_name
+from valvesim.reports.run_table import figure_text
+from valvesim.reports.title_block import TitleBlock, package_version, valve_name
 
 DAY = datetime.date(2026, 1, 2)
 ISOTHERMAL = vs.Thermal(network=None)
@@ -177,11 +184,12 @@ def test_page_and_pictures_carry_title_version_valve_and_date(warm, tmp_path):
     scenario = replace(warm.scenario, title=title, valve=replace(vs.Valve(), null_gap=3e-5))
     result = replace(warm, scenario=scenario)
     picture = report.picture_run(result, DAY, tmp_path / "run.png")
-    page = report.page_run([("spool", "mm", "0", "1", "2")], [picture], scenario, DAY, tmp_path / "run.html")
-    text = page.read_text(encoding="utf-8")
+    written = report.page_run(result, [picture], DAY, tmp_path / "run.html", static_drift(warm))
+    text = written.read_text(encoding="utf-8")
     origin = f"reference valve with null gap 0.03 mm · valvesim {package_version()} · 2026-01-02"
     assert origin in text and "A &lt;b&gt; &amp; long" in text and "<b>" not in text
-    assert "<td>spool</td>" in text and text.count("data:image/png;base64,") == 1
+    assert "<td>spool position</td>" in text and text.count('<figure class="chart">') == 6 + 3
+    assert "data:image" not in text and 'src="http' not in text and 'href="http' not in text  # charts in its place
     with Image.open(picture) as image:
         assert image.text["Title"] == title and image.text["Description"] == origin
 
@@ -224,3 +232,57 @@ def number(text):
         return float(text)
     digit, _, power = text.rpartition("10")
     return float(digit.strip("·") or 1) * 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
+
+
+def unpacked(text, n):
+    """The numbers of a packed column, as the page's script has them."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8)
+    return np.ascontiguousarray(planes.reshape(4, n).T).view("<f4").ravel()
+
+
+@given(st.integers(1, 3000), st.integers(0, 10**9), st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_a_chart_holds_its_numbers_to_single_precision(n, seed, even):
+    rng = np.random.default_rng(seed)
+    x = np.linspace(1.0, 2.0, n) if even else np.cumsum(rng.uniform(0.1, 1.0, n))
+    y = rng.normal(size=n) * 10.0 ** rng.integers(-9, 9)
+    y[rng.integers(n)] = np.nan
+    spec = Chart("c", x, [Series("y", "mm", y)]).spec
+    assert unpacked(spec["series"][0]["data"], n) == pytest.approx(y, rel=1e-6, nan_ok=True)
+    axis = spec["x"]
+    shown = unpacked(axis["data"], n) if "data" in axis else axis["start"] + axis["step"] * np.arange(n)
+    assert shown == pytest.approx(x, rel=1e-6) and spec["n"] == n
+    assert json.loads(json.dumps(spec)) == spec
+
+
+@given(st.integers(2, 9), st.integers(0, 10**9))
+@settings(max_examples=10, deadline=None)
+def test_a_chart_of_very_many_points_keeps_every_spike_in_its_place(times, seed):
+    rng = np.random.default_rng(seed)
+    n = MOST_CHART_POINTS * times // 2 + int(rng.integers(1, 1000))
+    y = np.zeros(n)
+    spikes = rng.choice(n, 5, replace=False)
+    y[spikes] = [1.0, -1.0, 2.0, -2.0, 3.0]
+    x, (kept,) = thinned(np.arange(n, dtype=float), [y])
+    assert len(x) == len(kept) <= MOST_CHART_POINTS + 1 and np.all(np.diff(x) > 0.0)
+    stretch = np.ceil(2 * n / MOST_CHART_POINTS)
+    for spike in spikes:
+        near = np.abs(x - spike) <= stretch
+        assert y[spike] in kept[near] or np.count_nonzero(np.abs(spikes - spike) < 2 * stretch) > 1
+
+
+def test_what_a_chart_shows_is_told_in_words_and_to_its_uncertainty():
+    chart = Chart("Flow", np.array([0.0, 2.0]), [Series("load", "L/min", np.array([1.23456, np.nan]), 0.01)])
+    assert chart.in_words == "Flow, over time 0 to 2 s: load 1.23 to 1.23 L/min"
+    assert chart.spec["series"][0]["digits"] == 2
+    assert figure_text(6.3e-15, 1e-5) == "0.00000" and figure_text(-0.0389612, 4e-6) == "-0.038961"
+    assert figure_text(270.0, 0.0) == "270"
+
+
+def test_the_library_that_draws_stands_in_a_page_with_its_licence_and_only_where_there_are_charts(tmp_path):
+    block = TitleBlock(title="T", valve="v", date=DAY)
+    chart = Chart("</script><b>", np.array([0.0, 1.0]), [Series("<i>", "", np.zeros(2))])
+    for charts, there in (([chart], True), ([], False)):
+        text = page(block, (section("H", Charts(charts)),))
+        assert ("Permission is hereby granted" in text) is there is ("uPlot=function" in text.replace(" ", ""))
+        assert "<b>" not in text and "<i>" not in text and text.count("</script>") == (2 if there else 0)

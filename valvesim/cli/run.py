@@ -48,7 +48,6 @@ def run(
         static_drift,
         temperature_varies,
     )
-    from valvesim.reports.run_table import run_rows
     from valvesim.simulation.result import check_channels
     from valvesim.simulation.run import simulate
     from valvesim.simulation.scenario_toml import load_scenario
@@ -70,7 +69,8 @@ def run(
         written.append(result.select(case.channels).to_netcdf(folder / "result.nc"))
         varies, sweeps = temperature_varies(case), frequency_goes(case)
         pictures = [draw("picture_run", result, date.today(), folder / "run.png")]
-        if sweeps and (response := own_response(result)) is not None:
+        response = own_response(result) if sweeps else None
+        if response is not None:
             pictures.append(draw("picture_sweep", result, response, date.today(), folder / "sweep.png"))
         elif not varies:
             rest = rest_characteristic(case)
@@ -89,7 +89,7 @@ def run(
             pictures.append(draw("picture_drift", drift, observed, case, date.today(), folder / "drift.png"))
         bar.update(stage, description="drawing")
         drawn = [path for picture in pictures if (path := picture()) is not None]
-        page = draw("page_run", run_rows(result), drawn, case, date.today(), folder / "run.html")()
+        page = draw("page_run", result, drawn, date.today(), folder / "run.html", drift, response)()
         written += [*drawn, *([] if page is None else [page])]
     _print_run(result, drift, [place / path.name for path in written])
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import base64
 import functools
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,6 +19,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from valvesim.reports.chart import Charts
 from valvesim.reports.plotting import DPI, write_bytes
 from valvesim.reports.title_block import TitleBlock
 
@@ -57,6 +60,11 @@ class Table:
     rows: Sequence[Sequence[str | Bar]]
     numbers: Sequence[int] = ()
     macro: ClassVar[str] = "table"
+
+    @property
+    def name(self) -> str:
+        """What is read out before the table, which may have to be moved sideways."""
+        return f"Table of {', '.join(self.headings)}"
 
     @property
     def columns(self) -> list[int]:
@@ -134,7 +142,7 @@ class Prose:
     macro: ClassVar[str] = "prose"
 
 
-Block = Text | Table | Terms | Bullets | Listing | Picture | Prose
+Block = Text | Table | Terms | Bullets | Listing | Picture | Charts | Prose
 
 
 @dataclass(frozen=True)
@@ -143,6 +151,11 @@ class Section:
 
     heading: str
     blocks: Sequence[Block]
+
+    @property
+    def id(self) -> str:
+        """What an address within the page calls it."""
+        return re.sub(r"\W+", "-", self.heading.lower()).strip("-")
 
     def __bool__(self) -> bool:
         return any(self.blocks)
@@ -176,9 +189,28 @@ def _environment() -> Any:
     )  # fmt: skip
 
 
+STATIC = ("style.css", "uplot/uPlot.min.css", "uplot/LICENSE", "uplot/uPlot.iife.min.js", "charts.js")
+
+
+@functools.cache
+def _static() -> dict[str, Markup]:
+    """What pages hold as it stands: the style sheet; of charts uPlot with its licence, and the script that draws."""
+    folder = files("valvesim.reports") / "templates"
+    return {name: Markup((folder / name).read_text(encoding="utf-8")) for name in STATIC}
+
+
 def page(block: TitleBlock, sections: Sequence[Section], *, banner: Banner | None = None) -> str:
     """The whole page as HTML."""
-    return _environment().get_template("page.html").render(block=block, sections=sections, banner=banner)
+    filled = [section for section in sections if section]
+    has_charts = any(isinstance(each, Charts) and each for section in filled for each in section.blocks)
+    return (
+        _environment()
+        .get_template("page.html")
+        .render(
+            block=block, sections=filled, banner=banner, has_charts=has_charts,
+            static=_static(), headings=[section for section in filled if section.heading],
+        )
+    )  # fmt: skip
 
 
 def fragment(sections: Sequence[Section], *, banner: Banner | None = None) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from valvesim.characterisation.class_figures import ClassFigure, class_figures
 from valvesim.characterisation.figure_of_merit import Absent, table
 from valvesim.io import check_folder
+from valvesim.reports.chart import Chart, Charts, Series
 from valvesim.reports.html_page import Picture, Section, Table, section, write_html
 from valvesim.reports.plotting import COLOURS, Figure, label_decades, png, styled, write_bytes
 from valvesim.reports.title_block import TitleBlock
@@ -43,8 +44,58 @@ def response_report(
     block = TitleBlock(title="Step and frequency response", valve=valve, date=date)
     pictures = {name: png(figure, block) for name, figure in draw_responses(sets).items()}
     paths = [write_bytes(data, folder / f"{name}.png") for name, data in pictures.items()]
-    shown = section("Responses", *(Picture(data, CAPTIONS[name]) for name, data in pictures.items()))
-    return *paths, write_html(folder / "response.html", block, (shown, *_tables(sets)))
+    charts = section("Responses", Charts(response_charts(sets), beside=True))
+    shown = section("Pictures", *(Picture(data, CAPTIONS[name]) for name, data in pictures.items()))
+    return *paths, write_html(folder / "response.html", block, (charts, *_tables(sets), shown))
+
+
+def frequency_charts(responses: Sequence[tuple[str, Sequence[FrequencyResponse]]], group: str = "") -> list[Chart]:
+    """Amplitude ratio, phase and distortion of responses over frequency: a (name, responses) each condition."""
+    lines: dict[str, list[Series]] = {"amplitude ratio [dB]": [], "phase [°]": [], "distortion [%]": []}
+    every = [one for _, several in responses for one in several]
+    x = np.unique(np.concatenate([one.frequency for one in every]))
+    for k, (name, response) in enumerate((name, one) for name, several in responses for one in several):
+        text = " ".join(filter(None, (name, _amplitude(response)))) if np.isfinite(response.share) else name or "run"
+        place = np.searchsorted(x, response.frequency)
+        values = (response.amplitude_ratio, -response.phase_lag, 100.0 * response.distortion)
+        for series, unit, given in zip(lines.values(), ("dB", "°", "%"), values, strict=True):
+            on = np.full(len(x), np.nan)
+            on[place] = np.where(response.credible, given, np.nan)
+            if np.isfinite(on).any():
+                series.append(Series(text, unit, on, 0.01, colour=k, joined=True))
+    own = group or "frequency"
+    return [
+        Chart(label.partition(" [")[0].capitalize(), x, series, "frequency", "Hz", label, True, own, 260)
+        for label, series in lines.items()
+        if series
+    ]
+
+
+def step_charts(sets: Sequence[ResponseSet]) -> list[Chart]:
+    """Each step as a share of its own change, a chart each oil temperature."""
+    charts = []
+    for one in sets:
+        steps = [step for step in one.steps if _value(step, "change")]
+        if not steps:
+            continue
+        x, series = _after_step(steps[0]), []
+        for step in steps:
+            share = (step.output - step.output[0]) / (_value(step, "change") or 1.0)
+            series.append(Series(_amplitude(step), "", np.interp(x, _after_step(step), share), 1e-3))
+        title = f"Steps, oil at {one.oil_temperature:.4g} °C"
+        charts.append(Chart(title, x, series, "time after the step", "ms", "share of the change", False, "steps", 260))
+    return charts
+
+
+def _after_step(step: StepResponse) -> np.ndarray:
+    """Time after the jump of the command, ms."""
+    return np.asarray((step.time - step.time[int(np.argmax(step.command != step.command[0]))]) * 1e3)
+
+
+def response_charts(sets: Sequence[ResponseSet]) -> list[Chart]:
+    """Bode, distortion and steps of every set."""
+    swept = [(f"{one.oil_temperature:.4g} °C,", one.sweeps) for one in sets if one.sweeps]
+    return [*(frequency_charts(swept) if swept else []), *step_charts(sets)]
 
 
 def _tables(sets: Sequence[ResponseSet]) -> list[Section]:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from valvesim.reports.html_page import Picture, Table, Text, section, write_html
+from valvesim.errors import InputError
+from valvesim.reports.chart import Chart, Charts, Series
+from valvesim.reports.html_page import Listing, Picture, Table, Text, section, write_html
 from valvesim.reports.plotting import (
     COLOURS,
     Figure,
@@ -21,8 +23,9 @@ from valvesim.reports.plotting import (
     time_unit,
     write_picture,
 )
-from valvesim.reports.run_table import RUN_HEADINGS
-from valvesim.reports.title_block import TitleBlock, valve_name
+from valvesim.reports.response import frequency_charts
+from valvesim.reports.run_table import RUN_HEADINGS, run_rows
+from valvesim.reports.title_block import TitleBlock, package_version, valve_name
 from valvesim.units import symbol
 from valvesim.valve.coefficients import PART_NAMES
 
@@ -45,7 +48,14 @@ TEMPERATURES = tuple(f"{name}_temperature" for name in PART_NAMES)
 
 def title_block(scenario: Scenario, date: datetime.date) -> TitleBlock:
     """The marks of a run's page and pictures."""
-    return TitleBlock(title=scenario.title, valve=valve_name(scenario.valve), date=date)
+    facts = (
+        ("Valve", valve_name(scenario.valve)), ("Oil", scenario.oil.name), ("Duration", f"{scenario.duration:g} s"),
+        ("Relative tolerance of the integration", f"{scenario.tolerance:g}"),
+        ("Effects", ", ".join(active.in_words() for active in scenario.effects)),
+        ("Version", f"valvesim {package_version()}"), ("Date", date.isoformat()),
+    )  # fmt: skip
+    told = tuple(fact for fact in facts if fact[1])
+    return TitleBlock(title=scenario.title, valve=valve_name(scenario.valve), date=date, facts=told)
 
 
 def picture_run(result: Result, date: datetime.date, path: Path) -> Path:
@@ -72,20 +82,65 @@ def picture_characteristic(result: Result, rest: RestCharacteristic, date: datet
 
 
 def page_run(
-    rows: Sequence[Sequence[str]], pictures: Sequence[Path], scenario: Scenario, date: datetime.date, path: Path
+    result: Result, pictures: Sequence[Path], date: datetime.date, path: Path, drift: Drift | None = None,
+    response: FrequencyResponse | None = None,
 ) -> Path:  # fmt: skip
-    """Write the page of a run: rows (channel, unit, least, greatest, at the end) and its pictures; its path."""
-    shown = [Picture(one.read_bytes(), CAPTIONS.get(one.stem, one.stem)) for one in pictures]
-    table = Table(RUN_HEADINGS, rows, (2, 3, 4))
+    """Write the page of a run: its table, its channels as charts, drift and sweep where there are; its path."""
+    scenario = result.scenario
     words = Text("Simulated by valvesim; no valve was measured.")
-    return write_html(path, title_block(scenario, date), (section("", words, table), section("", *shown)))
+    shown = [
+        Picture(one.read_bytes(), CAPTIONS.get(one.stem, one.stem)) for one in pictures if one.stem not in ("run",)
+    ]
+    parts = (
+        section("Figures", words, Table(RUN_HEADINGS, run_rows(result), (2, 3, 4))),
+        section("Over time", Charts(run_charts(result))),
+        section("Over frequency", Charts([] if response is None else frequency_charts([("", [response])]))),
+        section("Drift with temperature", Charts([] if drift is None else drift_charts(drift))),
+        section("Pictures", *shown),
+        section("The scenario", Listing("scenario.toml", ", as it ran", _scenario_text(scenario))),
+    )
+    return write_html(path, title_block(scenario, date), parts)
 
 
-@styled
-def draw_run(result: Result) -> Figure:
-    """The whole run left, its last cycles right: command, temperatures, angle, pressures, spool and flow."""
-    scenario, t = result.scenario, result.time
-    rows: list[tuple[str, tuple[str, ...]]] = [
+def _scenario_text(scenario: Scenario) -> str:
+    """The scenario as a file, or why none can say it."""
+    try:
+        return scenario.to_toml()
+    except InputError as error:
+        return f"# {error}"
+
+
+def run_charts(result: Result) -> list[Chart]:
+    """The channels of a run over time, panel by panel, one zoom for all."""
+    charts = []
+    for label, names in run_panels(result.scenario):
+        series, unit = [], ""
+        for name in names:
+            values, unit = _display(result, name)
+            known = np.ptp(values) * result.scenario.tolerance
+            text = name.removesuffix("_temperature").replace("_", " ")
+            series.append(Series(text, unit, values, uncertainty=float(known)))
+        charts.append(
+            Chart(label[:1].upper() + label[1:], result.time, series, y_label=f"{label} [{unit}]", group="run")
+        )
+    return charts
+
+
+def drift_charts(drift: Drift) -> list[Chart]:
+    """Drift at rest from 20 °C over time: all routes together, and each quantity by route."""
+    everything = [Series(name.replace("_", " "), "%", 100 * shares, 1e-3) for name, shares in drift.total.items()]
+    charts = [Chart("All routes together", drift.times, everything, y_label="drift [%]", group="drift", height=240)]
+    for name, total in drift.total.items():
+        series = [Series(route, "%", 100 * values[name], 1e-3) for route, values in drift.by_route.items()]
+        series.append(Series("all together", "%", 100 * total, 1e-3, dashed=True))
+        title = f"{name.replace('_', ' ').capitalize()} by route"
+        charts.append(Chart(title, drift.times, series, y_label="drift [%]", group="drift", height=240))
+    return charts
+
+
+def run_panels(scenario: Scenario) -> list[tuple[str, tuple[str, ...]]]:
+    """(label, channels) of each panel of a run."""
+    return [
         ("command", (scenario.drive.command_name,)),
         ("temperature", TEMPERATURES),
         ("armature angle", ("armature_angle",)),
@@ -93,6 +148,13 @@ def draw_run(result: Result) -> Figure:
         ("spool position", ("spool_position",)),
         ("flow", ("load_flow", "internal_leakage")),
     ]
+
+
+@styled
+def draw_run(result: Result) -> Figure:
+    """The whole run left, its last cycles right: command, temperatures, angle, pressures, spool and flow."""
+    scenario, t = result.scenario, result.time
+    rows = run_panels(scenario)
     begin = t[-1] - (cycles(result) or t[-1] / 20.0)
     zoom = t >= begin
     parts = [(np.ones(t.shape, bool), 0.0, *time_unit(t[-1])), (zoom, float(begin), *time_unit(t[-1] - begin))]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from valvesim.units import symbol
 
 if TYPE_CHECKING:
@@ -18,10 +20,19 @@ CHANNELS = (
 
 
 def run_rows(result: Result, names: Sequence[str] = CHANNELS) -> list[tuple[str, ...]]:
-    """Rows of `RUN_HEADINGS`, a channel each."""
+    """Rows of `RUN_HEADINGS`, a channel each, to the digits that the tolerance of the integration leaves."""
     rows = []
     for name in names:
         values, unit = result.display(name)
-        extremes = (f"{v:.5g}" for v in (values.min(), values.max(), values[-1]))
-        rows.append((name.replace("_", " "), symbol(unit), *extremes))
+        known = result.scenario.tolerance * float(np.ptp(values))
+        shown = (figure_text(float(v), known) for v in (values.min(), values.max(), values[-1]))
+        rows.append((name.replace("_", " "), symbol(unit), *shown))
     return rows
+
+
+def figure_text(value: float, uncertainty: float) -> str:
+    """A number to the digit that its uncertainty reaches, five digits where there is none."""
+    if not uncertainty > 0.0:
+        return f"{value:.5g}"
+    digits = int(np.clip(np.ceil(-np.log10(uncertainty)), 0, 12))
+    return f"{round(value, digits) + 0.0:.{digits}f}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from valvesim.valve.valve_name import valve_name as valve_name
@@ -17,6 +18,7 @@ class TitleBlock:
     valve: str
     date: datetime.date
     version: str = field(default_factory=package_version)
+    facts: Sequence[tuple[str, str]] = ()  # what else it was made with: scenario, oil, tolerance, seed
 
     @property
     def origin(self) -> str:
