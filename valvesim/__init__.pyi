@@ -20,6 +20,8 @@ from valvesim.errors import InputError as InputError
 from valvesim.errors import SolveError as SolveError
 from valvesim.errors import ValidityWarning as ValidityWarning
 from valvesim.errors import ValvesimError as ValvesimError
+from valvesim.identification.from_figures.identify import Identification as Identification
+from valvesim.identification.from_figures.identify import identify as identify
 from valvesim.identification.session_toml import load_session as load_session
 from valvesim.inputs import Chirp as Chirp
 from valvesim.inputs import Constant as Constant
@@ -39,6 +41,9 @@ from valvesim.simulation.scenario_toml import load_scenario as load_scenario
 from valvesim.simulation.scenario_toml import scenario_to_toml as scenario_to_toml
 from valvesim.solver.codegen import compile_model as compile_model
 from valvesim.solver.codegen import derivatives as derivatives
+from valvesim.studies.parameter_study import ParameterStudy as ParameterStudy
+from valvesim.studies.study import study as study
+from valvesim.studies.study_toml import load_study as load_study
 from valvesim.valve.catalogue import CATALOGUE as CATALOGUE
 from valvesim.valve.catalogue import effect as effect
 from valvesim.valve.coefficients import ROUTES as ROUTES

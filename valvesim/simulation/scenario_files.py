@@ -10,10 +10,10 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def bundled_scenarios() -> dict[str, Path]:
-    """Name and file of each scenario that comes along, by name."""
+    """Name and file of each scenario that comes along, by name; studies stand in the same folder as NAME_study."""
     inside, beside = _PACKAGE / "scenarios", _PACKAGE.parent / "scenarios"
     folder = inside if inside.is_dir() else beside
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    return {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.endswith("_study")}
 
 
 def scenario_file(given: str | Path) -> Path:
