@@ -87,7 +87,7 @@ def by_scipy(study: Study, start: Fit, ftol: float, counts: Counts) -> tuple[Fit
     p, options = len(start.point), study.options
     x0 = start.vector
     sizes = np.array([1.0] * p + [1.0 if shape else e.candidate.typical for e, shape in start.layout])
-    low, high = step_limits(start, options=options)
+    low, high = step_limits(start, study.nominal, options=options)
     shaped = [k for k, (_, shape) in enumerate(start.layout) if shape]
     known: dict[bytes, Fit] = {}
 

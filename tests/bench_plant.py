@@ -113,7 +113,8 @@ def bench_records(case: Case, bench: Bench, strength: float = 1.0) -> list[dict[
     for run in case.runs:
         key = run.repeats or run.name
         if key not in done:
-            longer = {name: np.append(values := getattr(run, name), [values[-1]] * (FINE - 1)) for name in ("command", "oil")}
+            ends = [1] * (len(run.command) - 1) + [FINE]  # the run goes on for a sample
+            longer = {name: np.repeat(getattr(run, name), ends) for name in ("command", "oil")}
             done[key] = hidden_plant._simulate(case, replace(run, **longer), hidden)
         t, out = done[key]
         logged = replace(run, rate=run.rate / FINE, command=run.command[::FINE], oil=run.oil[::FINE])

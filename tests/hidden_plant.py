@@ -282,8 +282,8 @@ def _rates(t, y, u, supply, back, load, c, k, at_step, stops, dy, flows):
 def _integrate(y, command, rate, supply, ripple, back, load, table, now, view, knobs, each, stride, out):
     """Runge-Kutta on `y` in place: `each` steps to a sample of the command (straight in between), `out` every `stride`.
 
-    `ripple` (amplitude Pa, frequency Hz, phase) comes upon the supply, constant over a step. `table` holds the figures in one row, or in one for each sample; `now` is room for those of a step, `view` the same
-    room as an array.
+    `ripple` (amplitude Pa, frequency Hz, phase) comes upon the supply, constant over a step. `table` holds the figures
+    in one row, or in one for each sample; `now` is room for those of a step, `view` the same room as an array.
     """
     n, h = len(command), 1.0 / rate / each
     c, k, trial, flows = now[0], knobs[0], np.zeros(STATES), np.zeros(2)
@@ -924,7 +924,8 @@ def _simulate(case: Case, run: Run, hidden: list[tuple[str, dict[str, Any]]]) ->
     settle = np.full(int(0.06 * run.rate) + 1, command[0])
     scratch = np.empty((len(settle) * each // stride + 1, len(RECORDED)))
     room = (now, now.view(float))
-    _integrate(y, settle, run.rate, run.supply, (0.0, 0.0, 0.0), back, run.load, free, *room, quiet, each, stride, scratch)
+    still = (0.0, 0.0, 0.0)
+    _integrate(y, settle, run.rate, run.supply, still, back, run.load, free, *room, quiet, each, stride, scratch)
     y[9], y[10], y[11] = 0.0, 0.0, 1.0
     out = np.empty(((len(command) - 1) * each // stride, len(RECORDED)))
     _integrate(y, command, run.rate, run.supply, run.ripple, back, run.load, table, *room, knobs, each, stride, out)

@@ -31,6 +31,7 @@ from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import Effect, Parameter, Ports
 from valvesim.valve.parameters import Valve
+from valvesim.valve.thermal_network import ThermalNetwork
 
 CHANNELS = ("spool_position", "armature_angle", "nozzle_pressure_1", "load_flow", "internal_leakage")
 SENSOR_EFFECTS = tuple(effect.name for effect in CATALOGUE.values() if effect.reading is not None)
@@ -49,6 +50,11 @@ def candidates(nominal):
 @pytest.fixture(scope="module")
 def linear():
     return linearise_record(bench_of("fast"), nominal_variant())
+
+
+def with_network():
+    """The nominal variant of a session whose oil moves."""
+    return replace(nominal_variant(), network=ThermalNetwork())
 
 
 def by_name(nominal):
@@ -71,14 +77,15 @@ def rms(values):
 def test_the_base_has_exactly_the_quantities_with_a_tolerance(nominal):
     uncertain = [name for name, declared in quantities(Valve).items() if declared.metadata["tolerance"] > 0.0]
     assert len(uncertain) > 30
-    assert [p.name for p in nominal.parameters if p.sensor is None] == uncertain
-    assert nominal.variant == nominal_variant()
+    network = [f"thermal.{name}" for name in quantities(ThermalNetwork)]  # for the oil of a record moves
+    assert [p.name for p in nominal.parameters if p.sensor is None] == [*uncertain, *network]
+    assert nominal.variant == with_network()
 
 
 def test_a_tolerance_is_two_standard_deviations(nominal):
     rod = by_name(nominal)["feedback_rod_stiffness"]
     assert (rod.nominal, rod.unit) == (2780.0, "N/m") and rod.deviation == pytest.approx(0.02 * 2780.0 / 2.0)
-    assert rod.bounds == quantities(Valve)["feedback_rod_stiffness"].metadata["bounds"]
+    assert rod.bounds == (27.8, quantities(Valve)["feedback_rod_stiffness"].metadata["bounds"][1])
     offset = by_name(nominal)["null_gap_difference"]  # nominally zero: its tolerance is in m, not a share
     assert offset.nominal == 0.0 and offset.deviation == pytest.approx(3e-7 / 2.0)
 
@@ -187,7 +194,7 @@ def test_every_effect_of_the_catalogue_is_looked_for_once_on_each_side_and_senso
         for shape, values in shapes.items():
             assert all(counts[f] == (1 if shape == "side" else len(values)) for f in counts if f.startswith(name))
     assert {f for f, count in counts.items() if count > 1} == {
-        "eddy_current_lag", "magnetic_hysteresis", "thermal_lag",
+        "eddy_current_lag", "magnetic_hysteresis", "thermal_lag", "thermal_network",
     }  # fmt: skip
 
 
@@ -252,9 +259,8 @@ def test_a_parameter_is_added_within_its_bounds_or_refused_by_the_valve(candidat
     for c in (c for c in candidates if c.parameter is not None):
         for far, side in ((-1e12, 0), (1e12, 1)):
             try:
-                assert (
-                    getattr(c.apply_to(nominal_variant(), far).valve, c.parameter.name) == c.parameter.bounds[side]
-                ), c.key
+                changed = c.apply_to(with_network(), far)
+                assert c.parameter.value_in(changed) == pytest.approx(c.parameter.bounds[side]), c.key
             except InputError as error:
                 assert "must be smaller than twice" in str(error), c.key
                 refused.add(c.parameter.name)
@@ -291,13 +297,13 @@ def test_a_parameter_is_no_effect_and_a_candidate_is_one_of_both(candidates):
 
 
 def test_neighbours_are_a_little_off_in_one_parameter(nominal):
-    beside = perturbed_variants(nominal, nominal_variant())
+    beside = perturbed_variants(nominal, with_network())
     plant = [p for p in nominal.parameters if p.sensor is None]
     assert len(beside) == len(plant)
     for p, variant in zip(plant, beside, strict=True):
         step = OPTIONS.sensitivity.simulated_step if is_simulated(p, options=OPTIONS) else OPTIONS.sensitivity.step
-        assert getattr(variant.valve, p.name) == pytest.approx(p.nominal + step * p.deviation)
-        assert replace(variant.valve, **{p.name: p.nominal}) == nominal_variant().valve
+        assert p.value_in(variant) == pytest.approx(p.at(step))
+        assert p.with_value(variant, p.nominal) == with_network()
 
 
 def test_a_parameter_at_its_most_is_moved_down_and_shows_the_same(nominal, linear):

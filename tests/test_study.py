@@ -245,9 +245,14 @@ def test_room_is_up_to_the_limits_of_an_amplitude_and_a_stride_of_a_shape(biased
     (shape,) = hysteresis.shapes()
     low, high = shape.bounds
     member = FittedCandidate(hysteresis, hysteresis.typical, ((shape.name, 1.1 * low),))
-    fit = Fit(np.zeros(2), (member,), 0.0, (), np.zeros(0), 0.0)
-    limits = step_limits(fit, options=OPTIONS)
-    assert limits.shape == (2, 4) and np.all(np.isinf(limits[:, :2]))
+    nominal = biased[0].study.nominal
+    p = len(nominal.parameters)
+    fit = Fit(np.ones(p), (member,), 0.0, (), np.zeros(0), 0.0)
+    limits = step_limits(fit, nominal, options=OPTIONS)
+    assert limits.shape == (2, p + 2) and limits[:, :p] == pytest.approx(nominal.limits - 1.0)
+    for k, parameter in enumerate(nominal.parameters):  # a figure at its limit is at its bound, and positive ones are
+        assert parameter.at(nominal.limits[0, k]) == pytest.approx(parameter.bounds[0])
+    limits = limits[:, p - 2 :]
     for step in limits[:, 2:]:
         (moved,) = moved_candidates(fit, step, options=OPTIONS)
         assert 0.0 < moved.above_neutral < hysteresis.limits[1] and low <= dict(moved.shapes)[shape.name] <= high

@@ -208,8 +208,9 @@ def read_columns(
 ) -> dict[str, np.ndarray]:
     """Columns of a CSV file whose header reads `name [unit], ...`, converted to the wanted units.
 
-    Blank lines are skipped; in the columns `gaps` an empty cell or `nan` is NaN, elsewhere an error. Raises InputError for a missing file, column, unit or value, with the line, and for a file
-    of more than `most_rows` lines or `MOST_BYTES`, before it is held.
+    Blank lines are skipped; in the columns `gaps` an empty cell or `nan` is NaN, elsewhere an error. Raises InputError
+    for a missing file, column, unit or value, with the line, and for a file of more than `most_rows` lines or
+    `MOST_BYTES`, before it is held.
     """
     check_file(path, MOST_BYTES)
     _check_rows(path, most_rows)

@@ -84,7 +84,7 @@ def parameter_shifts(study: Study, point: np.ndarray) -> tuple[Shift, ...]:
             name=p.name,
             unit=p.unit,
             nominal=p.nominal,
-            value=float(p.nominal + t * p.deviation),
+            value=p.at(t),
             share_of_tolerance=float(t / 2.0),
         )
         for p, t in zip(study.nominal.parameters, point, strict=True)

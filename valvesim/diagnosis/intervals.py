@@ -46,9 +46,8 @@ def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimat
             parameter = nominal.study.nominal.parameters[j]
             combine = np.zeros(len(at))
             combine[j], combine[p + k] = parameter.deviation, perturbation(member)
-            value = parameter.nominal + fit.point[j] * parameter.deviation + member.above_neutral
-            half = half_width(combine)
-            low, high = value - half, value + half
+            value, half = parameter.at(fit.point[j], member.above_neutral), half_width(combine)
+            low, high = (parameter.at(fit.point[j], member.above_neutral + by) for by in (-half, half))
             found.append(
                 Estimate(
                     name=parameter.name, cause=candidate.name, value=value, low=low, high=high, unit=parameter.unit

@@ -227,12 +227,12 @@ def normal_equations(
 
 def shortened_step(problem: TermProblem, state: TermFit, step: np.ndarray, p: int) -> TermFit | None:
     """The first of shorter and shorter steps whose chi-square is lower; None where none is."""
-    k = len(problem.knots)
+    k, limits = len(problem.knots), problem.study.nominal.limits
     for share in (1.0, 0.5, 0.2, 0.05):
         by = share * step
         memory_log = state.memory_log + float(np.clip(by[p + k :].sum(), -1.0, 1.0))
         try:
-            new = problem.evaluate(state.point + by[:p], state.values + by[p : p + k], memory_log)
+            new = problem.evaluate(np.clip(state.point + by[:p], *limits), state.values + by[p : p + k], memory_log)
         except (SolveError, InputError):  # a figure that no valve can have: a shorter step
             continue
         if new.chi_square < state.chi_square:

@@ -140,7 +140,7 @@ def without_outliers(
 
 
 def _single_outliers(left: np.ndarray, least: np.ndarray, ratio: float) -> np.ndarray:
-    """True for residuals (n,) that are `least` (n,) off their four neighbours' median, `ratio` times as far as these."""
+    """True for residuals (n,) `least` (n,) off their four neighbours' median, and `ratio` times as far as these."""
     out = np.zeros(len(left), dtype=bool)
     around = np.stack([left[:-4], left[1:-3], left[3:-1], left[4:]])
     middle = np.median(around, axis=0)

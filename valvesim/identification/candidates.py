@@ -27,6 +27,7 @@ SHAPES: dict[str, dict[str, tuple[float, ...]]] = {  # shape parameters at which
     "eddy_current_lag": {"time_constant": (5e-4, 2e-3, 2e-2)},
     "magnetic_hysteresis": {"turning_current": (1e-3, 4e-3)},
 }
+OTHER_NETWORK = "thermal_network"  # the label of all its figures: which of them is off, drifts hardly tell
 WHOLE = ("side",)  # shape parameters that are not fitted
 
 
@@ -54,6 +55,8 @@ class Candidate:
     @property
     def label(self) -> str:
         """The key without what is fitted anyway: candidates of one label are one answer."""
+        if self.parameter is not None and self.parameter.of_network:
+            return OTHER_NETWORK
         at = f"@{self.effect.channel}" if self.effect is not None and self.effect.channel else ""
         return self.name + at + "".join(f"[{name}={value:g}]" for name, value in self.fixed if name in WHOLE)
 
@@ -80,7 +83,9 @@ class Candidate:
     @property
     def unit(self) -> str:
         """Of the amplitude."""
-        return self.effect.amplitude.unit if self.effect is not None else self._parameter.unit
+        if self.effect is not None:
+            return self.effect.amplitude.unit
+        return "1" if self._parameter.logarithmic else self._parameter.unit
 
     @property
     def typical(self) -> float:
@@ -97,6 +102,8 @@ class Candidate:
         """Of the amplitude above neutral."""
         if self.effect is None:
             p = self._parameter
+            if p.logarithmic:
+                return float(np.log(p.bounds[0] / p.nominal)), float(np.log(p.bounds[1] / p.nominal))
             return p.bounds[0] - p.nominal, p.bounds[1] - p.nominal
         neutral = self.effect.amplitude.neutral or 0.0
         return self.effect.amplitude.bounds[0] - neutral, self.effect.amplitude.bounds[1] - neutral
@@ -114,7 +121,7 @@ class Candidate:
     def location(self) -> str:
         """The balance or sensor where it acts."""
         if self.effect is None:
-            return "valve parameter"
+            return "thermal network" if self._parameter.of_network else "valve parameter"
         return f"sensor of {self.effect.channel}" if self.effect.channel else self.effect.location
 
     def active(self, above_neutral: float, **shapes: float) -> ActiveEffect:
@@ -133,15 +140,13 @@ class Candidate:
         if self.effect is not None:
             return variant.with_effect(self.active(above_neutral, **shapes))
         p = self._parameter
-        value: Any = float(np.clip(getattr(variant.valve, p.name) + above_neutral, *p.bounds))
-        return replace(variant, valve=replace(variant.valve, **{p.name: value}))
+        return p.with_value(variant, float(np.clip(p.more_of(variant, above_neutral), *p.bounds)))
 
     def share(self, variant: ModelVariant, other: ModelVariant) -> tuple[NuisanceParameter, float] | None:
         """The nuisance parameter that tells a variant from another, but for this candidate alike, and by how many prior
         deviations; None where no single one does."""
         if self.parameter is not None:
-            p = self.parameter
-            return p, (getattr(variant.valve, p.name) - getattr(other.valve, p.name)) / p.deviation
+            return self.parameter, self.parameter.apart(variant, other)
         rate = self.equivalent_rate(other)
         if self.equivalent is None or not rate:
             return None
@@ -216,7 +221,8 @@ def candidates_of(session: Session, nominal: NominalModel) -> tuple[Candidate, .
             for one in _paced(effect, session, options=nominal.options)
         ]
     found = [_with_equivalent(candidate, nominal) for candidate in found]
-    found += [Candidate(f"parameter:{p.name}", parameter=p) for p in nominal.parameters if p.sensor is None]
+    own = [p for p in nominal.parameters if p.sensor is None and p.input is None]
+    found += [Candidate(f"parameter:{p.name}", parameter=p) for p in own]
     return tuple(found)
 
 

@@ -139,9 +139,9 @@ def shape_bounds(member: FittedCandidate, shape: str) -> tuple[float, float]:
     return next(p.bounds for p in member.candidate.shapes() if p.name == shape)
 
 
-def step_limits(fit: Fit, *, options: IdentificationOptions) -> np.ndarray:
-    """(2, n): how far down and up each component of `Fit.vector` may go; nuisance parameters freely."""
-    limits = [(-np.inf, np.inf)] * len(fit.point)
+def step_limits(fit: Fit, nominal: NominalModel, *, options: IdentificationOptions) -> np.ndarray:
+    """(2, n): how far down and up each component of `Fit.vector` may go; nuisance parameters within their bounds."""
+    limits = list(map(tuple, np.transpose(nominal.limits - fit.point)))
     for member, shape in fit.layout:
         if shape:
             times = np.clip(

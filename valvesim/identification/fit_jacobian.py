@@ -36,7 +36,8 @@ def linearise_study(
     perturbed = perturbed_variants(study.nominal, variant)
     columns = study.each(lambda linear: parameter_sensitivities(linear, study.nominal, perturbed), linearised)
     return [
-        replace(linear, predictor=predictor) for linear, predictor in zip(linearised, study.predictors, strict=True)
+        replace(linear, predictor=predictor.under(variant.deviations))
+        for linear, predictor in zip(linearised, study.predictors, strict=True)
     ], columns
 
 

@@ -75,7 +75,7 @@ def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandida
             - 0.5
             * predict_reduction(
                 *normal_equations(*pair, options=nominal.study.options),
-                step_limits(pair[0], options=nominal.study.options),
+                step_limits(pair[0], nominal.study.nominal, options=nominal.study.options),
             )
         ),
     )
@@ -222,7 +222,8 @@ def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...]) -> Fi
         plain = nominal.fit.with_fitted([replace(e, shapes=()) for e in start])
         H, gradient = normal_equations(plain, np.column_stack([nominal.J, S[:, own]]), options=nominal.study.options)
         limits = np.transpose(
-            [(-np.inf, np.inf)] * p + [amplitude_limits(e.candidate, options=nominal.study.options) for e in start]
+            [*np.transpose(nominal.study.nominal.limits - nominal.fit.point)]
+            + [amplitude_limits(e.candidate, options=nominal.study.options) for e in start]
         )
         step = bounded_step(H, gradient, limits)
         fitted = tuple(replace(e, above_neutral=float(a)) for e, a in zip(start, step[p:], strict=True))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.prior import NominalModel, NuisanceParameter
-from valvesim.valve.parameters import Valve
 
 
 def is_simulated(parameter: NuisanceParameter, *, options: IdentificationOptions) -> bool:
@@ -28,26 +26,19 @@ def is_held(parameter: NuisanceParameter, linear: LinearisedRecord) -> bool:
 
 
 def perturbed_variants(nominal: NominalModel, variant: ModelVariant) -> list[ModelVariant]:
-    """The variant with each nuisance parameter of the valve moved by a little, see `_prior_step`."""
-    valve = variant.valve
+    """The variant with each nuisance parameter but the sensors' moved by a little, see `_prior_step`."""
     return [
-        replace(
-            variant,
-            valve=replace(
-                valve, **{p.name: getattr(valve, p.name) + _prior_step(p, valve, options=nominal.options) * p.deviation}
-            ),
-        )
+        p.moved(variant, _prior_step(p, variant, options=nominal.options))
         for p in nominal.parameters
         if p.sensor is None
     ]
 
 
-def _prior_step(parameter: NuisanceParameter, valve: Valve, *, options: IdentificationOptions) -> float:
+def _prior_step(parameter: NuisanceParameter, variant: ModelVariant, *, options: IdentificationOptions) -> float:
     """The step of a parameter in prior standard deviations: downwards where it is at its upper bound."""
     simulated = is_simulated(parameter, options=options)
     size = options.sensitivity.simulated_step if simulated else options.sensitivity.step
-    most = parameter.bounds[1]
-    return size if getattr(valve, parameter.name) + size * parameter.deviation <= most else -size
+    return size if parameter.more_of(variant, size * parameter.deviation) <= parameter.bounds[1] else -size
 
 
 def parameter_sensitivities(
@@ -58,9 +49,10 @@ def parameter_sensitivities(
 
     None of what is held, see `is_held`.
     """
-    plant, valve = [p for p in nominal.parameters if p.sensor is None], linear.variant.valve
+    plant, own = [p for p in nominal.parameters if p.sensor is None], linear.predictor.record.name
     simulated = {p.name for p in plant if is_simulated(p, options=linear.predictor.options)}
     held = {p.name for p in plant if is_held(p, linear)}
+    held |= {p.name for p in plant if p.input is not None and p.input.record != own}
     slow = [k for k, p in enumerate(plant) if p.name not in simulated | held]
     moved = linear.linear_difference([perturbed[k] for k in slow])
     pairs = zip(plant, perturbed, strict=True)
@@ -75,7 +67,7 @@ def parameter_sensitivities(
             elif p.sensor is None:
                 columns.append(
                     (run[p.name][name] if p.name in run else answered[p.name])
-                    / _prior_step(p, valve, options=linear.predictor.options)
+                    / _prior_step(p, linear.variant, options=linear.predictor.options)
                 )
             else:
                 columns.append(_sensor_slope(linear, p, name) * p.deviation)

@@ -31,7 +31,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
     for _ in range(study.options.fit.steps):
         H, gradient = normal_equations(fit, jacobian, options=study.options)
-        limits = step_limits(fit, options=study.options)
+        limits = step_limits(fit, study.nominal, options=study.options)
         if fit is best:
             best = fit = replace(fit, predicted_reduction=predict_reduction(H, gradient, limits))
             lasting = study.options.fit.patience if study.is_long else 0

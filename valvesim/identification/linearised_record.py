@@ -96,7 +96,7 @@ class LinearisedRecord:
     def _forcings(self, variants: Sequence[ModelVariant]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """`forcing` of several variants, (n, s, k) and (n, k) by signal; those of other valves go together."""
         n, k = len(self.predictor.times), len(variants)
-        alike = [j for j, variant in enumerate(variants) if variant.effects == self.variant.effects]
+        alike = [j for j, variant in enumerate(variants) if replace(variant, valve=self.variant.valve) == self.variant]
         g = np.empty((n, len(self.tangent.scale), k))
         direct = {name: np.empty((n, k)) for name in self.trajectory.at_valve if name in SIGNAL_NAMES}
         size = max(self.predictor.options.sensitivity.batch_values // n, 1)
@@ -119,7 +119,9 @@ class LinearisedRecord:
 
         A variant whose valve is a batch (batch, 1) adds (n, s, batch) and (n, batch).
         """
-        n, inputs = len(self.predictor.times), tuple(self.predictor.inputs.T)
+        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
+        inputs = tuple((self.predictor.inputs if added is None else self.predictor.inputs + added).T)
+        n = len(self.predictor.times)
         own = {effect.name for effect in self.model.effects}
         more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
         model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
@@ -189,6 +191,7 @@ def linearise_record(
 ) -> LinearisedRecord:
     """A record linearised about a variant, along its trajectory where that is known already."""
     trajectory = predictor.run(variant) if trajectory is None else predictor.on_grid(trajectory)
+    predictor = predictor.under(variant.deviations)
     model, own = predictor.reduced(trajectory.model, variant)
     along = predictor.coefficients_along(variant, model)
     tangent = linearise_along(predictor, trajectory, own, model, along)

@@ -10,10 +10,11 @@ import numpy as np
 from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
+from valvesim.identification.input_choice import STRAIGHT, InputChoice, choose_inputs, input_notes, input_spread
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
-from valvesim.identification.study import PreparedSession, Study
+from valvesim.identification.study import PreparedSession, Study, with_records
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +40,12 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
         reached = max(reached, share)
         progress(reached)
 
+    choice = _choice_at_start(prepared)
+    nominal = _fit_with_inputs(_with_inputs(prepared, choice), ahead)
+    return _with_inputs_reviewed(prepared, choice, nominal, ahead)
+
+
+def _fit_with_inputs(prepared: PreparedSession, ahead: Callable[[float], None]) -> NominalFit:
     study = prepared.with_noise(initial_noise(prepared))
     fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
     labels = [predictor.record.repeats for predictor in study.predictors if predictor.record.repeats]
@@ -50,6 +57,38 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
         noise = identify_noise(study, nominal.fit.readings)
         nominal = _converge_down_weighted(replace(nominal, study=nominal.study.with_noise(noise)), ahead)
     return _at_full_weight(study, nominal, ahead)
+
+
+def _choice_at_start(prepared: PreparedSession) -> InputChoice:
+    """How the commands go between their samples, by the nominal valve; samples that are far off count less.
+
+    A fit under commands that went otherwise would move the valve's figures to make up for it.
+    """
+    study = prepared.without_oversampling().with_noise(initial_noise(prepared))
+    fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
+    study = robust_weights(study.with_noise(identify_noise(study, fit.readings)), fit.readings)
+    return choose_inputs(study, fit.point, *linearise_fit(study, fit))
+
+
+def _with_inputs(prepared: PreparedSession, choice: InputChoice) -> PreparedSession:
+    """The prepared session with its commands between their samples as chosen, and notes on it."""
+    if choice.name == STRAIGHT.name:
+        return prepared
+    nominal = prepared.nominal.extended(choice.parameters, choice.deviations)
+    found = with_records(prepared, (), input_notes(prepared.session, choice)).with_nominal(nominal)
+    return replace(found, spread=input_spread(found))
+
+
+def _with_inputs_reviewed(
+    prepared: PreparedSession, choice: InputChoice, nominal: NominalFit, progress: Callable[[float], None]
+) -> NominalFit:
+    """A nominal fit under a choice of inputs, or the fit anew under another that its own figures ask for."""
+    study = replace(nominal.study, nominal=prepared.nominal, session=prepared.session)
+    p = len(prepared.nominal.parameters)
+    better = choose_inputs(study, nominal.fit.point[:p], nominal.linearised, nominal.columns, choice)
+    if better.name == choice.name:
+        return nominal
+    return _fit_with_inputs(_with_inputs(prepared, better), progress)
 
 
 def fit_nominal_from(study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None) -> NominalFit:

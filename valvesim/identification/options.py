@@ -129,8 +129,24 @@ class PredictorOptions:
 class InputOptions:
     """What inputs do that their samples do not tell."""
 
-    jump: float = option(0.02, "1", "share of its span that a command moves in one interval where it jumps", JUDGEMENT)
-    jump_ratio: float = option(5.0, "1", "times what it moves in either interval beside", JUDGEMENT)
+    jump: float = option(
+        3e-3, "1", "share of its span by which a command moves otherwise in one interval where it jumps", JUDGEMENT
+    )
+    jump_noise: float = option(10.0, "1", "times the usual such difference that it is at least", "never by chance")
+    minimum_gain: float = option(
+        30.0, "1", "chi-square by which another way between samples must be better than straight lines", JUDGEMENT
+    )
+    gain_share: float = option(
+        0.02, "1", "the same as a share of what straight lines leave beyond the noise", "a cause may be hidden as well"
+    )
+    spread: float = option(
+        0.1, "1", "share of what another way than straight lines changes of a reading that may be wrong", JUDGEMENT
+    )
+    most_edges: int = option(60, "1", "jumps of a record whose times are fitted", "a linearisation solves for each")
+    jump_ratio: float = option(5.0, "1", "times the same difference two intervals off", JUDGEMENT)
+    half_ratio: float = option(
+        3.0, "1", "times what the intervals beside differ from half of it", "filtered steps have less"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +160,9 @@ class PriorOptions:
     )
     least_share: float = option(
         0.01, "1", "share of its nominal value that a positive quantity keeps: the equations divide by some", JUDGEMENT
+    )
+    network_reach: float = option(
+        100.0, "1", "factor within which a figure of the thermal network is sought either way", JUDGEMENT
     )
     beyond_records: float = option(
         5.0, "1", "times the longest record: a time constant of what hardly moves in it", JUDGEMENT

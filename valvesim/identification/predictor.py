@@ -15,10 +15,18 @@ import numpy as np
 
 from valvesim.channels import Inputs
 from valvesim.errors import InputError
+from valvesim.identification.between_samples import (
+    Deviations,
+    acting_on,
+    added_on_grid,
+    command_of,
+    deviating,
+    points_of,
+)
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
 from valvesim.identification.session import Record, Session
-from valvesim.inputs import evaluate, merge
+from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
@@ -28,16 +36,21 @@ from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
 from valvesim.valve.equations import Model
 from valvesim.valve.parameters import Valve
-from valvesim.valve.thermal_network import TemperaturePath
+from valvesim.valve.thermal_network import TemperaturePath, ThermalNetwork
 from valvesim.valve.valve_model import ValveModel
 
 
 @dataclass(frozen=True)
 class ModelVariant:
-    """A valve with its active effects: one hypothesis about what was measured."""
+    """A valve with its active effects: one hypothesis about what was measured.
+
+    `network` takes the place of the session's; `deviations` are what inputs did beside what their samples say.
+    """
 
     valve: Valve
     effects: tuple[ActiveEffect, ...] = ()
+    network: ThermalNetwork | None = None
+    deviations: Deviations = ()
 
     def with_effect(self, active: ActiveEffect) -> ModelVariant:
         """The same valve with one effect more."""
@@ -93,11 +106,54 @@ class RecordPredictor:
         return replace(
             self,
             times=times,
-            inputs=_inputs(self.scenario, times),
+            inputs=_inputs((self.scenario.command, *self.scenario.pressures()), times),
             oversampling=1,
             sensor_oversampling=self.oversampling * self.sensor_oversampling,
             preliminary=True,
         )
+
+    def under(self, deviations: Deviations) -> RecordPredictor:
+        """The same predictor where its command and pressures deviate so; a temperature is left to `_path`."""
+        own = acting_on(deviations, self.record.name)
+        columns = {deviation.column for deviation, _ in own} - {"oil_temperature"}
+        if not columns:
+            return self
+        commands = []
+        for column, command in self._commands():
+            if column in columns:
+                points = deviating(column, points_of(command, self.scenario.duration), own)
+                command = command_of(points, f"{self.record.name}, {column}")
+            commands.append(command)
+        starts, intervals = merge(commands, self.scenario.duration)
+        return replace(
+            self,
+            starts=starts,
+            rows=intervals.rows,
+            inputs=_inputs(commands, self.times),
+            fine_inputs=_inputs(commands, self.fine_times),
+        )
+
+    def _commands(self) -> list[tuple[str, Command]]:
+        """The inputs of the equations by their columns, in the order of `Inputs` without the rate."""
+        names = (self.record.command, "supply_pressure", "return_pressure", "load_pressure")
+        return list(zip(names, (self.scenario.command, *self.scenario.pressures()), strict=True))
+
+    def added_inputs(self, deviations: Deviations, before: Deviations) -> np.ndarray | None:
+        """What deviations add to the inputs (n, inputs) on the grid beyond others before; None where nothing."""
+        new, old = acting_on(deviations, self.record.name), acting_on(before, self.record.name)
+        if new == old:
+            return None
+        added = np.zeros_like(self.inputs)
+        for k, (column, command) in enumerate(self._commands()):
+            mine, others = (tuple(each for each in one if each[0].column == column) for one in (new, old))
+            if mine == others:
+                continue
+            samples = points_of(command, self.scenario.duration)
+            by = added_on_grid(deviating(column, samples, mine), deviating(column, samples, others), self.times)
+            added[:, k + (k > 0)] = by
+            if k == 0:
+                added[1:, 1] = np.gradient(by, self.times)[1:]
+        return added
 
     def runs_as(self, other: RecordPredictor) -> bool:
         """Whether any variant reads the same on both: they are of a record and its repeat, say."""
@@ -123,15 +179,15 @@ class RecordPredictor:
         """The trajectory of a variant from rest. Raises InputError for impossible dimensions, SolveError where it
         fails.
         """
-        model = self.model(variant.effects)
+        under, model = self.under(variant.deviations), self.model(variant.effects)
         path, knots = self._coefficients(variant, model)
         stacked = np.stack(np.broadcast_arrays(*knots), axis=-1).astype(float)
         flat = np.array(np.broadcast_to(stacked, (len(path.times), stacked.shape[-1])))
         compiled = compile_model(model, absent_coefficients(model, flat))
-        fine = _integrate(self, compiled, path, flat, self.switched_off(model, variant.effects))
+        fine = _integrate(under, compiled, path, flat, self.switched_off(model, variant.effects))
         oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
         return self.on_grid(
-            Trajectory(model, fine, flat, fine, oil, self._outputs(model, fine, variant), path.times, flat)
+            Trajectory(model, fine, flat, fine, oil, under._outputs(model, fine, variant), path.times, flat)
         )
 
     def on_grid(self, trajectory: Trajectory) -> Trajectory:
@@ -146,12 +202,27 @@ class RecordPredictor:
 
     def _coefficients(self, variant: ModelVariant, model: ValveModel) -> tuple[TemperaturePath, tuple]:
         """Temperature path, and flat coefficients of a model at its knots, (), (m,) or (batch, m) each."""
-        path = self.path
-        if any(active.effect.temperatures is not None for active in variant.effects):
-            path, _ = temperature_knots(replace(self.scenario, effects=variant.effects))
+        path = self._path(variant)
         with _naming_record(self.record):
             c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
         return path, model.flat_coefficients(c, _with_neutral(model, variant.effects), path.parts)
+
+    def _path(self, variant: ModelVariant) -> TemperaturePath:
+        """The temperatures of a variant: on knots of their own where an effect acts on them."""
+        oil = [each for each in acting_on(variant.deviations, self.record.name) if each[0].column == "oil_temperature"]
+        acts = any(active.effect.temperatures is not None for active in variant.effects)
+        other = variant.network not in (None, self.scenario.thermal.network)
+        if not acts and not oil and not other:
+            return self.path
+        scenario = replace(self.scenario, effects=variant.effects)
+        if other:
+            scenario = replace(scenario, thermal=replace(scenario.thermal, network=variant.network))
+        if oil:
+            points = deviating("oil_temperature", points_of(scenario.oil_temperature, scenario.duration), tuple(oil))
+            scenario = replace(scenario, oil_temperature=command_of(points, f"{self.record.name}, oil_temperature"))
+        if acts or (len(self.path.times) == 1 and not isinstance(scenario.oil_temperature, Constant)):
+            return temperature_knots(scenario)[0]
+        return scenario.temperatures(knots=self.path.times)
 
     def coefficients_along(self, variant: ModelVariant, model: ValveModel, times: np.ndarray | None = None) -> tuple:
         """Flat coefficients of a model for a variant on the grid (or at `times`), (n,) each, (1,) where constant.
@@ -276,10 +347,10 @@ def prepare_record(
         oversampling=oversampling,
         sensor_oversampling=sensor_oversampling,
         fine_times=fine_times,
-        fine_inputs=_inputs(scenario, fine_times),
+        fine_inputs=_inputs((scenario.command, *scenario.pressures()), fine_times),
         starts=starts,
         rows=intervals.rows,
-        inputs=_inputs(scenario, times),
+        inputs=_inputs((scenario.command, *scenario.pressures()), times),
         options=options,
     )
 
@@ -302,9 +373,9 @@ def _grid_spacing(session: Session, *, options: IdentificationOptions) -> float:
     )
 
 
-def _inputs(scenario: Scenario, times: np.ndarray) -> np.ndarray:
-    """(n, inputs): command, its rate, pressures."""
-    values = [evaluate(command, times) for command in (scenario.command, *scenario.pressures())]
+def _inputs(commands: Sequence[Command], times: np.ndarray) -> np.ndarray:
+    """(n, inputs): command, its rate, pressures; `commands` are command and pressures."""
+    values = [evaluate(command, times) for command in commands]
     rate = np.gradient(values[0], times)
     rate[0] = 0.0  # a record starts at rest
     return np.column_stack([values[0], rate, *values[1:]])

@@ -7,11 +7,13 @@ tolerance at two standard deviations, and each sensor's small offset, gain and d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
+from valvesim.identification.between_samples import Deviations, InputDeviation
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.session import Session
@@ -19,13 +21,16 @@ from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import Effect
 from valvesim.valve.parameters import Valve
+from valvesim.valve.thermal_network import ThermalNetwork
 
 
 @dataclass(frozen=True)
 class NuisanceParameter:
-    """A quantity that is uncertain within a tolerance: of the valve, or the offset or gain of a sensor.
+    """A quantity that is uncertain within a tolerance: of the valve, of its thermal network, the offset or gain of a
+    `sensor`, or the amount of the `deviation` of an input.
 
-    `of_material` and `time_scale` as `units.quantity` declares them.
+    `deviation` is the prior standard deviation, of the logarithm where `logarithmic`; `of_material` and `time_scale` as
+    `units.quantity` declares them.
     """
 
     name: str
@@ -36,6 +41,59 @@ class NuisanceParameter:
     sensor: Effect | None = None
     of_material: bool = False
     time_scale: float = float("inf")
+    logarithmic: bool = False
+    input: InputDeviation | None = None
+
+    @property
+    def of_network(self) -> bool:
+        """Whether it is a figure of the thermal network."""
+        return self.name.startswith(NETWORK)
+
+    def at(self, where: float, more: float = 0.0) -> float:
+        """Its value at so many prior deviations, and `more` in its unit (in its logarithm), within its bounds."""
+        moved = where * self.deviation + more
+        return float(np.clip(self.nominal * np.exp(moved) if self.logarithmic else self.nominal + moved, *self.bounds))
+
+    def apart(self, variant: ModelVariant, other: ModelVariant) -> float:
+        """By how many prior deviations two variants differ in it."""
+        one, two = self.value_in(variant), self.value_in(other)
+        return float(np.log(one / two) if self.logarithmic else one - two) / self.deviation
+
+    def value_in(self, variant: ModelVariant) -> float:
+        """Its value in a variant; of a sensor's error 0, for it is not told from a fault."""
+        if self.sensor is not None:
+            return 0.0
+        if self.input is not None:
+            return dict(variant.deviations).get(self.input, 0.0)
+        if self.of_network:
+            assert variant.network is not None  # noqa: S101 - it is where its figures are fitted
+            return float(getattr(variant.network, self.name.removeprefix(NETWORK)))
+        return float(getattr(variant.valve, self.name))
+
+    def with_value(self, variant: ModelVariant, value: float) -> ModelVariant:
+        """A variant with another value of it; not of a sensor's error."""
+        if self.input is not None:
+            own = [(one, value if one == self.input else amount) for one, amount in variant.deviations]
+            known = any(one == self.input for one, _ in own)
+            return replace(variant, deviations=tuple(own) if known else (*own, (self.input, value)))
+        figure: dict[str, Any] = {self.name.removeprefix(NETWORK): value}
+        if self.of_network:
+            assert variant.network is not None  # noqa: S101 - as above
+            return replace(variant, network=replace(variant.network, **figure))
+        return replace(variant, valve=replace(variant.valve, **figure))
+
+    def more_of(self, variant: ModelVariant, more: float) -> float:
+        """Its value in a variant with `more` of it, in its unit (in its logarithm); bounds are not asked."""
+        value = self.value_in(variant)
+        return float(value * np.exp(min(more, 700.0))) if self.logarithmic else value + more
+
+    def moved(self, variant: ModelVariant, by: float) -> ModelVariant:
+        """A variant with it moved by so many prior deviations."""
+        return self.with_value(variant, self.more_of(variant, by * self.deviation))
+
+
+NETWORK = "thermal."
+"""How the names of the figures of the thermal network begin among the nuisance parameters."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +106,41 @@ class NominalModel:
 
     def at(self, point: np.ndarray) -> ModelVariant:
         """The variant at a point, held within the bounds of each quantity, and off zero where it is positive."""
-        values: dict[str, Any] = {}
-        sensors = []
+        valve: dict[str, Any] = {}
+        network: dict[str, Any] = {}
+        sensors, deviations = [], list(self.variant.deviations)
         for parameter, where in zip(self.parameters, point, strict=True):
-            low, high = parameter.bounds
-            low = max(low, self.options.prior.least_share * parameter.nominal) if low >= 0.0 else low
-            value = float(np.clip(parameter.nominal + where * parameter.deviation, low, high))
-            if parameter.sensor is None:
-                values[parameter.name] = value
+            value = parameter.at(where)
+            if parameter.input is not None:
+                deviations.append((parameter.input, value))
+            elif parameter.of_network:
+                network[parameter.name.removeprefix(NETWORK)] = value
+            elif parameter.sensor is None:
+                valve[parameter.name] = value
             elif where != 0.0:
                 sensors.append(parameter.sensor(**{parameter.sensor.amplitude.name: value}))
-        return ModelVariant(replace(self.variant.valve, **values), (*self.variant.effects, *sensors))
+        return replace(
+            self.variant,
+            valve=replace(self.variant.valve, **valve),
+            effects=(*self.variant.effects, *sensors),
+            network=None if self.variant.network is None else replace(self.variant.network, **network),
+            deviations=tuple(deviations),
+        )
+
+    @property
+    def limits(self) -> np.ndarray:
+        """(2, p): how far down and up each parameter may go, in prior deviations."""
+        ends = [
+            (np.log(np.maximum(p.bounds, 1e-300) / p.nominal) if p.logarithmic else np.subtract(p.bounds, p.nominal))
+            / p.deviation
+            for p in self.parameters
+        ]
+        return np.transpose(ends)
+
+    def extended(self, parameters: Sequence[NuisanceParameter], deviations: Deviations = ()) -> NominalModel:
+        """The same with more nuisance parameters, after its own, and with what inputs do beside their samples."""
+        variant = replace(self.variant, deviations=(*self.variant.deviations, *deviations))
+        return replace(self, variant=variant, parameters=(*self.parameters, *parameters))
 
 
 def nominal_model_of(session: Session, *, options: IdentificationOptions) -> NominalModel:
@@ -75,7 +157,7 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
                     declared.metadata["unit"],
                     nominal,
                     width / 2.0,
-                    (low, high),
+                    (max(low, options.prior.least_share * nominal) if low >= 0.0 else low, high),
                     of_material=declared.metadata["of_material"],
                     time_scale=declared.metadata["time_scale"],
                 )  # fmt: skip
@@ -92,7 +174,36 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
             parameters.append(
                 NuisanceParameter(f"{name}@{channel}", amplitude.unit, 0.0, tolerance / 2.0, amplitude.bounds, effect)
             )
-    return NominalModel(ModelVariant(session.valve, session.effects), tuple(parameters), options=options)
+    network = session.thermal.network if _warms(session) else None
+    if network is not None:
+        parameters += _network_parameters(network, options=options)
+    variant = ModelVariant(session.valve, session.effects, network)
+    return NominalModel(variant, tuple(parameters), options=options)
+
+
+def _warms(session: Session) -> bool:
+    """Whether the parts of a training record are not all at the oil's temperature throughout."""
+    return session.thermal.initial_temperature is not None or any(
+        record.moves("oil_temperature") for record in session.training if "oil_temperature" in record.values
+    )
+
+
+def _network_parameters(network: ThermalNetwork, *, options: IdentificationOptions) -> list[NuisanceParameter]:
+    """The figures of a thermal network, each known to a factor alone."""
+    found = []
+    for name, declared in quantities(ThermalNetwork).items():
+        nominal = float(getattr(network, name))
+        if nominal > 0.0:
+            width = float(np.log1p(declared.metadata["tolerance"]))
+            low, high = (nominal * options.prior.network_reach**sign for sign in (-1.0, 1.0))
+            found.append(
+                NuisanceParameter(
+                    NETWORK + name, declared.metadata["unit"], nominal, width / 2.0,
+                    (max(low, declared.metadata["bounds"][0]), min(high, declared.metadata["bounds"][1])),
+                    logarithmic=True,
+                )  # fmt: skip
+            )
+    return found
 
 
 class ToleratedSensorError(Effect):

@@ -30,6 +30,8 @@ class PreparedSession:
     representatives: tuple[int, ...]  # of each predictor, the first that runs as it does
     options: IdentificationOptions
     is_long: bool  # a look takes long, and what hardly helps is left
+    spread: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, kw_only=True)
+    """(record, channel): deviation (n,) of what readings hang on inputs between their samples, beside the noise."""
 
     def with_noise(self, noise: dict[tuple[str, float], NoiseModel]) -> Study:
         """The study under a noise, by channel and pace."""
@@ -42,6 +44,10 @@ class PreparedSession:
             if self.is_long
             else 0.0
         )
+
+    def with_nominal(self, nominal: NominalModel) -> Self:
+        """The same with other nuisance parameters, or inputs that are told otherwise between their samples."""
+        return replace(self, nominal=nominal, representatives=_representatives(self.predictors, nominal))
 
     def without_oversampling(self) -> Self:
         """The study with its trajectories at the samples alone: the same readings, and preliminary sensitivities."""
@@ -82,6 +88,10 @@ class Study(PreparedSession):
         for name in record.outputs:
             noise = self.noise[name, record.pace]
             rows = noise.whiten(columns[name], record.usable[name])[:: self.stride]
+            spread = self.spread.get((record.name, name))
+            if spread is not None:
+                own = spread[noise.kept(record.usable[name])][:: self.stride]
+                rows = rows / np.hypot(1.0, own / noise.innovation)[:, None]
             weights = self.weights.get((record.name, name))
             white.append(rows if weights is None else rows * weights[:, None])
         return white
@@ -123,7 +133,7 @@ def prepare_session(
         nominal,
         candidates_of(session, nominal),
         predictors,
-        _representatives(predictors),
+        _representatives(predictors, nominal),
         options,
         is_long=_is_long(predictors, options=options),
     )
@@ -133,8 +143,16 @@ def _is_long(predictors: Sequence[RecordPredictor], *, options: IdentificationOp
     return sum(len(predictor.times) for predictor in predictors) > options.fit.long_session
 
 
-def _representatives(predictors: Sequence[RecordPredictor]) -> tuple[int, ...]:
-    return tuple(next(k for k, first in enumerate(predictors) if first.runs_as(predictor)) for predictor in predictors)
+def _representatives(predictors: Sequence[RecordPredictor], nominal: NominalModel) -> tuple[int, ...]:
+    """Of each predictor the first that runs as it does: none but itself where its inputs are fitted on their own."""
+    own = {p.input.record for p in nominal.parameters if p.input is not None}
+    as_run = [one.under(nominal.variant.deviations) for one in predictors]
+
+    def alike(k: int, first: int) -> bool:
+        both = {as_run[k].record.name, as_run[first].record.name}
+        return first == k or (not both & own and as_run[first].runs_as(as_run[k]))
+
+    return tuple(next(first for first in range(len(as_run)) if alike(k, first)) for k in range(len(as_run)))
 
 
 def restricted_session(whole: PreparedSession, records: Sequence[Record]) -> PreparedSession:
@@ -149,7 +167,7 @@ def restricted_session(whole: PreparedSession, records: Sequence[Record]) -> Pre
         whole.nominal,
         whole.candidates,
         predictors,
-        _representatives(predictors),
+        _representatives(predictors, whole.nominal),
         whole.options,
         is_long=_is_long(predictors, options=whole.options),
     )
@@ -164,7 +182,7 @@ def with_records(prepared: PreparedSession, records: Sequence[Record], notes: Se
         records=tuple(found.get(record.name, record) for record in session.records),
         notes=(*session.notes, *notes),
     )
-    predictors = tuple(replace(one, record=found[one.record.name]) for one in prepared.predictors)
+    predictors = tuple(replace(one, record=found.get(one.record.name, one.record)) for one in prepared.predictors)
     return replace(prepared, session=session, predictors=predictors)
 
 

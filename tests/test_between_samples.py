@@ -1,0 +1,167 @@
+"""What inputs do between their samples: told by the readings, fitted where it can be, and no cause for an alarm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_plant import FINE, draw_bench, write_bench_session
+from hidden_plant import _current
+
+import valvesim as vs
+from valvesim.identification.between_samples import (
+    EdgeTime,
+    Held,
+    Shift,
+    Smooth,
+    Wave,
+    added_on_grid,
+    command_jumps,
+    deviating,
+)
+from valvesim.identification.input_choice import edge_time, input_choices
+from valvesim.identification.linearised_record import linearise_record
+from valvesim.identification.nominal_fit import fit_nominal
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.predictor import ModelVariant, prepare_record
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_session
+
+TIME = np.arange(400) / 1e3
+CHIRP = np.sin(2.0 * np.pi * (TIME + 199.0 * TIME**2 / 2.0))
+
+
+def mean(points, start, end):
+    """The mean of straight lines between points."""
+    t = np.unique(np.concatenate([[start, end], points[0][(points[0] > start) & (points[0] < end)]]))
+    return float(np.trapezoid(np.interp(t, *points), t) / (end - start))
+
+
+def test_an_edge_is_where_its_amount_says_and_slopes_go_on_to_it():
+    values = np.where(TIME < 0.2, 1.0 + 2.0 * TIME, -3.0 * TIME)
+    (edge,) = [EdgeTime("a", "current", int(k)) for k in command_jumps(values, options=OPTIONS)]
+    assert edge.after == 199
+    for amount in (-4e-4, 0.0, 3e-4):
+        t, u = edge.apply((TIME, values), (TIME, values), amount)
+        at = 0.1995 + amount
+        np.testing.assert_allclose(np.interp([at - 1e-6, at + 1e-6], t, u), [1.0 + 2.0 * at, -3.0 * at], atol=1e-4)
+    t, _ = edge.apply((TIME, values), (TIME, values), 1.0)
+    assert np.all(np.diff(t) > 0.0)  # held within its interval
+
+
+def test_held_samples_stay_and_smooth_ones_go_through_the_samples():
+    t, u = Held("a", "current").apply((TIME, CHIRP), (TIME, CHIRP), 1.0)
+    np.testing.assert_allclose(np.interp(TIME[:-1] + 9e-4, t, u), CHIRP[:-1])
+    t, u = Smooth("a", "current").apply((TIME, CHIRP), (TIME, CHIRP), 1.0)
+    np.testing.assert_allclose(np.interp(TIME, t, u), CHIRP, atol=1e-12)
+    exact = np.sin(2.0 * np.pi * (t + 199.0 * t**2 / 2.0))
+    straight = np.abs(np.interp(t, TIME, CHIRP) - exact).max()
+    assert np.abs(u - exact).max() < 0.1 * straight
+    t, u = Smooth("a", "current", (199,)).apply((TIME, CHIRP), (TIME, CHIRP), 1.0)
+    assert np.interp(0.1995, t, u) == pytest.approx(CHIRP[199:201].mean())
+
+
+@pytest.mark.parametrize("column, values", [("supply_pressure", np.full(400, 2e7)), ("current", CHIRP)])
+def test_waves_and_shifts_are_added(column, values):
+    samples = (TIME, values)
+    t, u = deviating(column, samples, ((Wave("a", column, 50.0, 0.3), 0.1), (Shift("a", column), 1.0)))
+    np.testing.assert_allclose(
+        np.interp(TIME, t, u), values + 0.1 * np.cos(2.0 * np.pi * 50.0 * TIME - 0.3) + 1.0, atol=1e-2
+    )
+    assert deviating(column, samples, ((Shift("a", "other"), 1.0),)) is samples
+    t, u = Shift("a", column, growing=True).apply(samples, samples, 2.0)
+    assert u[-1] - values[-1] == pytest.approx(2.0) and u[0] == values[0]
+
+
+def test_what_is_added_on_a_grid_has_its_area_and_its_moment_whatever_the_grid():
+    times = np.linspace(0.0, 0.399, 1 + 399 * 2)
+    values = np.where(TIME < 0.2, 0.0, 1.0)
+    edge = EdgeTime("a", "current", 199)
+    new, old = (edge.apply((TIME, values), (TIME, values), amount) for amount in (2e-4, -1e-4))
+    added = added_on_grid(new, old, times)
+    assert np.sum(added) * times[1] == pytest.approx(-3e-4, rel=1e-4)  # of height 1, later by 0.3 ms
+    assert np.sum(added * times) / np.sum(added) == pytest.approx(0.19955, abs=1e-6)
+    assert np.count_nonzero(np.abs(added) > 1e-9) <= 4
+
+
+def test_jumps_are_found_and_fast_commands_have_none():
+    noise = np.random.default_rng(0).normal(size=400)
+    for values in (CHIRP, CHIRP + 1e-3 * noise, 0.0 * TIME, np.abs(TIME % 0.1 - 0.05)):
+        assert not len(command_jumps(values, options=OPTIONS))
+    stairs = np.floor(TIME * 20.0) / 20.0
+    assert command_jumps(stairs, options=OPTIONS).tolist() == [49, 99, 149, 199, 249, 299, 349]
+    for seed in range(5):  # steps that a filter has rounded
+        for shape in ("steps", "chirp", "multisine"):
+            values = _current(np.random.default_rng(seed), shape, np.arange(1000) / 1e3, 1.0)
+            assert not len(command_jumps(values, options=OPTIONS))
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory):
+    """(case, session) of a healthy valve under ideal steps and smooth commands between the samples."""
+    case, bench = draw_bench(505, "none", imperfections=("edges",), duration=0.3)
+    folder = tmp_path_factory.mktemp("stepped")
+    write_bench_session(case, bench, folder)
+    return case, load_session(folder)
+
+
+def test_the_linearised_answer_to_the_time_of_an_edge_is_the_simulated_one(stepped):
+    _, session = stepped
+    record = session.training[1]
+    predictor = prepare_record(session, record, (), options=OPTIONS)
+    (edge, *_) = [p for p in input_choices(session, options=OPTIONS)[-1].parameters if p.input.record == record.name]
+    middle = ModelVariant(session.valve, deviations=((edge.input, 0.0),))
+    linear, later = linearise_record(predictor, middle), edge.moved(middle, 0.2)
+    exact = linear.simulated_difference(later)
+    for name, columns in linear.linear_difference([later]).items():
+        assert np.abs(columns[:, 0] - exact[name]).max() < 0.1 * np.abs(exact[name]).max()
+
+
+def test_readings_tell_how_the_command_went_and_when_it_jumped_and_a_healthy_valve_stays_healthy(stepped):
+    case, session = stepped
+    nominal = fit_nominal(prepare_session(session))
+    assert any("joined smoothly, with edges at fitted times" in note for note in nominal.study.session.notes)
+    assert nominal.fit.chi_square < 1.1 * nominal.fit.rows
+    fitted = zip(nominal.study.nominal.parameters, nominal.fit.point, strict=True)
+    edges = {p.input: p.at(t) for p, t in fitted if p.input}
+    run = next(run for run in case.runs if run.shape == "steps" and run.role == "train")
+    true = (np.flatnonzero(np.abs(np.diff(run.command)) > 5e-4) + 1) / (1e3 * FINE)
+    found = [1e-3 * (edge.after + 0.5) + amount for edge, amount in edges.items() if edge.record == run.name]
+    np.testing.assert_allclose(found, true, atol=1e-4)
+
+
+def test_a_command_that_goes_straight_is_left_as_it_is(tmp_path):
+    case, bench = draw_bench(505, "none", duration=0.3)
+    write_bench_session(case, bench, tmp_path)
+    nominal = fit_nominal(prepare_session(load_session(tmp_path)))
+    assert not nominal.study.nominal.variant.deviations and not nominal.study.spread
+    assert not any("taken as" in note for note in nominal.study.session.notes)
+
+
+def test_an_edge_may_be_anywhere_in_its_interval_and_nowhere_else(stepped):
+    _, session = stepped
+    record = session.training[0]
+    parameter = edge_time(record, EdgeTime(record.name, record.command, 10))
+    assert parameter.at(99.0) == pytest.approx(5e-4) and parameter.at(-99.0) == pytest.approx(-5e-4)
+    assert parameter.deviation == pytest.approx(1e-3 / np.sqrt(12.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("imperfection", ["edges", "hold"])
+@pytest.mark.parametrize("name", [None, "spool_coulomb_friction"])
+def test_a_session_whose_command_goes_otherwise_between_samples_is_diagnosed(tmp_path, imperfection, name):
+    case, bench = draw_bench(505, "effect" if name else "none", name=name, imperfections=(imperfection,))
+    write_bench_session(case, bench, tmp_path)
+    found = vs.diagnose(tmp_path)
+    if name is None:
+        assert found.verdict == "no_discrepancy"
+    else:
+        assert found.candidates[0].names == (name,)
+
+
+def test_variants_that_differ_in_an_edge_differ(stepped):
+    _, session = stepped
+    record = session.training[1]
+    parameter = edge_time(record, EdgeTime(record.name, record.command, 10))
+    variant = parameter.with_value(ModelVariant(session.valve), 1e-4)
+    assert parameter.value_in(variant) == 1e-4 and parameter.value_in(replace(variant, deviations=())) == 0.0
+    assert parameter.moved(variant, 1.0).deviations == ((parameter.input, 1e-4 + parameter.deviation),)

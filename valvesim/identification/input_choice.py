@@ -1,0 +1,173 @@
+"""How the command goes between its samples, by what the readings say: straight, held, smoothly, or with edges.
+
+Each way is run at the point of a fit, and judged by the chi-square that the linearised equations then predict: straight
+lines stay unless another is better by more than chance. The times of edges become nuisance parameters, anywhere within
+their interval; a jump whose time no reading can tell thereby weighs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.between_samples import (
+    Deviations,
+    EdgeTime,
+    Held,
+    Smooth,
+    command_corners,
+    edges_of,
+)
+from valvesim.identification.fit import Fit, evaluate_fit, predict_readings
+from valvesim.identification.least_squares import bounded_step
+from valvesim.identification.linearised_record import LinearisedRecord
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.prior import NominalModel, NuisanceParameter
+from valvesim.identification.session import UNITS, Record, Session, value_text
+from valvesim.identification.study import PreparedSession, Study
+
+
+@dataclass(frozen=True, eq=False)
+class InputChoice:
+    """A way in which commands may go between their samples: how it is told, what deviates, and what of it is fitted."""
+
+    name: str
+    deviations: Deviations
+    parameters: tuple[NuisanceParameter, ...]
+
+
+STRAIGHT = InputChoice("straight", (), ())
+
+
+def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[InputChoice, ...]:
+    """The ways that are open to a session's commands, the plainest first."""
+    records = [record for record in session.records if record.moves(record.command)]
+    jumps = {r.name: edges_of(r.name, r.command, r.values[r.command], options=options) for r in records}
+    corners = {r.name: command_corners(r.values[r.command], options=options).tolist() for r in records}
+    smooth = tuple((Smooth(r.name, r.command, tuple(corners[r.name])), 1.0) for r in records)
+    edges = tuple(
+        edge_time(record, edge)
+        for record in records
+        if record.role == "train"
+        for edge in jumps[record.name][: options.input.most_edges]
+    )
+    choices = [
+        STRAIGHT,
+        InputChoice("held until the next", tuple((Held(r.name, r.command), 1.0) for r in records), ()),
+        InputChoice("joined smoothly", smooth, ()),
+    ]
+    if edges:
+        choices += [
+            InputChoice("joined by straight lines, with edges at fitted times", (), edges),
+            InputChoice("joined smoothly, with edges at fitted times", smooth, edges),
+        ]
+    return tuple(choices)
+
+
+def edge_time(record: Record, edge: EdgeTime) -> NuisanceParameter:
+    """The time of a jump, anywhere within its interval, counted from the middle."""
+    step = 1.0 / record.rate
+    name = f"edge_time@{record.name}:{edge.after}"
+    return NuisanceParameter(name, "s", 0.0, step / np.sqrt(12.0), (-0.5 * step, 0.5 * step), input=edge)
+
+
+def choose_inputs(
+    study: Study,
+    point: np.ndarray,
+    linearised: Sequence[LinearisedRecord],
+    columns: Sequence[dict[str, np.ndarray]],
+    now: InputChoice = STRAIGHT,
+) -> InputChoice:
+    """The way of the commands that the readings ask for, by a point (p,) near the best fit of a study without any.
+
+    `columns` are the sensitivities there, first of all those of the study's own parameters. Another way than `now` must
+    be better by more than chance.
+    """
+    p = len(point)
+    J = study.stack([{name: each[:, :p] for name, each in own.items()} for own in columns])
+    best, least, reached = now, np.inf, np.inf
+    for choice in sorted(input_choices(study.session, options=study.options), key=lambda one: one.name != now.name):
+        nominal = study.nominal.extended(choice.parameters, choice.deviations)
+        more = J
+        if choice.parameters:
+            more = np.column_stack([J, added_columns(study, linearised, nominal, choice.parameters)])
+        try:
+            tried = evaluate_fit(study.with_nominal(nominal), np.append(point, np.zeros(len(choice.parameters))), ())
+        except (SolveError, InputError):
+            continue
+        chi_square = _predicted(tried, more, nominal)
+        least = min(least, chi_square) if choice.name == now.name else least
+        gain = max(study.options.input.minimum_gain, study.options.input.gain_share * (least - tried.rows))
+        if chi_square < least - gain and chi_square < reached:
+            best, reached = choice, chi_square
+    return best
+
+
+def _predicted(fit: Fit, J: np.ndarray, nominal: NominalModel) -> float:
+    """The chi-square that the linearised equations predict of a fit's next step, within the parameters' bounds."""
+    H, gradient = J.T @ J + np.eye(J.shape[1]), J.T @ fit.residual - fit.point
+    step = bounded_step(H, gradient, nominal.limits - fit.point)
+    return float(fit.chi_square - (2.0 * gradient - H @ step) @ step)
+
+
+def added_columns(
+    study: Study,
+    linearised: Sequence[LinearisedRecord],
+    nominal: NominalModel,
+    parameters: Sequence[NuisanceParameter],
+) -> np.ndarray:
+    """Whitened sensitivities (rows, len(parameters)) to one prior deviation of each, beside trajectories without it."""
+    by = study.options.sensitivity.step
+
+    def columns_of(linear: LinearisedRecord) -> dict[str, np.ndarray]:
+        inputs = [p.input for p in parameters if p.input is not None]
+        own = [k for k, one in enumerate(inputs) if one.record == linear.predictor.record.name]
+        here = linear.variant
+        middle = replace(here, deviations=(*nominal.variant.deviations, *((one, 0.0) for one in inputs)))
+        moved = linear.linear_difference([middle, *(parameters[k].moved(middle, by) for k in own)]) if own else {}
+        out = {name: np.zeros((len(read), len(parameters))) for name, read in linear.readings.items()}
+        for name, columns in moved.items():
+            out[name][:, own] = (columns[:, 1:] - columns[:, :1]) / by
+        return out
+
+    return study.stack([columns_of(linear) for linear in linearised])
+
+
+def input_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]:
+    """What a reading hangs on the way of the commands between their samples, by record and channel, (n,) in SI.
+
+    A share of what straight lines would read less, or more: so far any way may be wrong.
+    """
+    nominal = prepared.nominal
+    variant = nominal.at(np.zeros(len(nominal.parameters)))
+    edges = tuple(each for each in variant.deviations if isinstance(each[0], EdgeTime))
+    try:
+        own, straight = (
+            predict_readings(prepared, one) for one in (variant, replace(variant, deviations=edges))
+        )
+    except (SolveError, InputError):
+        return {}
+    share = prepared.options.input.spread
+    return {
+        (predictor.record.name, name): share * np.abs(read[name] - line[name])
+        for predictor, read, line in zip(prepared.predictors, own, straight, strict=True)
+        for name in read
+    }
+
+
+def input_notes(session: Session, choice: InputChoice) -> list[str]:
+    """What was taken of the commands between their samples, in words."""
+    notes = [f"the command's samples were taken as {choice.name}: the readings fit better so than by straight lines"]
+    for record in session.training:
+        edges = [p.input for p in choice.parameters if isinstance(p.input, EdgeTime) and p.input.record == record.name]
+        if edges:
+            values = record.values[record.command]
+            most = max(abs(float(values[edge.after + 1] - values[edge.after])) for edge in edges)
+            notes.append(
+                f"{record.name}: the {record.command} jumps up to {value_text(most, UNITS[record.command])} within one "
+                f"sample, {len(edges)} times; when, was fitted from the readings"
+            )
+    return notes
