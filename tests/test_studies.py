@@ -11,15 +11,20 @@ from scipy import stats
 
 import valvesim as vs
 from valvesim.errors import InputError
-from valvesim.studies import channel_histogram, engine
+from valvesim.studies import channel_histogram, engine, store
+from valvesim.studies.criteria import FigureLimit, criteria_of
 from valvesim.studies.designs import Correlation, Design, correlate
 from valvesim.studies.distributions import Choice, Distribution, tolerance_distribution
+from valvesim.studies.findings import find
+from valvesim.studies.local_sensitivity import local_sensitivity
 from valvesim.studies.members import make_plan, run_block
 from valvesim.studies.parameter_study import ChannelPercentiles, FigureOptions, ParameterStudy, WholeChannels
+from valvesim.studies.sensitivity_indices import sensitivity_indices
 from valvesim.studies.store import NAME
 from valvesim.studies.study import study
 from valvesim.studies.study_result import capability_of, open_result, yield_of
 from valvesim.studies.study_toml import load_study
+from valvesim.studies.tolerance_tightening import TightenedYields, tightening_plan
 from valvesim.studies.variables import Variable, apply, find_quantity, tolerated, variable_of
 
 ISOTHERMAL = vs.Thermal(network=None)
@@ -153,13 +158,15 @@ def test_a_store_of_another_study_is_refused_and_left_as_it_is(finished, tmp_pat
     assert before == {p: p.stat().st_mtime_ns for p in finished.folder.rglob("*")}
 
 
-def test_a_store_of_another_version_is_refused(finished, monkeypatch):
-    from valvesim.studies import store
-
+def test_a_store_that_another_version_began_is_not_finished_by_this_one_but_read(finished, tmp_path, monkeypatch):
     own = store.versions()
     monkeypatch.setattr(store, "versions", lambda: {**own, "code": "other"})
-    with pytest.raises(InputError, match="other versions: here code other instead of"):
-        study(small(), finished.folder, workers=0)
+    assert study(small(), finished.folder, workers=0).finished
+    store.open_store(tmp_path, small(), make_plan(small()))
+    monkeypatch.setattr(store, "versions", lambda: own)
+    with pytest.raises(InputError, match="other versions: here code .* instead of other"):
+        study(small(), tmp_path, workers=0)
+    assert not open_result(small(), tmp_path).ran.any()
 
 
 def test_what_is_no_store_is_refused(tmp_path):
@@ -355,8 +362,6 @@ def test_the_interval_of_a_yield_is_that_of_clopper_and_pearson():
 
 
 def test_capability_of_a_normal_figure(finished):
-    from valvesim.studies.criteria import FigureLimit, criteria_of
-
     (criterion,), _ = criteria_of(
         finished.figures, finished.nominal, [FigureLimit("run.spool_position.end", 0.0, 4.0)], None
     )
@@ -470,3 +475,185 @@ def test_a_table_of_ones_own(study_file, tmp_path):
     (tmp_path / "draws.csv").write_text("valve.null_gap [um]\n34\n1e6\n", encoding="utf-8")
     with pytest.raises(InputError, match="null_gap"):
         load_study(study_file)
+
+
+# ---------------------------------------------------------------- sensitivities and tolerances
+
+
+def ishigami(case):
+    """Ishigami and Homma (1990) of three quantities of the valve, each over -pi to pi."""
+    valve = case.valve
+    x = [10.0 * np.pi * (v - 1.0) for v in (valve.null_gap / 35e-6, valve.spool_mass / 4e-3, valve.spool_damping)]
+    return {"ishigami": np.sin(x[0]) + 7.0 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])}
+
+
+def ishigami_study(base_samples):
+    sizes = {"valve.null_gap": 35e-6, "valve.spool_mass": 4e-3, "valve.spool_damping": 1.0}
+    variables = (Variable(find_quantity(BASE, k), Distribution("uniform", 0.9 * n, 0.2 * n)) for k, n in sizes.items())
+    return ParameterStudy(
+        case=BASE, variables=tuple(variables), design=Design(kind="saltelli", members=base_samples),
+        keep=("own.*",), options=FigureOptions(functions=(ishigami,)),
+    )  # fmt: skip
+
+
+def test_sobol_indices_of_ishigamis_function_are_those_of_its_closed_form(tmp_path):
+    result = study(ishigami_study(256), tmp_path, workers=0)
+    found = sensitivity_indices(result, "own.ishigami")
+    a, b, pi = 7.0, 0.1, np.pi
+    whole = a**2 / 8 + b * pi**4 / 5 + b**2 * pi**8 / 18 + 0.5
+    first = np.array([0.5 * (1 + b * pi**4 / 5) ** 2, a**2 / 8, 0.0]) / whole
+    both = b**2 * pi**8 * (1 / 18 - 1 / 50) / whole
+    assert np.all(np.abs(found.first - first) < np.maximum(found.first_error, 0.02))
+    assert np.all(np.abs(found.total - first - [both, 0.0, both]) < np.maximum(found.total_error, 0.02))
+    assert list(found.order) == [0, 1, 2] and found.are_sobol and found.used == 256 * 5
+    assert result.independent.sum() == 256 * 2
+
+
+def test_sobol_indices_leave_out_base_samples_of_which_a_member_failed(tmp_path):
+    result = study(ishigami_study(32), tmp_path, workers=0)
+    whole = sensitivity_indices(result, "own.ishigami")
+    result.values[7, 0] = np.nan
+    fewer = sensitivity_indices(result, "own.ishigami")
+    assert whole.used - fewer.used == 5 and np.allclose(fewer.total, whole.total, atol=0.3)
+    result.values[:, 0] = 1.0
+    with pytest.raises(InputError, match="does not vary"):
+        sensitivity_indices(result, "own.ishigami")
+
+
+def linear(case):
+    """Known slopes over three quantities, and a fourth that does nothing."""
+    valve = case.valve
+    return {"sum": 3.0 * valve.null_gap / 35e-6 + 1.0 * valve.spool_mass / 4e-3 - 2.0 * valve.spool_damping}
+
+
+def linear_study(**changes):
+    sizes = {"valve.null_gap": 0.02, "valve.spool_mass": 0.1, "valve.spool_damping": 0.05, "valve.coil_turns": 0.02}
+    variables = []
+    for key, share in sizes.items():
+        quantity = find_quantity(BASE, key)
+        law = Distribution("norm", quantity.nominal, share * quantity.nominal / 2.0)
+        variables.append(Variable(quantity, law))
+    figures = dict(
+        case=BASE, variables=tuple(variables), design=Design(kind="latin_hypercube", members=1000, seed=5),
+        keep=("own.*",), options=FigureOptions(functions=(linear,)), block=1000,
+        limits=(FigureLimit("own.sum", 1.92, 2.08),),
+    )  # fmt: skip
+    return ParameterStudy(**(figures | changes))
+
+
+@pytest.fixture(scope="module")
+def linear_result(tmp_path_factory):
+    return study(linear_study(), tmp_path_factory.mktemp("linear"), workers=0)
+
+
+PARTS = np.array([3.0 * 0.01, 1.0 * 0.05, 2.0 * 0.025, 0.0]) ** 2  # of the variance of `linear`
+
+
+def test_shares_by_regression_and_local_ones_are_those_of_a_linear_figure(linear_result):
+    found = sensitivity_indices(linear_result, "own.sum")
+    assert found.explained == pytest.approx(1.0) and not found.are_sobol
+    assert np.allclose(found.first, PARTS / PARTS.sum(), atol=1e-3)
+    local = local_sensitivity(linear_result.study, make_plan(linear_result.study))
+    assert np.allclose(local.slopes, [[3.0 / 35e-6, 250.0, -2.0, 0.0]], rtol=1e-8, atol=1e-8)
+    assert np.allclose(local.shares, PARTS / PARTS.sum(), atol=2e-3) and not local.exact.any()
+
+
+def test_what_a_tighter_tolerance_does_is_what_a_study_of_it_gives(linear_result, tmp_path):
+    """A linear figure of normal quantities has a yield in closed form: by moved members to the scatter of 1000 of them,
+    by weights to their standard error."""
+    yields = TightenedYields(linear_result)
+    for factors in ({}, {"valve.spool_damping": 0.5}, {"valve.null_gap": 0.6, "valve.spool_mass": 0.5}):
+        share = np.array([factors.get(key, 1.0) for key in linear_result.study.keys])
+        deviation = np.sqrt(np.sum(PARTS * share**2))
+        exact = 2.0 * stats.norm.cdf(0.08 / deviation) - 1.0
+        told = yields.at(factors)
+        assert told.share == pytest.approx(exact, abs=0.03)
+        assert abs(told.weighted - exact) < 4.0 * told.error + 1e-3 and told.effective > 200
+    assert yields.at({"valve.coil_turns": 0.5}).share == yields.at({}).share
+
+
+def test_the_plan_tightens_what_gains_most_first_and_stops_at_the_wanted_yield(linear_result):
+    plan = tightening_plan(linear_result, 0.97)
+    assert plan.reached and plan.steps[-1].share >= 0.97 > plan.steps[-2].share
+    assert set(plan.steps[0].factors) <= {"valve.spool_mass", "valve.spool_damping"}
+    assert "valve.coil_turns" not in plan.steps[-1].factors
+    assert [one.share for one in plan.halved] == sorted((one.share for one in plan.halved), reverse=True)
+    assert next(iter(plan.halved[-1].factors)) == "valve.coil_turns"
+    assert not tightening_plan(linear_result, 0.9999999).reached or plan.now.share > 0.5
+    assert tightening_plan(linear_result, 0.1).steps == ()
+
+
+def test_weights_of_correlated_quantities_keep_their_correlation(tmp_path):
+    pair = (Correlation("valve.spool_mass", "valve.spool_damping", 0.8),)
+    own = linear_study(design=Design(kind="random", members=1000, seed=2, correlations=pair), block=1000)
+    yields = TightenedYields(study(own, tmp_path, workers=0))
+    told = yields.at({"valve.spool_mass": 0.5})
+    a, b, c = 0.03, 0.05 * 0.5, -0.05
+    exact = 2.0 * stats.norm.cdf(0.08 / np.sqrt(a**2 + b**2 + c**2 + 2.0 * 0.8 * b * c)) - 1.0
+    assert abs(told.weighted - exact) < 4.0 * told.error and told.share == pytest.approx(exact, abs=0.04)
+
+
+def test_slopes_by_the_tangent_equations_are_those_of_differences():
+    """Of a state and of a signal, over valve, pressure and command; against central differences of tight runs."""
+    case = replace(BASE, tolerance=1e-9)
+    keys = ("valve.null_gap", "valve.armature_inertia", "valve.null_gap_difference")
+    own = small(
+        case=case, whole=None, percentiles=None, keep=("run.spool_position.*", "run.load_flow.highest"),
+        variables=(*of(*keys), variable_of(find_quantity(case, "pressures.supply"), 1e5),
+                   variable_of(find_quantity(case, "command.current.step.after"), 1e-4)),
+    )  # fmt: skip
+    plan = make_plan(own)
+    local = local_sensitivity(own, plan)
+    assert local.exact.all()
+    for j, variable in enumerate(own.variables):
+        step = 0.01 * local.deviation[j]
+        rows = np.tile([v.quantity.nominal for v in own.variables], (2, 1))
+        rows[:, j] += [step, -step]
+        high, low = run_block(own, plan, 0, rows).figures
+        size = np.abs(local.slopes * local.deviation).max(axis=1) / local.deviation[j]
+        assert np.all(np.abs(local.slopes[:, j] - (high - low) / (2.0 * step)) < 2e-3 * size), variable.key
+
+
+def test_a_function_of_ones_own_that_fails_fails_its_member_alone(tmp_path):
+    def picky(case):
+        return {"root": 1.0 / (case.valve.spool_mass < 4.05e-3)}
+
+    own = linear_study(design=Design(members=40), options=FigureOptions(functions=(picky,)), limits=())
+    result = study(own, tmp_path, workers=0)
+    assert 0 < np.isnan(result.values).sum() < 40
+    assert "picky fails with ZeroDivisionError" in result.reasons[np.flatnonzero(np.isnan(result.values[:, 0]))[0]]
+    with pytest.raises(InputError, match="picky fails with"):
+        make_plan(linear_study(case=replace(BASE, valve=replace(BASE.valve, spool_mass=5e-3)), options=own.options))
+
+
+# ---------------------------------------------------------------- the page
+
+
+def test_the_page_shows_yield_limits_and_sensitivities(linear_result, tmp_path):
+    from datetime import date
+
+    from valvesim.reports.study import study_report
+
+    findings = find(linear_result)
+    written = study_report(findings, tmp_path, valve="valve <1>", date=date(2026, 11, 24))
+    assert [path.name for path in written] == [
+        "study_figures.png",
+        "study_sensitivity.png",
+        "study_tightening.png",
+        "study.html",
+    ]
+    page = (tmp_path / "study.html").read_text(encoding="utf-8")
+    for text in ("Yield", "own.sum", "valve.spool_mass", "Which tolerance to tighten", "valve &lt;1&gt;"):
+        assert text in page
+    assert "valve.coil_turns" in page
+
+
+# ---------------------------------------------------------------- several processes
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_two_processes_give_the_same_store_as_one(finished, tmp_path):
+    pytest.importorskip("distributed")
+    study(small(), tmp_path, workers=2)
+    assert same_files(finished.folder / NAME, tmp_path / NAME)

@@ -44,6 +44,17 @@ LEAST_SHOWN = {"%": 1e-3, "dB": 1e-4}
 """Below which a simulated figure is told to be zero: no more than what the integration leaves."""
 
 
+def unit_shown(unit: str) -> tuple[str, float]:
+    """(unit, factor from SI) in which people read a figure; a plain number has no unit."""
+    told, factor = _SHOWN.get(unit, (unit, 1.0))
+    return ("" if told in ("-", "") else symbol(told)), factor
+
+
+def unit_to_parse(unit: str) -> str:
+    """The unit of a figure as `units.parse` takes it."""
+    return "1" if unit in ("", "-") else unit
+
+
 def shown(figure: FigureOfMerit) -> tuple[str, str, str]:
     """(value, uncertainty, unit) as text in the units that people read."""
     unit, factor = _SHOWN.get(figure.unit, (figure.unit, 1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,14 @@ from valvesim.cli.options import settings_option
 @click.option("--dry-run", is_flag=True, help="Tell members, size and time; run and write nothing.")
 @click.option("--member", type=click.IntRange(0), help="Print the scenario of one member by its number, to be run.")
 @click.option("--yield", "wanted", help="Yield to reach by tightening tolerances, such as '99 %'.")
+@click.option(
+    "--no-local", is_flag=True, help="Leave out local sensitivities, which run the nominal valve's neighbours."
+)
 @click.option("--no-pictures", is_flag=True, help="Leave pictures and page out.")
 @settings_option
 def study(
     study: Path, output: Path | None, workers: int | None, scheduler: str | None, dry_run: bool, member: int | None,
-    wanted: str | None, no_pictures: bool, settings: tuple[str, ...],
+    wanted: str | None, no_local: bool, no_pictures: bool, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Run a STUDY file: thousands of valves within their tolerances, what becomes of their figures, and why.
 
@@ -32,9 +36,13 @@ def study(
     """
     from valvesim.errors import InputError
     from valvesim.io import check_folder
+    from valvesim.reports.study import study_report
+    from valvesim.reports.title_block import valve_name
     from valvesim.studies.engine import run_study
+    from valvesim.studies.findings import find
     from valvesim.studies.study_result import open_result
     from valvesim.studies.study_toml import load_study
+    from valvesim.studies.variables import scenario_of
     from valvesim.units import parse
 
     case = load_study(study, settings=settings)
@@ -56,9 +64,18 @@ def study(
             bar.update(stage, description=f"{done} of {members} members", total=members, completed=done)
 
         run_study(case, folder, workers=workers, scheduler=scheduler, progress=tell)
-    result = open_result(case, folder)
-    _print_result(result)
-    print_written([folder / "study.zarr"])
+        result = open_result(case, folder)
+        written = [folder / "study.zarr"]
+        bar.update(stage, description="sensitivities", total=None)
+        findings = find(
+            result, wanted=goal or 0.99, local=not no_local, progress=lambda what: bar.update(stage, description=what)
+        )
+        if not no_pictures:
+            bar.update(stage, description="drawing")
+            block = valve_name(scenario_of(case.case).valve)
+            written += study_report(findings, folder, valve=block, date=date.today())
+    _print_result(findings)
+    print_written(written)
 
 
 def _member_text(case: Any, number: int) -> str:
@@ -94,23 +111,26 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60.0:.3g} min" if seconds < 7200.0 else f"{seconds / 3600.0:.3g} h"
 
 
-def _print_result(result: Any) -> None:
-    import numpy as np
+def _print_result(findings: Any) -> None:
+    from valvesim.reports import study as page
+    from valvesim.studies import summary
 
-    from valvesim.studies.summary import figure_rows, limit_rows
-
-    print_table(result.study.title, ("figure of merit", "unit", "nominal", "mean", "deviation", "1 %", "50 %", "99 %",
-                "least", "member", "greatest", "member"), figure_rows(result))  # fmt: skip
-    screen = console()
+    result, screen = findings.result, console()
+    print_table(result.study.title, page.FIGURES, summary.figure_rows(result))
     if result.criteria:
-        headings = ("limit", "asked for", "yield", "interval (95 %)", "Cpk", "interval (95 %)", "worst members")
-        print_table("limits", headings, limit_rows(result))
-        y = result.yield_
-        screen.print(f"yield {100 * y.share:.4g} % ({100 * y.low:.4g} to {100 * y.high:.4g} %, 95 %)")
+        print_table("limits", page.LIMITS, summary.limit_rows(result))
+    for one in findings.indices:
+        kind = "Sobol indices" if one.are_sobol else f"by regression, R² {one.explained:.3f}"
+        print_table(
+            f"{one.figure}: share of the variance, {kind}", page.INDICES, summary.index_rows(findings, one.figure, 5)
+        )
+    if rows := summary.halved_rows(findings, 5):
+        print_table("which tolerance to tighten", page.HALVED, rows)
+        screen.print(summary.plan_words(findings), markup=False)
+    if result.criteria:
+        own = result.yield_
+        screen.print(f"yield {summary.percent(own.share)} ({summary.interval_text(own)}, 95 %)")
     for name in result.unjudged:
         screen.print(f"not judged: {name}, which no kept figure shows")
-    failed = np.flatnonzero(result.ran & (result.reasons != ""))
-    if len(failed):
-        first = int(failed[0])
-        told = f"{len(failed)} members lack a figure, the first is {first}: {result.reasons[first]}"
-        screen.print(told, markup=False)
+    for count, first, reason in summary.failure_rows(result, 3):
+        screen.print(f"{count} members lack a figure, such as member {first}: {reason}", markup=False)

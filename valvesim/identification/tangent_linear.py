@@ -111,6 +111,11 @@ def first_order_response(a: np.ndarray, b: np.ndarray, step: float) -> np.ndarra
     return z
 
 
+def fill_propagators(A: np.ndarray, h: float, E: np.ndarray, early: np.ndarray, late: np.ndarray) -> None:
+    """`propagators`, compiled."""
+    _machine()[0](A, h, E, early, late)
+
+
 @functools.cache
 def _machine() -> tuple[Any, Any, Any]:
     from numba import njit
@@ -176,7 +181,7 @@ def linearise_along(
     A = np.ascontiguousarray(A[:, active][:, :, active])
     h = float(predictor.times[1] - predictor.times[0])
     E, early, late = (np.empty((n - 1, len(active), len(active))) for _ in range(3))
-    _machine()[0](A, h, E, early, late)
+    fill_propagators(A, h, E, early, late)
     slopes = _slopes(predictor, trajectory, active, scale, model, along)
     return TangentLinear(active, scale[active], A, E, early, late, slopes)
 

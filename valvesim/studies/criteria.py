@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvesim.characterisation.figure_of_merit import FigureOfMerit
+from valvesim.characterisation.figure_of_merit import FigureOfMerit, unit_shown, unit_to_parse
 from valvesim.characterisation.specification import FIGURES, UNSIGNED, Limit, Specification, judge
 from valvesim.errors import InputError, unknown_name
-from valvesim.studies.figures import RESPONSE_FIGURES, RIG_TESTS, Figure, scale_of, unit_to_parse
+from valvesim.studies.figures import RESPONSE_FIGURES, RIG_TESTS, Figure
 from valvesim.units import parse
 
 
@@ -53,7 +53,7 @@ class Criterion:
     @property
     def words(self) -> str:
         """The limits in words, with the unit that people read."""
-        unit, factor = scale_of(self.figure.unit)
+        unit, factor = unit_shown(self.figure.unit)
         ends = (("at least", self.low), ("at most", self.high))
         told = ", ".join(f"{word} {value * factor:.6g} {unit}".strip() for word, value in ends if np.isfinite(value))
         return f"size {told}" if self.either_way else told

@@ -4,6 +4,7 @@
     drift.QUANTITY.REDUCTION  static drift along the run's temperatures (end, largest) of angle and spool position
     bench.TEST.FIGURE         the static acceptance tests of `valvesim bench`, isothermal, at `bench_temperature`
     response.TEST.FIGURE      steps and stepped sines of `valvesim response`: step_25, sine_100 (% of rated command)
+    own.FIGURE                of functions of one's own, of a member's case: {name: value}
 
 A name may hold `*`. What a family computes is what the command of its name computes, by the same functions.
 """
@@ -11,7 +12,7 @@ A name may hold `*`. What a family computes is what the command of its name comp
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any
@@ -21,19 +22,18 @@ import numpy as np
 from valvesim.channels import Channel
 from valvesim.characterisation.acceptance.acceptance_tests import RIG_TESTS, rig_figures
 from valvesim.characterisation.acceptance.rig import Rig
-from valvesim.characterisation.figure_of_merit import FiguresOfMerit
+from valvesim.characterisation.figure_of_merit import FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.frequency_response import FREQUENCIES, frequency_response
 from valvesim.characterisation.held_scenario import held, held_oil_temperature, rated_command
 from valvesim.characterisation.response_set import STEPS, SWEEPS
 from valvesim.characterisation.step_response import step_response
 from valvesim.characterisation.thermal_drift import QUANTITIES, reference_current
-from valvesim.errors import unknown_name
+from valvesim.errors import InputError, unknown_name
 from valvesim.simulation.scenario import Scenario
-from valvesim.units import DISPLAY, symbol
 from valvesim.valve.coefficients import REFERENCE_TEMPERATURE, PartTemperatures
 from valvesim.valve.equilibrium import static_solution
 
-FAMILIES = ("run", "drift", "bench", "response")
+FAMILIES = ("run", "drift", "bench", "response", "own")
 RESPONSE_FIGURES = {
     **dict.fromkeys(
         ("time_to_90_percent", "rise_time", "settling_time", "overshoot", "dead_time", "mean_rate"), "step"
@@ -148,6 +148,24 @@ def _named(prefix: str, figures: FiguresOfMerit) -> FiguresOfMerit:
     return tuple(replace(figure, name=f"{prefix}.{figure.name}") for figure in figures)
 
 
+OwnFigures = Callable[[Any], Mapping[str, float]]
+"""A function of one's own: of a member's case (a scenario or a position loop) figures of merit by name."""
+
+
+def own_figures(case: Any, functions: Sequence[OwnFigures]) -> FiguresOfMerit:
+    """The figures of functions of one's own. InputError where one gives something else than numbers by name."""
+    figures: FiguresOfMerit = ()
+    for function in functions:
+        try:
+            told = {str(name): float(value) for name, value in function(case).items()}
+        except Exception as error:  # it is a stranger's
+            problem = f"{function.__name__} fails with {type(error).__name__}: {error}; it must give numbers by name"
+            raise InputError(problem, key="figures.functions") from None
+        doc = (function.__doc__ or function.__name__).strip().split("\n")[0]
+        figures += tuple(FigureOfMerit(f"own.{name}", value, "-", doc) for name, value in told.items())
+    return figures
+
+
 TESTS = {"bench": RIG_TESTS, "response": RESPONSE_TESTS}
 
 
@@ -183,14 +201,3 @@ def matching(names: Sequence[str], known: Sequence[Figure]) -> tuple[Figure, ...
             raise unknown_name("figure of merit", name, [figure.name for figure in known], "figures.keep")
         picked |= {figure.name: figure for figure in found}
     return tuple(picked.values())
-
-
-def unit_to_parse(unit: str) -> str:
-    """The unit of a figure as `units.parse` takes it: plain numbers have none."""
-    return "1" if unit in ("", "-") else unit
-
-
-def scale_of(unit: str) -> tuple[str, float]:
-    """(unit, factor from SI) in which people read a figure."""
-    shown, factor = {"1": ("%", 100.0), "s": ("ms", 1e3), **DISPLAY}.get(unit, (unit, 1.0))
-    return ("" if shown in ("-", "") else symbol(shown)), factor

@@ -26,6 +26,7 @@ from valvesim.studies.figures import (
     Figure,
     bench_figures,
     matching,
+    own_figures,
     response_figures,
     run_figures,
     static_drifts,
@@ -116,11 +117,6 @@ class Plan:
     samples: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     reference: Reference | None = None
 
-    @property
-    def runs(self) -> bool:
-        """Whether members are simulated at all."""
-        return self.reference is not None or len(self.times) > 0
-
 
 @dataclass(frozen=True)
 class BlockResult:
@@ -186,7 +182,7 @@ def run_block(study: ParameterStudy, plan: Plan, number: int, draws: np.ndarray)
     with validity_warnings() as told:
         for rows in _batches(study, plan, draws):
             _run_batch(study, plan, draws, rows, out, reasons)
-        if plan.bench or plan.response:
+        if plan.bench or plan.response or study.options.functions:
             for k in range(members):
                 _run_single(study, plan, draws[k], k, out, reasons)
     cut = tuple(one_line(reason)[:LONGEST_REASON] for reason in reasons)
@@ -248,7 +244,8 @@ def _run_batch(
     places = {figure.name: k for k, figure in enumerate(plan.figures)}
     try:
         case = _case_of(study, draws, rows)
-        runs = prepared(case, plan.knot_times) if plan.runs else None
+        simulated = any(name.startswith("run.") for name in places) or study.percentiles or study.whole
+        runs = prepared(case, plan.knot_times) if simulated else None
         if drifts := [name for name in places if name.startswith("drift.")]:
             for name, values in static_drifts(scenario_of(case), drifts).items():
                 out.figures[rows, places[name]] = values
@@ -318,4 +315,6 @@ def _single_figures(study: ParameterStudy, case: Case, bench: Sequence[str], res
     figures: FiguresOfMerit = ()
     if bench:
         figures += bench_figures(scenario, bench, temperature=at.bench_temperature, points=at.bench_points)
-    return figures + (response_figures(scenario, response) if response else ())
+    if response:
+        figures += response_figures(scenario, response)
+    return figures + own_figures(case, at.functions)

@@ -19,7 +19,7 @@ from valvesim.simulation.result import output_channels
 from valvesim.studies.criteria import FigureLimit
 from valvesim.studies.designs import Design
 from valvesim.studies.distributions import Choice
-from valvesim.studies.figures import check_families
+from valvesim.studies.figures import OwnFigures, check_families
 from valvesim.studies.variables import Case, Variable, apply, scenario_of
 
 MOST_BLOCK = 10_000  # members of a block: some 100 tasks of a million
@@ -52,11 +52,14 @@ class WholeChannels:
 
 @dataclass(frozen=True, kw_only=True)
 class FigureOptions:
-    """What the figures of merit are taken from: runs from `start` (s) on, benches at a temperature (°C) and points."""
+    """What the figures of merit are taken from: runs from `start` (s) on, benches at a temperature (°C) and points,
+    and `functions` of one's own.
+    """
 
     start: float = 0.0
     bench_temperature: float = 20.0
     bench_points: int = 2000
+    functions: tuple[OwnFigures, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,6 +216,12 @@ def _words(value: Any) -> str:
         return repr(float(value) if isinstance(value, np.floating) else value)
     if isinstance(value, Iterable):
         return f"({', '.join(_words(one) for one in value)})"
-    code = getattr(value, "__code__", None)
-    own = hashlib.sha256(code.co_code).hexdigest()[:16] if code is not None else ""
-    return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__name__)}{own}"
+    return f"{getattr(value, '__qualname__', type(value).__name__)} {_code_hash(getattr(value, '__code__', None))}"
+
+
+def _code_hash(code: Any) -> str:
+    """A hash of what a function does: its instructions, names and constants."""
+    if code is None:
+        return ""
+    constants = [_code_hash(one) if hasattr(one, "co_code") else repr(one) for one in code.co_consts]
+    return hashlib.sha256(code.co_code + repr((code.co_names, constants)).encode()).hexdigest()[:16]

@@ -67,8 +67,8 @@ class StudyStore:
 def open_store(folder: Path, study: ParameterStudy, plan: Plan) -> StudyStore:
     """The store of a study in a folder: a new one, or the one that was begun there.
 
-    Raises InputError where it is of another study or of another version of the package, or cannot be written; then
-    nothing is changed.
+    Raises InputError where it is of another study, unfinished and of another version of the package, or cannot be
+    written; then nothing is changed.
     """
     import zarr
 
@@ -81,11 +81,12 @@ def open_store(folder: Path, study: ParameterStudy, plan: Plan) -> StudyStore:
     except Exception as error:  # zarr has errors of many kinds for what is no store
         raise InputError(f"is no store of a study ({error})", file=path) from None
     check_identity(path, attributes, study)
-    if told := difference(attributes["versions"], versions()):
+    store = StudyStore(group, study)
+    if store.pending and (told := difference(attributes["versions"], versions())):
         raise InputError(
             f"was begun with other versions: here {told}; finish it with those, or start in another folder", file=path
         )  # fmt: skip
-    return StudyStore(group, study)
+    return store
 
 
 def check_identity(path: Path, attributes: dict[str, Any], study: ParameterStudy) -> None:

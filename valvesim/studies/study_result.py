@@ -35,7 +35,7 @@ LEVELS = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)  # %, of the figures of merit
 
 @dataclass(frozen=True)
 class Yield:
-    """Members that pass, of all that have run; `low` to `high` is the interval of the share by Clopper and Pearson.
+    """Members that pass, of all that have run and are independent, with the interval of the share (Clopper, Pearson).
 
     It is that of independent draws: a stratified design is the more exact, by how much is not told.
     """
@@ -140,6 +140,14 @@ class StudyResult:
         """Why a figure is missing, (members,) of text."""
         return np.char.decode(np.asarray(self.group[REASONS][:]), "utf-8")
 
+    @functools.cached_property
+    def independent(self) -> np.ndarray:
+        """Members that have run and are drawn independently, (members,): of a Saltelli design its two base samples."""
+        if self.study.design.kind != "saltelli":
+            return self.ran
+        place = np.arange(len(self.ran)) % (len(self.study.variables) + 2)
+        return self.ran & ((place == 0) | (place == len(self.study.variables) + 1))
+
     def column(self, figure: str) -> np.ndarray:
         """One figure of merit of all members, (members,)."""
         return self.values[:, [f.name for f in self.figures].index(figure)]
@@ -172,16 +180,16 @@ class StudyResult:
         if not self.criteria:
             raise InputError("no limits: a yield needs [limits] or a specification", key="limits")
         self._check_any()
-        return yield_of(self.passes[self.ran])
+        return yield_of(self.passes[self.independent])
 
     def yield_by(self, criterion: Criterion) -> Yield:
         """The yield against one limit alone."""
         self._check_any()
-        return yield_of(criterion.passes(self.column(criterion.figure.name)[self.ran]))
+        return yield_of(criterion.passes(self.column(criterion.figure.name)[self.independent]))
 
     def capability(self, criterion: Criterion) -> Capability:
         """Cpk of one limit."""
-        return capability_of(criterion, self.column(criterion.figure.name))
+        return capability_of(criterion, self.column(criterion.figure.name)[self.independent])
 
     def _check_any(self) -> None:
         if not self.ran.any():

@@ -37,13 +37,24 @@ import numpy as np
 from valvesim.characterisation.position_loop import PositionLoop, scheduled_for
 from valvesim.characterisation.specification import load_specification
 from valvesim.errors import InputError, unknown_name
-from valvesim.io import check_known, check_tables, located, read_columns, read_names, read_toml, split_heading
+from valvesim.io import (
+    MOST_TEXT,
+    check_file,
+    check_known,
+    check_tables,
+    located,
+    read_columns,
+    read_names,
+    read_toml,
+    split_heading,
+)
 from valvesim.simulation.command_toml import read_command, read_switch
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.scenario_toml import Reader, override
 from valvesim.studies.criteria import FigureLimit, figures_for
 from valvesim.studies.designs import MOST_MEMBERS, Correlation, Design
 from valvesim.studies.distributions import Choice, Distribution, tolerance_distribution
+from valvesim.studies.figures import OwnFigures
 from valvesim.studies.parameter_study import ChannelPercentiles, FigureOptions, ParameterStudy, WholeChannels
 from valvesim.studies.variables import (
     Case,
@@ -91,9 +102,9 @@ def read_study(table: dict[str, Any], folder: Path) -> ParameterStudy:
     if "specification" in table:
         specification = load_specification(folder / _text(table["specification"], "specification"))
     design_table, figures = table.get("design", {}), table.get("figures", {})
-    check_known(figures, ("keep", "start", "bench_temperature", "bench_points"), "figures")
+    check_known(figures, ("keep", "start", "bench_temperature", "bench_points", "functions"), "figures")
     keep = read_names(figures.get("keep", []), "figures.keep", "figure")
-    options = _options(figures)
+    options = _options(figures, folder)
     if specification is not None:
         keep = tuple(dict.fromkeys((*keep, *figures_for(specification))))
         if "bench_temperature" not in figures and "oil_temperature" in specification.conditions:
@@ -353,14 +364,30 @@ def _table_design(table: Mapping[str, Any], case: Case, folder: Path) -> tuple[t
     return tuple(variables), Design(kind="table", members=len(rows), rows=rows)
 
 
-def _options(table: Mapping[str, Any]) -> FigureOptions:
+def _options(table: Mapping[str, Any], folder: Path) -> FigureOptions:
     options: dict[str, Any] = {}
+    files = read_names(table.get("functions", []), "figures.functions", "file")
+    options["functions"] = tuple(_own_function(folder / name) for name in files)
     for key, unit in (("start", "s"), ("bench_temperature", "degC")):
         if key in table:
             options[key] = parse(table[key], unit, f"figures.{key}")
     if "bench_points" in table:
         options["bench_points"] = _whole_number(table["bench_points"], "figures.bench_points", 100_000, least=100)
     return FigureOptions(**options)
+
+
+def _own_function(path: Path) -> OwnFigures:
+    """The function `figures` of a user's Python file, run as it is, as files of effects are."""
+    check_file(path, MOST_TEXT)
+    names: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
+    try:
+        exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), names)
+    except Exception as error:
+        raise InputError(f"{path}: {type(error).__name__}: {error}", key="figures.functions") from None
+    function = names.get("figures")
+    if not callable(function):
+        raise InputError(f"{path}: has no function `figures`", key="figures.functions")
+    return function
 
 
 def _percentiles(table: Mapping[str, Any] | None) -> ChannelPercentiles | None:
