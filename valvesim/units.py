@@ -337,6 +337,19 @@ def change(instance: Any, values: dict[str, Any], where: str = "") -> Any:
         raise error.moved(type(instance).__name__.lower(), where) from None
 
 
+def fmi_base_unit(unit: str) -> dict[str, float]:
+    """A unit as FMI has it: exponents of kg, m, s, A, K and rad, with `factor` and `offset` to that base."""
+    kelvin = {"degC": "kelvin", "delta_degC": "kelvin"}.get(unit, unit)
+    quantity = _registry().Quantity(1.0, _unit(kelvin)).to_base_units()
+    names = {"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K"}
+    base = {names[name]: power for name, power in quantity.unit_items() if name in names}
+    above, _, below = unit.partition("/")
+    turns = above.split("*").count("rad") - below.split("*").count("rad")
+    base |= {"rad": turns} if turns else {}
+    base |= {"factor": float(quantity.magnitude)} if quantity.magnitude != 1.0 else {}
+    return base | ({"offset": 273.15} if unit == "degC" else {})
+
+
 def symbol(unit: str) -> str:
     """A unit as a person writes it on an axis."""
     return _SYMBOLS.get(unit, unit).replace("^2", "²").replace("^3", "³").replace("*", "·")

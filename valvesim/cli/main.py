@@ -25,7 +25,7 @@ from valvesim.cli.streams import CLOSED_PIPE, drop_output, prepare_streams
 from valvesim.errors import InputError, SolveError, ValidityWarning, nearest, one_line
 
 COMMANDS = (
-    "bench", "datasheet", "diagnose", "effects", "identify", "oils", "parameters", "records", "reproduce",
+    "bench", "datasheet", "diagnose", "effects", "export", "identify", "oils", "parameters", "records", "reproduce",
     "response", "run", "scenarios", "static", "study",
 )  # fmt: skip
 

@@ -168,7 +168,9 @@ def _rest(theta, current, c: Coefficients, supply_pressure, return_pressure, loa
     return residual, x_v, p1, p2
 
 
-def balances_at_rest(theta, current, p1, p2, c: Coefficients, supply_pressure, return_pressure, load_pressure, friction):
+def balances_at_rest(
+    theta, current, p1, p2, c: Coefficients, supply_pressure, return_pressure, load_pressure, friction=0.0
+):  # fmt: skip
     """(torque residual N m, x_v m) at a held angle and the pressures that go with it: floats, arrays or symbols."""
     x_f = c.nozzle_arm * theta
     arm, K_f = c.nozzle_arm + c.feedback_arm, c.feedback_rod_stiffness

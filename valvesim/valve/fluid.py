@@ -19,7 +19,7 @@ import numpy as np
 
 from valvesim.errors import InputError, warn_once
 from valvesim.units import check_bounds, quantity
-from valvesim.valve.laws import straight_segments
+from valvesim.valve.laws import is_number, straight_segments
 
 ATMOSPHERE = 101325.0
 KELVIN = 273.15
@@ -184,7 +184,7 @@ class Oil:
             at_zero = self.density_at_20 * (self.density_law(temperature) / self.density_law(20.0))
         else:
             at_zero = self.density_at_20 * np.exp(-self.thermal_expansion * (np.asarray(temperature) - 20.0))
-        if self.bulk_modulus_slope == 0.0:
+        if is_number(self.bulk_modulus_slope) and self.bulk_modulus_slope == 0.0:
             return at_zero * np.exp(pressure / self.bulk_modulus_at_zero(temperature))
         ratio = 1.0 + self.bulk_modulus_slope * pressure / self.bulk_modulus_at_zero(temperature)
         return at_zero * ratio ** (1.0 / self.bulk_modulus_slope)
