@@ -485,6 +485,31 @@ def test_a_batch_gives_what_its_valves_give_one_by_one():
     assert np.ptp(batch["spool_position"][:, -1]) > 1e-7
 
 
+def many_gaps(members, **changes):
+    valve = dataclasses.replace(VALVE, null_gap=np.linspace(30e-6, 40e-6, members))
+    return vs.Scenario(**{"duration": 0.02, "command": STEP, "thermal": ISOTHERMAL, "valve": valve} | changes)
+
+
+@pytest.mark.parametrize("members", [8, 11, 17])
+def test_valves_that_take_their_steps_together_give_what_each_gives_alone(members):
+    scenario = many_gaps(members)
+    batch = vs.simulate_batch(scenario)
+    for k in range(members):
+        valve = dataclasses.replace(VALVE, null_gap=scenario.valve.null_gap[k])
+        alone = states(vs.simulate(dataclasses.replace(scenario, valve=valve)))
+        member = np.array([batch[name][k] for name in NAMES]) / SCALE[:, None]
+        assert apart(member, alone) < scenario.tolerance
+
+
+def test_a_valve_that_fails_leaves_its_neighbours_alone(monkeypatch):
+    problem = MODULE.prepare(many_gaps(9))
+    problem.initial[4] = np.nan
+    answers = list(MODULE.integrate_members(problem, range(9)))
+    assert isinstance(answers[4], SolveError) and "member 4" in str(answers[4])
+    for k in (0, 3, 5, 8):
+        assert np.array_equal(answers[k], MODULE.integrate(problem, k, None)[0])
+
+
 def test_a_batch_is_refused_where_one_valve_is_meant():
     valve = dataclasses.replace(VALVE, null_gap=np.array([30e-6, 35e-6]))
     with pytest.raises(InputError, match=r"valve\.null_gap is an array, a batch of valves: use simulate_batch"):
@@ -492,9 +517,7 @@ def test_a_batch_is_refused_where_one_valve_is_meant():
 
 
 def test_a_batch_is_the_same_on_any_number_of_threads():
-    valve = dataclasses.replace(VALVE, null_gap=np.linspace(30e-6, 40e-6, 5))
-    scenario = vs.Scenario(duration=0.02, command=STEP, thermal=ISOTHERMAL, valve=valve)
-    one, four = (vs.simulate_batch(scenario, workers=workers) for workers in (1, 4))
+    one, four = (vs.simulate_batch(many_gaps(21), workers=workers) for workers in (1, 4))
     assert all(np.array_equal(one[name], four[name]) for name in one)
 
 

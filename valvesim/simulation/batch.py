@@ -1,4 +1,4 @@
-"""A batch of valves under one scenario, each on a thread of its own."""
+"""A batch of valves under one scenario, shared out among threads."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from valvesim.simulation.run import integrate, prepare
+from valvesim.errors import SolveError
+from valvesim.simulation.run import integrate_members, prepare
 from valvesim.simulation.scenario import Scenario
+from valvesim.solver.codegen import LANES
 
 
 def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[str, np.ndarray]:
@@ -22,12 +24,15 @@ def simulate_batch(scenario: Scenario, *, workers: int | None = None) -> dict[st
     states = np.empty((members, *shape))
 
     def run(share: np.ndarray) -> None:
-        for k in share:
-            states[k] = integrate(problem, int(k), None)[0]
+        for k, answer in zip(share, integrate_members(problem, share.tolist()), strict=True):
+            if isinstance(answer, SolveError):
+                raise answer
+            states[k] = answer
 
     threads = workers or cores()
+    shares = np.array_split(np.arange(members), np.arange(LANES, members, LANES))  # the same lanes on any cores
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(run, np.array_split(np.arange(members), min(threads, members))))
+        list(pool.map(run, shares))
     names = [channel.name for channel in scenario.model.state_channels]
     return {"time": problem.times, **{name: states[:, :, k] for k, name in enumerate(names)}}
 

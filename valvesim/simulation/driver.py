@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from valvesim.errors import SolveError
-from valvesim.solver.codegen import CompiledModel
+from valvesim.solver.codegen import LANES, CompiledModel, compile_lanes
 from valvesim.solver.rodas5p import STEP_TOO_SMALL, TOO_MANY_STEPS, set_inputs
 from valvesim.units import symbol
 
@@ -53,26 +54,51 @@ def integrate(
     `progress` is told the share that is done after each of so many slices of time; `most_steps` are those of a slice.
     Raises SolveError, which says `what` has failed, when, in which state, why, and gives the `advice`.
     """
-    compiled, count = problem.compiled, np.zeros(2, dtype=np.int64)
     rest, knots = problem.initial[:, None].copy(), problem.knots[:, :, None].copy()  # one valve is one lane
-    y, out = rest.copy(), np.full((len(problem.times), *rest.shape), np.nan)
-    clock = np.array([0.0, min(FIRST_STEP, problem.end), 0.0])
-    atol = np.full(len(y), ABSOLUTE_SHARE * problem.tolerance)
-    if problem.ignored is not None:
-        atol[problem.ignored] = np.inf
+    run = _Run(problem, rest, knots)
     for k in range(1, slices + 1):
-        end = problem.end * k / slices if k < slices else problem.end
-        status = compiled.run(
-            y, clock, end, problem.starts, problem.rows, problem.knot_times, knots, problem.times, out,
-            problem.tolerance, atol, rest, problem.most_steps, count,
-        )  # fmt: skip
+        status = run.go_on(problem.compiled.run, problem.end * k / slices if k < slices else problem.end)
         if status:
-            raise _failure(problem, status, y[:, 0], float(clock[0]), what, advice)
+            raise _failure(problem, status, run.y[:, 0], float(run.clock[0]), what, advice)
         if progress is not None:
             progress(k / slices)
-    if not np.isfinite(out[-1:]).all():
+    if not np.isfinite(run.out[-1:]).all():
         raise SolveError(f"{what} failed: its last states are no numbers. {advice}".rstrip())
-    return out[:, :, 0] * compiled.scale, count
+    return run.out[:, :, 0] * problem.compiled.scale, run.count
+
+
+def integrate_together(problem: InitialValueProblem, initial: np.ndarray, knots: np.ndarray) -> np.ndarray | None:
+    """States (k, n_t, n) in SI of k valves, at most `codegen.LANES`, that take their steps together.
+
+    `initial` (k, n) and `knots` (k, m, n_c) stand for those of the problem. Each valve is as exact as alone, for the
+    steps are those that the most demanding one needs. None where one of them fails.
+    """
+    lanes = np.minimum(np.arange(LANES), len(initial) - 1)  # the last valve fills what is left
+    rest = np.ascontiguousarray(initial[lanes].T)
+    run = _Run(problem, rest, np.ascontiguousarray(np.moveaxis(knots[lanes], 0, -1)))
+    if run.go_on(compile_lanes(problem.compiled), problem.end) or not np.isfinite(run.out[-1:]).all():
+        return None
+    return np.moveaxis(run.out, -1, 0)[: len(initial)] * problem.compiled.scale
+
+
+class _Run:
+    """A run of the compiled integrator and where it stands: `rest` (n, lanes), `knots` (m, n_c, lanes)."""
+
+    def __init__(self, problem: InitialValueProblem, rest: np.ndarray, knots: np.ndarray):
+        self.problem, self.rest, self.knots, self.y = problem, rest, knots, rest.copy()
+        self.out = np.full((len(problem.times), *rest.shape), np.nan)
+        self.clock, self.count = np.array([0.0, min(FIRST_STEP, problem.end), 0.0]), np.zeros(2, dtype=np.int64)
+        self.atol = np.full(len(rest), ABSOLUTE_SHARE * problem.tolerance)
+        if problem.ignored is not None:
+            self.atol[problem.ignored] = np.inf
+
+    def go_on(self, run: Any, end: float) -> int:
+        """Advance to a time; the status of `rodas5p.integrate`."""
+        problem = self.problem
+        return run(
+            self.y, self.clock, end, problem.starts, problem.rows, problem.knot_times, self.knots, problem.times,
+            self.out, problem.tolerance, self.atol, self.rest, problem.most_steps, self.count,
+        )  # fmt: skip
 
 
 def _failure(problem: InitialValueProblem, status: int, y: np.ndarray, t: float, what: str, advice: str) -> SolveError:

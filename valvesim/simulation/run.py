@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from valvesim.channels import Inputs
-from valvesim.errors import InputError
+from valvesim.errors import InputError, SolveError
 from valvesim.inputs import evaluate, merge, piece_value
 from valvesim.simulation import driver
 from valvesim.simulation.result import Result, output_channels
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
 from valvesim.simulation.temperature_knots import array_quantities, between, temperature_knots
-from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
+from valvesim.solver.codegen import LANES, CompiledModel, absent_coefficients, compile_model
 from valvesim.valve.coefficients import PART_NAMES
 from valvesim.valve.effect import Reading
 from valvesim.valve.thermal_network import TemperaturePath
@@ -26,6 +26,7 @@ from valvesim.valve.thermal_network import TemperaturePath
 MAX_STEPS = 50_000_000  # of a slice
 SLICES = 64  # at most, of a run, between which progress is told: none shorter than a second
 ADVICE = "Try a larger valve.transition_pressure or effect width, a smaller command, or a looser solver.tolerance"
+FEWEST_TOGETHER = 3  # members that take more time alone than in lanes of which the others are idle
 JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
 
 
@@ -121,18 +122,43 @@ def _soften_jumps(starts: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.
 
 def integrate(problem: Problem, member: int, progress: Callable[[float], None] | None) -> tuple[np.ndarray, Any]:
     """States (n_t, states) in SI of one member, and the counts of accepted and rejected steps."""
-    scenario = problem.scenario
     batch = f" of member {member}" if len(problem.knots) > 1 else ""
     return driver.integrate(
-        driver.InitialValueProblem(
-            compiled=problem.compiled, initial=problem.initial[member], starts=problem.starts, rows=problem.rows,
-            knot_times=problem.path.times, knots=problem.knots[member], times=problem.times, end=scenario.duration,
-            tolerance=scenario.tolerance, most_steps=MAX_STEPS,
-        ),
-        slices=int(np.clip(scenario.duration, 1, SLICES)),
+        _of_member(problem, member),
+        slices=int(np.clip(problem.scenario.duration, 1, SLICES)),
         progress=progress,
         what=f"the integration{batch}",
         advice=ADVICE,
+    )
+
+
+def integrate_members(problem: Problem, members: Sequence[int]) -> Iterator[np.ndarray | SolveError]:
+    """States (n_t, states) in SI of some members, in order, or why one fails.
+
+    They take their steps together, `codegen.LANES` at a time, at a third to a seventh of the time that they take alone.
+    An answer may differ from that of `integrate` within the tolerance, with its neighbours among `members`.
+    """
+    for first in range(0, len(members), LANES):
+        some = list(members[first : first + LANES])
+        states = None
+        if len(problem.knots) >= LANES and len(some) >= FEWEST_TOGETHER:
+            states = driver.integrate_together(_of_member(problem, some[0]), problem.initial[some], problem.knots[some])
+        if states is not None:
+            yield from states
+            continue
+        for member in some:
+            try:
+                yield integrate(problem, member, None)[0]
+            except SolveError as error:
+                yield error
+
+
+def _of_member(problem: Problem, member: int) -> driver.InitialValueProblem:
+    scenario = problem.scenario
+    return driver.InitialValueProblem(
+        compiled=problem.compiled, initial=problem.initial[member], starts=problem.starts, rows=problem.rows,
+        knot_times=problem.path.times, knots=problem.knots[member], times=problem.times, end=scenario.duration,
+        tolerance=scenario.tolerance, most_steps=MAX_STEPS,
     )  # fmt: skip
 
 

@@ -8,11 +8,10 @@ compiled functions are scaled by the channels' scales.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import inspect
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -33,6 +32,7 @@ class CompiledModel:
     """A model ready to integrate: `run` is `rodas5p.integrate` with the model's own functions built in."""
 
     model: Model
+    absent: frozenset[str]
     scale: np.ndarray
     run: Any
     derivative: Any
@@ -101,59 +101,60 @@ def compile_model(model: Model, absent: frozenset[str] = frozenset()) -> Compile
 def _compile(model: Model, absent: frozenset[str]) -> CompiledModel:
     module = _load(model, absent)
     scale = np.array([channel.scale for channel in model.state_channels])
-    return CompiledModel(model, scale, module.run, module.derivative, module.jacobian, module.jacobians)
+    return CompiledModel(model, absent, scale, module.run, module.derivative, module.jacobian, module.jacobians)
 
 
-def _load(model: Model, absent: frozenset[str] = frozenset()) -> ModuleType:
+LANES = 8  # valves that take their steps together: two or one of a processor's vectors, which also hides waiting
+
+
+def compile_lanes(compiled: CompiledModel) -> Any:
+    """`run` of a compiled model for `LANES` valves together; as long to compile as the model itself."""
+    with _ONE_AT_A_TIME:
+        return _compile_lanes(compiled.model, compiled.absent)
+
+
+@functools.lru_cache(maxsize=64)
+def _compile_lanes(model: Model, absent: frozenset[str]) -> Any:
+    return _load(model, absent, LANES).run
+
+
+def _load(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -> ModuleType:
     """The printed module of a model, its functions compiled or found compiled."""
     from numba.extending import register_jitable
 
     for function in _CALLED:
         register_jitable(forceinline=True)(function)  # an array that is handed on is some ten numbers
     return cache.load(
-        _short_name(model, absent),
-        lambda: source(model, absent),
+        _short_name(model, absent, lanes),
+        lambda: source(model, absent, lanes),
         (*_CALLED, straight_line.intrinsics),
-        lambda module: _call_once(module, model),
+        lambda module: _call_once(module, model, lanes),
     )
 
 
-def _short_name(model: Model, absent: frozenset[str]) -> list[str] | None:
+def _short_name(model: Model, absent: frozenset[str], lanes: int) -> list[str] | None:
     """What tells a model of this package alone from every other; None for one with a user's effect or drive."""
     own = type(model.drive) in (CurrentDrive, VoltageDrive) and all(
         CATALOGUE.get(effect.name) is effect for effect in model.effects
     )  # fmt: skip
-    return [type(model.drive).__name__, *(e.name for e in model.effects), "", *sorted(absent)] if own else None
+    if not own:
+        return None
+    return [type(model.drive).__name__, *(e.name for e in model.effects), "", *sorted(absent), str(lanes)]
 
 
-def _call_once(module: ModuleType, model: Model, lanes: int = 1) -> None:
+def _call_once(module: ModuleType, model: Model, lanes: int) -> None:
     """Each function called to nowhere, so that it is compiled here and not in somebody's first run."""
     n, n_u, n_c = len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names)
-    with _short_loops():
-        module.run(
-            np.zeros((n, lanes)), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, n_u - 1, 3)), np.zeros(1),
-            np.ones((1, n_c, lanes)), np.zeros(0), np.zeros((0, n, lanes)), 1e-3, np.full(n, 1e-5),
-            np.zeros((n, lanes)), 1, np.zeros(2, dtype=np.int64),
-        )  # fmt: skip
-        if lanes > 1:
-            return
-        module.derivative(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros(n))
-        module.jacobian(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros((n, n)))
-        module.jacobians(np.zeros((0, n)), np.zeros((0, n_u)), np.ones((1, n_c)), np.zeros((0, n, n)))
-
-
-@contextlib.contextmanager
-def _short_loops() -> Iterator[None]:
-    """No vectoriser while compiling: loops over a few states gain nothing by it, and it takes a fifth of the time."""
-    from numba.core import config as numba_config
-
-    config: Any = numba_config
-    kept = config.LOOP_VECTORIZE, config.SLP_VECTORIZE
-    config.LOOP_VECTORIZE = config.SLP_VECTORIZE = 0
-    try:
-        yield
-    finally:
-        config.LOOP_VECTORIZE, config.SLP_VECTORIZE = kept
+    module.run(
+        np.zeros((n, lanes)), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, n_u - 1, 3)), np.zeros(1),
+        np.ones((1, n_c, lanes)), np.zeros(0), np.zeros((0, n, lanes)), 1e-3, np.full(n, 1e-5),
+        np.zeros((n, lanes)), 1, np.zeros(2, dtype=np.int64),
+    )  # fmt: skip
+    if lanes > 1:
+        return
+    module.derivative(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros(n))
+    module.jacobian(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros((n, n)))
+    module.jacobians(np.zeros((0, n)), np.zeros((0, n_u)), np.ones((1, n_c)), np.zeros((0, n, n)))
 
 
 SHARED = ("u", "u_t", "atol")

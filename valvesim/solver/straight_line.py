@@ -146,7 +146,7 @@ class _Lines:
 
     def _store(self, unwritten: dict[tuple[str, int], Any]) -> None:
         for place, value in unwritten.items():
-            self.builder.store(value, self._pointer(*place), align=ALIGNMENT)
+            self.builder.store(value, self._vectors(self._pointer(*place)), align=ALIGNMENT)
         unwritten.clear()
 
     def _call_printed(self, node: Any) -> None:
@@ -184,13 +184,17 @@ class _Lines:
 
     def _pointer(self, name: str, row: int) -> Any:
         index = row if name in self.program.shared else row * self.program.lanes
-        return self.builder.gep(self.arguments[name], [self.ir.IntType(64)(index)], source_etype=self.number)
+        return self.builder.gep(self.arguments[name], [self.ir.IntType(64)(index)])
 
     def _load(self, name: str, row: int) -> Any:
         pointer = self._pointer(name, row)
         if name in self.program.shared:
-            return self._in_all_lanes(self.builder.load(pointer, typ=self.number))
-        return self.builder.load(pointer, typ=self.vector, align=ALIGNMENT)
+            return self._in_all_lanes(self.builder.load(pointer))
+        return self.builder.load(self._vectors(pointer), align=ALIGNMENT)
+
+    def _vectors(self, pointer: Any) -> Any:
+        """A pointer to numbers as one to vectors."""
+        return self.builder.bitcast(pointer, self.vector.as_pointer())
 
     def _constant(self, value: float) -> Any:
         one = self.ir.Constant(self.number, value)
@@ -204,13 +208,19 @@ class _Lines:
             vector = self.builder.insert_element(vector, value, self.ir.IntType(32)(lane))
         return vector
 
+    def _of_llvm(self, name: str, arguments: int) -> Any:
+        """A function that LLVM has for vectors."""
+        from numba.core import cgutils
+
+        suffix = "f64" if self.vector == self.number else f"v{self.program.lanes}f64"
+        kind = self.ir.FunctionType(self.vector, [self.vector] * arguments)
+        return cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.{name}.{suffix}")
+
     def _call(self, name: str, values: list[Any]) -> Any:
         """A function of `FUNCTIONS`."""
         b, zero, one = self.builder, self._constant(0.0), self._constant(1.0)
-        if name in _OF_LLVM:
-            return b.call(b.module.declare_intrinsic(f"llvm.{name}", [self.vector]), values, fastmath=FLAGS)
-        if name == "power":
-            return b.call(b.module.declare_intrinsic("llvm.pow", [self.vector]), values)
+        if name in _OF_LLVM or name == "power":
+            return b.call(self._of_llvm("pow" if name == "power" else name, len(values)), values, fastmath=FLAGS)
         if name in ("maximum", "minimum"):
             return b.select(b.fcmp_ordered(">" if name == "maximum" else "<", *values), *values)
         if name == "where_true":
