@@ -14,11 +14,12 @@ from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTest
 from valvesim.characterisation.datasheet import Datasheet
 from valvesim.characterisation.figure_of_merit import table
 from valvesim.characterisation.held_scenario import command_of, held_oil_temperature
+from valvesim.characterisation.judgement_table import FIGURE_HEADINGS
 from valvesim.characterisation.response_set import ResponseSet
 from valvesim.characterisation.spectral_response import spectral_response
 from valvesim.diagnosis.result import Diagnosis
 from valvesim.errors import InputError
-from valvesim.reports.acceptance import HEADINGS, draw_acceptance
+from valvesim.reports.acceptance import draw_acceptance
 from valvesim.reports.diagnosis.page import banner, causes
 from valvesim.reports.html_page import Block, Listing, Table, Terms, Text, fragment, section
 from valvesim.reports.plotting import Figure
@@ -74,7 +75,7 @@ def _(diagnosis: Diagnosis) -> str:
 
 @html.register
 def _(tests: AcceptanceTests) -> str:
-    return fragment((section("", Text(repr(tests)), Table(HEADINGS, table(tests.figures), (1, 2))),))
+    return fragment((section("", Text(repr(tests)), Table(FIGURE_HEADINGS, table(tests.figures), (1, 2))),))
 
 
 @html.register
@@ -83,7 +84,7 @@ def _(responses: ResponseSet) -> str:
     parts: list[Block] = [Text(repr(responses))]
     for test in tests:
         kind = "Step" if test in responses.steps else "Sines"
-        parts += [Text(f"{kind} of {100 * test.share:.3g} % of rated"), Table(HEADINGS, table(test.figures), (1, 2))]
+        parts += [Text(f"{kind} of {100 * test.share:.3g} % of rated"), Table(FIGURE_HEADINGS, table(test.figures), (1, 2))]
     return fragment((section("", *parts),))
 
 

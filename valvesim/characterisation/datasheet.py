@@ -13,9 +13,10 @@ import numpy as np
 
 from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests, acceptance_tests
 from valvesim.characterisation.class_figures import ClassFigure
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.lumped_figures import beside_class
 from valvesim.characterisation.response_set import ResponseSet, measure_responses
+from valvesim.characterisation.response_set import tests_of as responses_of
 from valvesim.shown import Shown
 from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.units import reads_units
@@ -79,3 +80,9 @@ def measure(
         valve=valve, oil=oil, oil_temperatures=temperatures, benches=tuple(benches), responses=tuple(responses),
         beside_class=beside_class(base, responses[0]),
     )  # fmt: skip
+
+
+def tests_of(sheet: Datasheet) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:
+    """Every test of a datasheet as (title, conditions by the names of a specification's, figures), SI."""
+    benches = [(f"bench, oil at {one.oil_temperature:g} °C", one.conditions, one.figures) for one in sheet.benches]
+    return benches + responses_of(sheet.responses, Scenario(valve=sheet.valve, thermal=Thermal(network=None)))

@@ -6,10 +6,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit, shown
 from valvesim.characterisation.specification import CONDITIONS, Judgement, Limit, Verdict
 from valvesim.units import DISPLAY, symbol
 
+Tests = Sequence[tuple[str, Mapping[str, float], FiguresOfMerit]]
+"""Tests: title, conditions in SI, figures."""
+FIGURE_HEADINGS = ("figure of merit", "value", "± (1 sigma)", "unit", "meaning")
 HEADINGS = ("figure", "condition", "limits", "measured", "±", "unit", "verdict")
 
 
@@ -68,23 +71,33 @@ def judgement_rows(judged: Sequence[Judgement], common: Iterable[str] = ()) -> l
     return rows
 
 
-def judgement_records(judged: Sequence[Judgement]) -> list[dict[str, Any]]:
-    """A row of plain values in SI for each judgement, for machines; None for what there is not."""
-    return [
-        {
-            "figure": one.limit.figure, "measured_as": one.measured.name,
-            **figure_record(one.measured), "low": _finite(one.limit.low), "high": _finite(one.limit.high),
-            "conditions": dict(one.limit.conditions), "verdict": one.verdict.value,
-        }
+def rows_of(tests: Tests, judged: Sequence[Judgement] = ()) -> list[dict[str, Any]]:
+    """A row in SI for each figure, then one for each verdict, for machines; None for what there is not.
+
+    `uncertainty` is one standard deviation, `note` the meaning of a figure, or why there is none.
+    """
+    rows = [
+        {"test": title, "figure": figure.name, "conditions": _plain(at), **_record(figure), "low": None, "high": None,
+         "verdict": None}
+        for title, at, figures in tests for figure in figures
+    ]  # fmt: skip
+    return rows + [
+        {"test": "verdict", "figure": one.limit.figure, "conditions": _plain(one.limit.conditions),
+         **_record(one.measured), "low": _finite(one.limit.low), "high": _finite(one.limit.high),
+         "verdict": one.verdict.value}
         for one in judged
     ]  # fmt: skip
 
 
-def figure_record(figure: FigureOfMerit | Absent) -> dict[str, Any]:
-    """Value, unit, uncertainty (one standard deviation) and, of an absent figure, the reason; SI."""
+def _plain(conditions: Mapping[str, float]) -> str:
+    """Conditions in SI as one text."""
+    return ", ".join(f"{name}={value:.6g}" for name, value in conditions.items())
+
+
+def _record(figure: FigureOfMerit | Absent) -> dict[str, Any]:
     if isinstance(figure, Absent):
-        return {"value": None, "unit": None, "uncertainty": None, "reason": figure.reason}
-    return {"value": figure.value, "unit": figure.unit, "uncertainty": figure.uncertainty, "reason": None}
+        return {"value": None, "unit": None, "uncertainty": None, "note": figure.reason}
+    return {"value": figure.value, "unit": figure.unit, "uncertainty": figure.uncertainty, "note": figure.doc}
 
 
 def _finite(value: float) -> float | None:

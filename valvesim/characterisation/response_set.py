@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from valvesim.characterisation.figure_of_merit import FiguresOfMerit
 from valvesim.characterisation.frequency_response import FREQUENCIES, FrequencyResponse, frequency_response
 from valvesim.characterisation.held_scenario import Source, held, held_oil_temperature, rated_command
 from valvesim.characterisation.spectral_response import chirp_response
 from valvesim.characterisation.step_response import StepResponse, step_response
+from valvesim.inputs import evaluate
 from valvesim.shown import Shown, notebook
 from valvesim.units import reads_units
 
@@ -85,3 +87,19 @@ def measure_responses(
                 done += 1
         sets.append(ResponseSet(oil_temperature=temperature, steps=stepped, sweeps=tuple(swept), chirps=tuple(chirped)))
     return tuple(sets)
+
+
+def tests_of(sets: Sequence[ResponseSet], source: Source) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:
+    """Every step and sweep as (title, conditions by the names of a specification's, figures), SI."""
+    supply, back, _ = (float(evaluate(command, 0.0)) for command in held(source).pressures())
+    tests = []
+    for one in sets:
+        at = {"supply_pressure": supply, "return_pressure": back, "oil_temperature": one.oil_temperature}
+        kinds: tuple[tuple[str, Sequence[StepResponse | FrequencyResponse]], ...] = (
+            ("step", one.steps), ("sines", one.sweeps)
+        )  # fmt: skip
+        for what, responses in kinds:
+            for test in responses:
+                title = f"{what} of {100 * test.share:.0f} % of rated, oil at {one.oil_temperature:g} °C"
+                tests.append((title, at | {"amplitude": abs(test.share)}, test.figures))
+    return tests

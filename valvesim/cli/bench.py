@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from valvesim.cli.display import print_table, print_written, progress_bar
-from valvesim.cli.options import columns_option, output_option, settings_option, temperatures_option, valve_option
+from valvesim.cli.display import print_figures, progress_bar
+from valvesim.cli.judging import end_on_failure, judged_by, read_specification
+from valvesim.cli.options import (
+    columns_option,
+    format_option,
+    output_option,
+    settings_option,
+    specification_option,
+    temperatures_option,
+    valve_option,
+)
 from valvesim.cli.output_folder import all_or_nothing
+
+if TYPE_CHECKING:
+    from valvesim.characterisation.figure_of_merit import FiguresOfMerit
+    from valvesim.characterisation.judgement_table import Tests
 
 
 @click.command()
@@ -24,10 +38,13 @@ from valvesim.cli.output_folder import all_or_nothing
 @click.option("--rated-current", help="Rated current of the measured valve [the largest in the record].")
 @temperatures_option
 @valve_option
+@specification_option
+@format_option("table", "json", "csv")
 @settings_option
 def bench(
     output: Path, measured: tuple[Path, ...], columns: Path | None, kind: str | None, lag: str | None,
-    dead_zone: str | None, rated_current: str | None, oil_temperature: str, valve: str | None, settings: tuple[str, ...],
+    dead_zone: str | None, rated_current: str | None, oil_temperature: str, valve: str | None, spec: Path | None,
+    form: str, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of measured records.
 
@@ -38,12 +55,16 @@ def bench(
     from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse, parse_list
 
+    limits = read_specification(spec)
     if not measured:
         stated = (("--columns", columns), ("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone))
         if given := [name for name, value in stated if value is not None]:
             raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
         own = read_tables(settings, valve=valve)
-        _test_model(own, parse_list(oil_temperature, "degC", "--oil-temperature").tolist(), output)
+        tests, written = _test_model(own, parse_list(oil_temperature, "degC", "--oil-temperature").tolist(), output)
+        judged = judged_by(limits, tests, valve=own.valve)
+        print_figures(tests, form, judged, written)
+        end_on_failure(judged)
         return
     if kind is None:
         raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
@@ -53,14 +74,16 @@ def bench(
         "rated_current": None if rated_current is None else parse(rated_current, "A", "--rated-current"),
     }
     options["stated"] = NOTHING_STATED if columns is None else read_statements(columns)
-    _test_records(measured, kind, options, output)
+    tests, written = _test_records(measured, kind, options, output)
+    judged = judged_by(limits, tests)
+    print_figures(tests, form, judged, written)
+    end_on_failure(judged)
 
 
-def _test_model(own: Any, temperatures: list[float], output: Path) -> None:
-    """All static tests on the model at each temperature: a picture, a page and a table each."""
+def _test_model(own: Any, temperatures: list[float], output: Path) -> tuple[Tests, list[Path]]:
+    """All static tests on the model at each temperature, with a picture and a page each; what was written."""
     from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests
-    from valvesim.characterisation.figure_of_merit import table
-    from valvesim.reports.acceptance import HEADINGS, acceptance_report
+    from valvesim.reports.acceptance import acceptance_report
 
     results, names = [], []
     with all_or_nothing(output) as folder:
@@ -74,32 +97,32 @@ def _test_model(own: Any, temperatures: list[float], output: Path) -> None:
             written = acceptance_report(result, folder / f"bench_{temperature:g}_degC.png", date=date.today())
             names += [path.name for path in written]
             results.append(result)
-    for result in results:
-        print_table(f"bench, oil at {result.oil_temperature:g} °C", HEADINGS, table(result.figures))
-    print_written([output / name for name in names])
+    tests = [(f"bench, oil at {one.oil_temperature:g} °C", one.conditions, one.figures) for one in results]
+    return tests, [output / name for name in names]
 
 
-def _test_records(files: Sequence[Path], kind: str, options: dict[str, Any], output: Path) -> None:
-    """Measured records: a picture, a page and a table each."""
+def _test_records(
+    files: Sequence[Path], kind: str, options: dict[str, Any], output: Path
+) -> tuple[Tests, list[Path]]:  # fmt: skip
+    """Measured records, with a picture and a page each; what was written."""
     from valvesim.characterisation.acceptance.acceptance_tests import measured_test
     from valvesim.characterisation.acceptance.leakage import common_hysteresis
     from valvesim.characterisation.acceptance.record import read_record
-    from valvesim.characterisation.figure_of_merit import table
     from valvesim.errors import InputError
-    from valvesim.reports.acceptance import HEADINGS, measured_report
+    from valvesim.reports.acceptance import measured_report
 
     if twice := [file for k, file in enumerate(files) if file.stem in (other.stem for other in files[:k])]:
         raise InputError(f"--measured: {twice[0]}: another record has the same name, after which its results are named")
-    tables, names = [], []
+    tests: list[tuple[str, Mapping[str, float], FiguresOfMerit]] = []
+    names = []
     with all_or_nothing(output) as folder:
         for file in files:
             one = measured_test(file, kind, **options)
             written = measured_report(one, folder / f"{file.stem}.png", date=date.today())
             names += [path.name for path in written]
-            tables.append((f"{kind} of {file}", table(one.figures)))
+            named = tuple(replace(figure, name=f"{kind}.{figure.name}") for figure in one.figures)
+            tests.append((f"{kind} of {file}", {}, named))
         if kind == "leakage" and len(files) > 1:
             common = common_hysteresis([read_record(file, stated=options["stated"]) for file in files])
-            tables.append(("what the records have in common", table(common)))
-    for title, rows in tables:
-        print_table(title, HEADINGS, rows)
-    print_written([output / name for name in names])
+            tests.append(("what the records have in common", {}, common))
+    return tests, [output / name for name in names]

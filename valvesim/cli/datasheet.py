@@ -7,8 +7,16 @@ from pathlib import Path
 
 import click
 
-from valvesim.cli.display import print_written, progress_bar
-from valvesim.cli.options import output_option, settings_option, temperatures_option, valve_option
+from valvesim.cli.display import print_rows, print_table, print_written, progress_bar
+from valvesim.cli.judging import end_on_failure, judged_by, read_specification
+from valvesim.cli.options import (
+    format_option,
+    output_option,
+    settings_option,
+    specification_option,
+    temperatures_option,
+    valve_option,
+)
 from valvesim.cli.output_folder import all_or_nothing
 
 
@@ -16,14 +24,21 @@ from valvesim.cli.output_folder import all_or_nothing
 @output_option("results/datasheet")
 @temperatures_option
 @valve_option
+@specification_option
+@format_option("table", "json", "csv")
 @settings_option
-def datasheet(output: Path, oil_temperature: str, valve: str | None, settings: tuple[str, ...]) -> None:
+def datasheet(
+    output: Path, oil_temperature: str, valve: str | None, spec: Path | None, form: str, settings: tuple[str, ...]
+) -> None:  # fmt: skip
     """The datasheet of a valve at any oil temperatures: datasheet.html and datasheet.pdf, pictures inside."""
-    from valvesim.characterisation.datasheet import measure
+    from valvesim.characterisation.datasheet import measure, tests_of
+    from valvesim.characterisation.judgement_table import HEADINGS, judgement_rows, rows_of
+    from valvesim.characterisation.specification import COMMON
     from valvesim.reports.datasheet import datasheet_report
     from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse_list
 
+    limits = read_specification(spec)
     own = read_tables(settings, valve=valve)
     temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
     with all_or_nothing(output) as folder, progress_bar() as bar:
@@ -32,5 +47,13 @@ def datasheet(output: Path, oil_temperature: str, valve: str | None, settings: t
             own.valve, own.oil, effects=own.effects, oil_temperatures=temperatures,
             progress=lambda share: bar.update(stage, completed=share),
         )  # fmt: skip
-        written = datasheet_report(sheet, folder, date=date.today())
-    print_written([output / path.name for path in written])
+        tests = tests_of(sheet)
+        judged = judged_by(limits, tests, valve=own.valve)
+        written = datasheet_report(sheet, folder, judged=judged, date=date.today())
+    if form != "table":
+        print_rows(rows_of(tests, judged), form)
+    else:
+        if judged:
+            print_table("verdicts", HEADINGS, judgement_rows(judged, COMMON))
+        print_written([output / path.name for path in written])
+    end_on_failure(judged)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import click
 
-from valvesim.cli.display import console, print_written, progress_bar
-from valvesim.cli.options import output_option, valve_option
+from valvesim.cli.display import console, print_rows, print_written, progress_bar
+from valvesim.cli.options import format_option, output_option, valve_option
 from valvesim.cli.output_folder import all_or_nothing
 from valvesim.cli.permissions import remember_files
 
@@ -22,7 +23,10 @@ from valvesim.cli.permissions import remember_files
     "--effects", "own", multiple=True, type=click.Path(path_type=Path), help="A Python file of your own effects."
 )
 @valve_option
-def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...], valve: str | None) -> None:
+@format_option("table", "json", "csv")
+def diagnose(
+    session: Path, output: Path, seed: int | None, own: tuple[Path, ...], valve: str | None, form: str
+) -> None:  # fmt: skip
     """What the simulation gets wrong in a measured SESSION: cause, extended model, gain on hold-out records.
 
     Writes diagnosis.json, report.html with its pictures, extended.toml (a scenario for `valvesim run`) and, where one
@@ -42,6 +46,9 @@ def diagnose(session: Path, output: Path, seed: int | None, own: tuple[Path, ...
         bar.update(stage, description="drawing", total=None)
         names = [path.name for path in _write_diagnosis(found, read.valve, folder)]
     remember_files(output / name for name in found.extended_effects)
+    if form != "table":
+        _print_rows(found, form)
+        return
     _print_diagnosis(found)
     print_written([output / name for name in names])
 
@@ -70,6 +77,20 @@ def _columns_text(columns: dict[str, Any]) -> str:
     shown = {name: DISPLAY.get(UNITS[name], (UNITS[name], 1.0)) for name in columns}
     scaled = [np.asarray(values) * shown[name][1] for name, values in columns.items()]
     return csv_text((f"{name} [{unit}]" for name, (unit, _) in shown.items()), columns_rows(scaled))
+
+
+def _print_rows(found: Any, form: str) -> None:
+    """The whole answer as JSON; as CSV its figures with their intervals, a verdict without any in a row of its own."""
+    if form == "json":
+        click.echo(json.dumps(found.to_dict(), indent=1))
+        return
+    rows = [
+        {"verdict": found.verdict, "cause": e.cause, "figure": e.name, "value": e.value, "low": e.low, "high": e.high,
+         "unit": e.unit}
+        for e in found.parameters
+    ]  # fmt: skip
+    blank = {"cause": "", "figure": "", "value": None, "low": None, "high": None, "unit": ""}
+    print_rows(rows or [{"verdict": found.verdict} | blank], form)
 
 
 def _print_diagnosis(found: Any) -> None:

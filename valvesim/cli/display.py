@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
+    from valvesim.characterisation.judgement_table import Tests
+    from valvesim.characterisation.specification import Judgement
+
 
 def console() -> Console:
     """Standard output; as wide as the terminal, or wide enough for the tables where there is none.
@@ -101,6 +104,22 @@ def print_rows(rows: Sequence[Mapping[str, Any]], form: str) -> None:
         click.echo(json.dumps(rows, indent=1))
     else:
         click.echo(csv_text(rows[0], (row.values() for row in rows)), nl=False)
+
+
+def print_figures(tests: Tests, form: str, judged: Sequence[Judgement] = (), written: Sequence[Path] = ()) -> None:
+    """Tests with their figures as tables, "json" or "csv", the verdicts on them, and the files that were written."""
+    from valvesim.characterisation.figure_of_merit import table
+    from valvesim.characterisation.judgement_table import FIGURE_HEADINGS, HEADINGS, judgement_rows, rows_of
+    from valvesim.characterisation.specification import COMMON
+
+    if form != "table":
+        print_rows(rows_of(tests, judged), form)
+        return
+    for title, _, figures in tests:
+        print_table(title, FIGURE_HEADINGS, table(figures))
+    if judged:
+        print_table("verdicts", HEADINGS, judgement_rows(judged, COMMON))
+    print_written(written)
 
 
 def print_written(paths: Sequence[Path]) -> None:

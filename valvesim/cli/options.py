@@ -46,6 +46,11 @@ def may_overwrite() -> bool:
     return bool(click.get_current_context().meta.get(_OVERWRITE))
 
 
+specification_option = click.option(
+    "--spec", type=click.Path(path_type=Path), help="Judge the figures by this specification; exit code 3 on a fail."
+)
+
+
 def format_option(*forms: str) -> Callable[[Any], Any]:
     """The form of a table on standard output, the first unless another is asked for."""
     return click.option("--format", "form", type=click.Choice(forms), default=forms[0], show_default=True)

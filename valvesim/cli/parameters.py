@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import click
 
-from valvesim.cli.display import console, titled_table
+from valvesim.cli.display import console, print_rows, titled_table
 from valvesim.cli.options import format_option
 
 
 @click.command()
-@format_option("table", "csv")
+@format_option("table", "json", "csv")
 def parameters(form: str) -> None:
     """Every parameter: name, value, unit, range, tolerance and source."""
     from rich.markup import escape
 
-    from valvesim.io import csv_text
     from valvesim.units import quantities, range_text, symbol, tolerance_text
     from valvesim.valve.flow_coefficients import FLOW_LAWS
     from valvesim.valve.fluid import MIL_PRF_5606
@@ -32,8 +31,8 @@ def parameters(form: str) -> None:
                 (f"{where}.{name}", f"{getattr(instance, name):.6g}", symbol(data["unit"]), range_text(field),
                  tolerance_text(field), data["doc"], data["source"])
             )  # fmt: skip
-    if form == "csv":
-        click.echo(csv_text(headings, rows), nl=False)
+    if form != "table":
+        print_rows([dict(zip(headings, row, strict=True)) for row in rows], form)
         return
     table = titled_table("parameters (SI)")
     for heading in headings:

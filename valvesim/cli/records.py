@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import click
 
-from valvesim.cli.display import console, print_table, print_written, titled_table
-from valvesim.cli.options import columns_option, output_option
+from valvesim.cli.display import console, print_rows, print_table, print_written, titled_table
+from valvesim.cli.options import columns_option, format_option, output_option
 from valvesim.cli.output_folder import all_or_nothing
 
 HEADINGS = (
@@ -24,7 +25,10 @@ HEADINGS = (
 @click.option("--together", is_flag=True, help="The files were written together: they are one record.")
 @click.option("--rate", help="Sampling rate, such as '2 kHz', of files without a column of times.")
 @output_option("results/records")
-def records(files: tuple[Path, ...], columns: Path | None, together: bool, rate: str | None, output: Path) -> None:
+@format_option("table", "json", "csv")
+def records(
+    files: tuple[Path, ...], columns: Path | None, together: bool, rate: str | None, output: Path, form: str
+) -> None:  # fmt: skip
     """What is understood of measurement FILES: channels, units, rates, gaps, noise, resolution, saturation.
 
     Writes a picture of each record and columns.toml, the table [columns] that says the same of the next file: keep it,
@@ -36,16 +40,22 @@ def records(files: tuple[Path, ...], columns: Path | None, together: bool, rate:
 
     stated = survey_stated(columns, rate)
     names, surveys = ["columns.toml"], []
+    rows: list[dict[str, Any]] = []  # for machines, SI
     with all_or_nothing(output) as folder:
         for group in [files] if together else [(file,) for file in files]:
             found = all_channels(group, stated)
             surveys.append(found)
             qualities = () if found.recording is None else channel_qualities(found.recording)
-            _print_survey(found, qualities)
+            rows += [{"file": found.paths[0].name} | asdict(one) for one in qualities]
+            if form == "table":
+                _print_survey(found, qualities)
             if found.recording is not None:
                 names.append(_draw(found.recording, qualities, folder, names).name)
         write_text(folder / "columns.toml", columns_text(surveys))
-    print_written([output / name for name in names])
+    if form == "table":
+        print_written([output / name for name in names])
+    elif rows:
+        print_rows(rows, form)
     for found in surveys:
         if found.problem is not None:
             raise found.problem

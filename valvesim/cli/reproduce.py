@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from valvesim.cli.display import print_written, progress_bar
-from valvesim.cli.options import output_option
+from valvesim.cli.display import print_rows, print_written, progress_bar
+from valvesim.cli.options import format_option, output_option
 from valvesim.cli.output_folder import all_or_nothing
 
 
@@ -16,7 +16,8 @@ from valvesim.cli.output_folder import all_or_nothing
 @output_option("results/reproduce")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the starts of the identification.")
 @click.option("--starts", type=click.IntRange(min=1), help="How many starts [as many as the published page has].")
-def reproduce(output: Path, seed: int, starts: int | None) -> None:
+@format_option("table", "json", "csv")
+def reproduce(output: Path, seed: int, starts: int | None, form: str) -> None:
     """The paper's figures and tables recomputed, published beside computed: a page with pictures (minutes)."""
     from valvesim.paper.identification import STARTS
     from valvesim.paper.reproduction import compute
@@ -29,4 +30,7 @@ def reproduce(output: Path, seed: int, starts: int | None) -> None:
             progress=lambda text, share: bar.update(stage, description=text, completed=share),
         )  # fmt: skip
         page = write_page(result, folder, date=date.today())
-    print_written([output / page.name])
+    if form == "table":
+        print_written([output / page.name])
+    else:
+        print_rows([{"file": str(output / page.name)}], form)

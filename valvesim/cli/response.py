@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import click
 
-from valvesim.cli.display import print_table, print_written, progress_bar
-from valvesim.cli.options import output_option, settings_option, valve_option
+from valvesim.cli.display import print_figures, progress_bar
+from valvesim.cli.judging import end_on_failure, judged_by, read_specification
+from valvesim.cli.options import format_option, output_option, settings_option, specification_option, valve_option
 from valvesim.cli.output_folder import all_or_nothing
 
 
@@ -18,22 +18,25 @@ from valvesim.cli.output_folder import all_or_nothing
 @output_option("results/response")
 @click.option("--oil-temperature", help="One or more: '20,100,200 degC' [the scenario's own at its start, or 20 degC].")
 @valve_option
+@specification_option
+@format_option("table", "json", "csv")
 @settings_option
 def response(
-    scenario: Path | None, output: Path, oil_temperature: str | None, valve: str | None, settings: tuple[str, ...]
+    scenario: Path | None, output: Path, oil_temperature: str | None, valve: str | None, spec: Path | None, form: str,
+    settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Step and frequency response at 25, 40 and 100 % of rated current: figures and pictures.
 
     Of the reference valve, of --valve, or of the valve, oil, drive and effects of a SCENARIO.
     """
-    from valvesim.characterisation.figure_of_merit import table
-    from valvesim.characterisation.response_set import measure_responses
-    from valvesim.reports.response import HEADINGS, response_report
+    from valvesim.characterisation.response_set import measure_responses, tests_of
+    from valvesim.reports.response import response_report
     from valvesim.reports.title_block import valve_name
     from valvesim.simulation.scenario import Scenario, Thermal
     from valvesim.simulation.scenario_toml import load_scenario, read_tables
     from valvesim.units import parse_list
 
+    limits = read_specification(spec)
     if scenario is None:
         own = read_tables(settings, valve=valve)
         source = Scenario(valve=own.valve, oil=own.oil, effects=own.effects, thermal=Thermal(network=None))
@@ -47,10 +50,7 @@ def response(
             source, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
         )
         paths = response_report(sets, folder, valve=valve_name(source.valve), date=date.today())
-    for one in sets:
-        tests: tuple[Any, ...] = (*one.steps, *one.sweeps)
-        for test in tests:
-            what = "step" if test in one.steps else "sines"
-            title = f"{what} of {100 * test.share:.0f} % of rated, oil at {one.oil_temperature:g} °C"
-            print_table(title, HEADINGS, table(test.figures))
-    print_written([output / path.name for path in paths])
+    tests = tests_of(sets, source)
+    judged = judged_by(limits, tests)
+    print_figures(tests, form, judged, [output / path.name for path in paths])
+    end_on_failure(judged)

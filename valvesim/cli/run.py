@@ -15,9 +15,9 @@ from typing import Any
 
 import click
 
-from valvesim.cli.display import console, print_written, progress_bar, titled_table
+from valvesim.cli.display import console, print_rows, print_written, progress_bar, titled_table
 from valvesim.cli.interrupts import end_with_parent, hidden_from_children
-from valvesim.cli.options import output_option, settings_option, valve_option
+from valvesim.cli.options import format_option, output_option, settings_option, valve_option
 from valvesim.cli.output_folder import all_or_nothing
 
 
@@ -31,9 +31,10 @@ from valvesim.cli.output_folder import all_or_nothing
 @click.option("--mat", is_flag=True, help="Write result.mat (MATLAB) beside result.nc.")
 @click.option("--channels", help="Only these channels: 'current,spool_position' [all, or outputs.channels].")
 @click.option("--no-pictures", is_flag=True, help="Leave the pictures out.")
+@format_option("table", "json", "csv")
 def run(
     scenario: Path, output: Path | None, valve: str | None, settings: tuple[str, ...], with_csv: bool, parquet: bool,
-    mat: bool, channels: str | None, no_pictures: bool,
+    mat: bool, channels: str | None, no_pictures: bool, form: str,
 ) -> None:  # fmt: skip
     """Simulate a SCENARIO: a table, result.nc, pictures and a page; scenario.toml is what ran, settings and all.
 
@@ -48,6 +49,7 @@ def run(
         static_drift,
         temperature_varies,
     )
+    from valvesim.reports.run_table import RUN_RECORD, run_records
     from valvesim.simulation.result import check_channels
     from valvesim.simulation.run import simulate
     from valvesim.simulation.scenario_toml import load_scenario
@@ -91,7 +93,10 @@ def run(
         drawn = [path for picture in pictures if (path := picture()) is not None]
         page = draw("page_run", result, drawn, date.today(), folder / "run.html", drift, response)()
         written += [*drawn, *([] if page is None else [page])]
-    _print_run(result, drift, [place / path.name for path in written])
+    if form == "table":
+        _print_run(result, drift, [place / path.name for path in written])
+    else:
+        print_rows([dict(zip(RUN_RECORD, row, strict=True)) for row in run_records(result)], form)
 
 
 def _write_scenario(case: Any, given: Path, settings: tuple[str, ...], path: Path) -> Path:

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import click
 
-from valvesim.cli.display import print_table, print_written
+from valvesim.cli.display import print_rows, print_table, print_written
+from valvesim.cli.options import format_option
 
 
 @click.command()
 @click.argument("name", required=False)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Copy the scenario to this file, to change it.")
-def scenarios(name: str | None, output: Path | None) -> None:
+@format_option("table", "json", "csv")
+def scenarios(name: str | None, output: Path | None, form: str) -> None:
     """The scenarios that come along; with a NAME the text of one, or with -o a copy of it.
 
     Each runs by its name from anywhere: valvesim run launch_shock.
@@ -28,8 +30,12 @@ def scenarios(name: str | None, output: Path | None) -> None:
         rows = []
         for own, path in known.items():
             _, table = read_toml(path)
-            rows.append((own, str(table["title"]), str(table["duration"])))
-        print_table("scenarios that come along", ("name", "title", "duration"), rows)
+            rows.append((own, str(table.get("title", "")), str(table.get("duration", ""))))
+        headings = ("name", "title", "duration")
+        if form == "table":
+            print_table("scenarios that come along", headings, rows)
+        else:
+            print_rows([dict(zip(headings, row, strict=True)) for row in rows], form)
         return
     if name not in known:
         raise unknown_name("scenario", name, known)

@@ -8,8 +8,11 @@ from typing import Any
 
 import click
 
-from valvesim.cli.display import console, print_table, print_written, progress_bar
-from valvesim.cli.options import settings_option
+from valvesim.cli.display import console, print_rows, print_table, print_written, progress_bar
+from valvesim.cli.options import format_option, settings_option
+
+RECORD = ("figure", "unit", "nominal", "mean", "deviation", "percentile_1", "percentile_50", "percentile_99", "least",
+          "least_member", "greatest", "greatest_member")  # fmt: skip
 
 
 @click.command()
@@ -24,10 +27,11 @@ from valvesim.cli.options import settings_option
     "--no-local", is_flag=True, help="Leave out local sensitivities, which run the nominal valve's neighbours."
 )
 @click.option("--no-pictures", is_flag=True, help="Leave pictures and page out.")
+@format_option("table", "json", "csv")
 @settings_option
 def study(
     study: Path, output: Path | None, workers: int | None, scheduler: str | None, dry_run: bool, member: int | None,
-    wanted: str | None, no_local: bool, no_pictures: bool, settings: tuple[str, ...],
+    wanted: str | None, no_local: bool, no_pictures: bool, form: str, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Run a STUDY file: thousands of valves within their tolerances, what becomes of their figures, and why.
 
@@ -42,6 +46,7 @@ def study(
     from valvesim.studies.findings import find
     from valvesim.studies.study_result import open_result
     from valvesim.studies.study_toml import load_study
+    from valvesim.studies.summary import figure_rows
     from valvesim.studies.variables import scenario_of
     from valvesim.units import parse
 
@@ -74,8 +79,11 @@ def study(
             bar.update(stage, description="drawing")
             block = valve_name(scenario_of(case.case).valve)
             written += study_report(findings, folder, valve=block, date=date.today())
-    _print_result(findings)
-    print_written(written)
+    if form == "table":
+        _print_result(findings)
+        print_written(written)
+    else:
+        print_rows([dict(zip(RECORD, row, strict=True)) for row in figure_rows(result)], form)
 
 
 def _member_text(case: Any, number: int) -> str:

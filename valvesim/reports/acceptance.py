@@ -19,6 +19,7 @@ from valvesim.characterisation.acceptance.leakage import branch_curves
 from valvesim.characterisation.acceptance.metrics import NULL_SHARE
 from valvesim.characterisation.acceptance.record import AcceptanceRecord
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit, table
+from valvesim.characterisation.judgement_table import FIGURE_HEADINGS
 from valvesim.reports.html_page import Picture, Table, section, write_html
 from valvesim.reports.plotting import COLOURS, Figure, png, styled, write_bytes
 from valvesim.reports.title_block import TitleBlock, valve_name
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests, MeasuredTest
 
 RISING, FALLING, MIDDLE, LINES = COLOURS[0], COLOURS[1], "0.25", COLOURS[3]
-HEADINGS = ("figure of merit", "value", "± (1 sigma)", "unit", "meaning")
 
 
 def acceptance_report(result: AcceptanceTests, path: Path, *, date: datetime.date) -> tuple[Path, Path]:
@@ -50,7 +50,7 @@ def _write(figure: Figure, block: TitleBlock, caption: str, merits: FiguresOfMer
     picture = write_bytes(data, path)
     sections = (
         section("", Picture(data, caption)),
-        section("Figures of merit", Table(HEADINGS, table(merits), (1, 2))),
+        section("Figures of merit", Table(FIGURE_HEADINGS, table(merits), (1, 2))),
     )
     return picture, write_html(path.with_suffix(".html"), block, sections)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib
 
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
+from valvesim.characterisation.judgement_table import HEADINGS, judgement_rows
 from valvesim.io import check_folder, write_atomically
 from valvesim.reports.acceptance import draw_acceptance
 from valvesim.reports.html_page import Picture, Section, Table, Text, section, write_html
@@ -22,6 +23,7 @@ from valvesim.units import quantities, range_text, symbol
 
 if TYPE_CHECKING:
     from valvesim.characterisation.datasheet import Datasheet
+    from valvesim.characterisation.specification import Judgement
 
 TITLE, ORIGIN = "Servo valve datasheet", "Computed by valvesim from the model; no valve was measured."
 
@@ -41,14 +43,20 @@ class _Part:
         return section(self.heading, Text(self.text), Table(self.rows[0], self.rows[1:]), *self.pictures)
 
 
-def datasheet_report(sheet: Datasheet, folder: Path, *, date: datetime.date) -> tuple[Path, Path]:
-    """Write datasheet.html and datasheet.pdf into `folder`; their paths.
+def datasheet_report(
+    sheet: Datasheet, folder: Path, *, date: datetime.date, judged: Sequence[Judgement] = ()
+) -> tuple[Path, Path]:  # fmt: skip
+    """Write datasheet.html and datasheet.pdf into `folder`, with the verdicts on its figures; their paths.
 
     Raises InputError for a folder that cannot be written.
     """
     check_folder(folder)
     block = TitleBlock(title=TITLE, valve=valve_name(sheet.valve), date=date)
     parts = _parts(sheet, block)
+    if judged:
+        verdicts = (HEADINGS, *judgement_rows(judged))
+        told = "Each figure against its specification, told with its uncertainty."
+        parts = (_Part("Verdicts", told, verdicts), *parts)
     page = write_html(
         folder / "datasheet.html", block, (section("", Text(ORIGIN)), *(part.section for part in parts))
     )  # fmt: skip

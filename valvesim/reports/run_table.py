@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from valvesim.simulation.result import Result
 
 RUN_HEADINGS = ("channel", "unit", "least", "greatest", "at the end")
+RUN_RECORD = ("channel", "unit", "least", "greatest", "end")
 CHANNELS = (
     "current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle", "nozzle_pressure_1",
     "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage",
@@ -36,3 +37,12 @@ def figure_text(value: float, uncertainty: float) -> str:
         return f"{value:.5g}"
     digits = int(np.clip(np.ceil(-np.log10(uncertainty)), 0, 12))
     return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def run_records(result: Result) -> list[tuple[str, str, float, float, float]]:
+    """Rows of `RUN_RECORD` in SI, every channel of the run, for machines."""
+    return [
+        (c.name, c.unit, float(values.min()), float(values.max()), float(values[-1]))
+        for c in result.channels
+        for values in (result.values[c.name],)
+    ]

@@ -9,9 +9,13 @@ from typing import Any
 
 from valvesim.characterisation.acceptance.cycle import cycle
 from valvesim.characterisation.acceptance.flow import flow_figures
-from valvesim.characterisation.acceptance.flow_load import flow_load_figures, flow_load_record
+from valvesim.characterisation.acceptance.flow_load import RATED_DROP, flow_load_figures, flow_load_record
 from valvesim.characterisation.acceptance.leakage import leakage_figures
-from valvesim.characterisation.acceptance.null_shift import null_shift_figures
+from valvesim.characterisation.acceptance.null_shift import (
+    PRESSURE_CHANGE,
+    TEMPERATURE_DIFFERENCE,
+    null_shift_figures,
+)
 from valvesim.characterisation.acceptance.pressure_gain import blocked_cycle, pressure_gain_figures
 from valvesim.characterisation.acceptance.record import AcceptanceRecord, part_of, read_record, record_of
 from valvesim.characterisation.acceptance.rig import Rig
@@ -90,6 +94,14 @@ class AcceptanceTests(Shown):
     flow: AcceptanceRecord
     blocked: AcceptanceRecord
     flow_load: tuple[AcceptanceRecord, ...]
+
+    @property
+    def conditions(self) -> dict[str, float]:
+        """What the tests were done at, by the names of a specification's conditions, SI."""
+        valve = self.valve
+        return {"supply_pressure": float(valve.supply_pressure), "return_pressure": float(valve.return_pressure),
+                "oil_temperature": self.oil_temperature, "pressure_drop": RATED_DROP,
+                "temperature_difference": TEMPERATURE_DIFFERENCE, "pressure_change": PRESSURE_CHANGE}  # fmt: skip
 
     def in_words(self) -> str:
         """How many figures of which valve, and the oil's temperature."""

@@ -9,19 +9,21 @@ from valvesim.characterisation.acceptance.rig import Rig
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
 from valvesim.errors import InputError, SolveError
 
+TEMPERATURE_DIFFERENCE, PRESSURE_CHANGE = 38.0, 0.2  # K; share of supply pressure
+
 
 def null_shift_figures(rig: Rig) -> FiguresOfMerit:
     """Shift of null, share of i_R: over 38 K, over supply +-20 %, and over return up to 20 % of supply (field.md 4)."""
     valve, at = rig.valve, rig.null()
     rated, p_s = float(valve.rated_current), float(valve.supply_pressure)
     conditions: tuple[tuple[str, str, tuple[tuple[str, float], ...]], ...] = (
-        ("temperature", "over +38 K of oil and parts", (("oil_temperature", rig.oil_temperature + 38.0),)),
+        ("temperature", "over +38 K of oil and parts", (("oil_temperature", rig.oil_temperature + TEMPERATURE_DIFFERENCE),)),
         (
             "supply",
             "over +-20 % of supply, the greater",
-            (("supply_pressure", 0.8 * p_s), ("supply_pressure", 1.2 * p_s)),
+            tuple(("supply_pressure", (1.0 + change) * p_s) for change in (-PRESSURE_CHANGE, PRESSURE_CHANGE)),
         ),
-        ("return", "over return pressure up to 20 % of supply", (("return_pressure", 0.2 * p_s),)),
+        ("return", "over return pressure up to 20 % of supply", (("return_pressure", PRESSURE_CHANGE * p_s),)),
     )
     figures: list[FigureOfMerit | Absent] = []
     for name, doc, changes in conditions:
