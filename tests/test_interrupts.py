@@ -16,10 +16,10 @@ from valvesim.temporary_files import remove_all, temporary_folder, temporary_pat
 LINE = "error: interrupted; nothing half-written is left\n"
 # Stands at a point that is given, with a temporary folder and a worker process, and tells the parent so.
 PROGRAM = """
-import os, sys, time
+import os, signal, sys, time
 from pathlib import Path
 from multiprocessing import get_context
-from valvesim.cli.interrupts import end_with_parent, ended_by_signals, hidden_from_children
+from valvesim.cli.interrupts import SIGNALS, end_with_parent, ended_by_signals, hidden_from_children
 from valvesim.temporary_files import temporary_folder
 
 def work():
@@ -39,6 +39,8 @@ def compiled():
     return lambda: spin(1e-9)
 
 if __name__ == "__main__":
+    for number in SIGNALS:  # which a test run in the background would have it ignore
+        signal.signal(number, signal.SIG_DFL)
     with ended_by_signals(), temporary_folder(Path(sys.argv[1]), ".new-") as folder:
         (folder / "half").write_text("half")
         process = get_context("spawn").Process(target=work)
