@@ -158,3 +158,28 @@ def test_wheel_and_source_archive_hold_all_that_runs_and_run_elsewhere(tmp_path)
         assert done.returncode == 0 and done.stdout.startswith(str(place)), done.stderr
     left = {path.name for path in (elsewhere / "out").iterdir()}
     assert left >= {"result.nc", "run.html", "run.png", "scenario.toml"}
+
+
+def test_open_names_the_page_of_a_folder_and_makes_one_of_measured_files(call, tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr("webbrowser.open", lambda address: shown.append(address) or True)
+    assert call("run", "step", "-o", tmp_path / "out", "--set", "outputs.rate=2 kHz")[0] == 0
+    assert call("open", tmp_path / "out")[:2] == (0, "") and shown == [(tmp_path / "out" / "run.html").as_uri()]
+    code, out, _ = call("open", tmp_path / "out", "--no-browser")
+    assert (code, out.strip()) == (0, str(tmp_path / "out" / "run.html")) and len(shown) == 1
+    record = tmp_path / "bench <1>.csv"
+    record.write_text("time [s],current [mA],load_flow [L/min]\n" + "".join(f"{k / 100},{k},{2 * k}\n" for k in range(200)))
+    page = tmp_path / "both.html"
+    code, out, err = call("open", tmp_path / "out" / "result.nc", record, "-o", page, "--no-browser")
+    assert code == 0 and f"wrote {page}" in out.replace("\n", ""), err
+    text = page.read_text(encoding="utf-8")
+    assert text.count('<figure class="chart">') >= 4 and "bench &lt;1&gt;.csv" in text and "load flow, result.nc" in text
+    (tmp_path / "empty").mkdir()
+    for words, told in (
+        ((tmp_path / "empty",), "holds no page and no result.nc"),
+        ((tmp_path / "nothing.csv",), "no such file or folder"),
+        ((tmp_path / "out", record), "not both"),
+        ((tmp_path / "out", "-o", page), "-o is for the page of measured files"),
+    ):
+        code, _, err = call("open", *words)
+        assert code == 2 and told in err and err.count("\n") == 1

@@ -7,6 +7,7 @@ figures of merit are told from.
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from valvesim.characterisation.acceptance.metrics import NULL_SHARE
 from valvesim.characterisation.acceptance.record import AcceptanceRecord
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit, table
 from valvesim.characterisation.judgement_table import FIGURE_HEADINGS
+from valvesim.reports.chart import Chart, Charts, Series, on_one_axis
 from valvesim.reports.html_page import Picture, Table, section, write_html
 from valvesim.reports.plotting import COLOURS, Figure, png, styled, write_bytes
 from valvesim.reports.title_block import TitleBlock, valve_name
@@ -35,24 +37,73 @@ def acceptance_report(result: AcceptanceTests, path: Path, *, date: datetime.dat
     title = f"Static acceptance tests, oil at {result.oil_temperature:.4g} °C"
     block = TitleBlock(title=title, valve=valve_name(result.valve), date=date)
     caption = "Flow curve, pressure gain, internal leakage and flow over load pressure."
-    return _write(draw_acceptance(result), block, caption, result.figures, path)
+    return _write(draw_acceptance(result), block, caption, result.figures, path, acceptance_charts(result))
 
 
 def measured_report(measured: MeasuredTest, path: Path, *, date: datetime.date) -> tuple[Path, Path]:
     """Write the picture of a measured test to `path` (PNG) and its page beside it; both paths."""
     title = f"Measured acceptance test: {measured.test}"
     block = TitleBlock(title=title, valve=f"measured valve, {measured.record.source}", date=date)
-    return _write(draw_measured(measured), block, "The record, with what is told from it.", measured.figures, path)
+    caption, charts = "The record, with what is told from it.", measured_charts(measured)
+    return _write(draw_measured(measured), block, caption, measured.figures, path, charts)
 
 
-def _write(figure: Figure, block: TitleBlock, caption: str, merits: FiguresOfMerit, path: Path) -> tuple[Path, Path]:
+def _write(
+    figure: Figure, block: TitleBlock, caption: str, merits: FiguresOfMerit, path: Path, charts: Sequence[Chart]
+) -> tuple[Path, Path]:  # fmt: skip
     data = png(figure, block)
     picture = write_bytes(data, path)
     sections = (
-        section("", Picture(data, caption)),
+        section("Curves", Charts(charts, beside=True)),
         section("Figures of merit", Table(FIGURE_HEADINGS, table(merits), (1, 2))),
+        section("Picture", Picture(data, caption)),
     )
     return picture, write_html(path.with_suffix(".html"), block, sections)
+
+
+CURVES = {  # of a test over current: (channel, title, unit, factor from SI)
+    "flow": ("load_flow", "Flow curve", "L/min", 6e4),
+    "pressure-gain": ("load_pressure", "Pressure gain, ports blocked", "bar", 1e-5),
+    "leakage": ("internal_leakage", "Internal leakage, ports blocked", "L/min", 6e4),
+}
+
+
+def curve_chart(test: str, record: AcceptanceRecord) -> Chart:
+    """Both branches of a test over current."""
+    channel, title, unit, factor = CURVES[test]
+    c = cycle(record, channel)
+    branches = [(current, c.polarity * y * factor) for current, y in (c.rising, c.falling)]
+    x, (rising, falling) = on_one_axis(branches)
+    known = 1e-4 * float(np.nanmax(np.abs([np.nanmax(np.abs(rising)), np.nanmax(np.abs(falling))])))
+    lines = [Series(name, unit, y, known, joined=True) for name, y in (("rising", rising), ("falling", falling))]
+    label = f"{channel.replace('_', ' ')} [{unit}]"
+    return Chart(title, x * 1e3, lines, "current", "mA", label, group="over current", height=280)
+
+
+def load_chart(records: Sequence[AcceptanceRecord], x_channel: str) -> Chart:
+    """Flow over a pressure, a line each held current."""
+    lines, names = [], []
+    for record in records:
+        lines.append((record.values[x_channel] / 1e5, record.values["load_flow"] * 6e4))
+        names.append(f"{float(np.mean(record.values['current'])) * 1e3:.3g} mA" if "current" in record.values else "flow")
+    x, columns = on_one_axis(lines)
+    series = [Series(name, "L/min", y, 1e-3, joined=True) for name, y in zip(names, columns, strict=True)]
+    label = x_channel.replace("_", " ")
+    return Chart(f"Flow over {label}", x, series, label, "bar", "load flow [L/min]", height=280)
+
+
+def acceptance_charts(result: AcceptanceTests) -> list[Chart]:
+    """Flow curve, pressure gain, leakage and flow over load pressure."""
+    curves = (("flow", result.flow), ("pressure-gain", result.blocked), ("leakage", result.blocked))
+    charts = [curve_chart(test, record) for test, record in curves]
+    return [*charts, load_chart(result.flow_load, "load_pressure")] if result.flow_load else charts
+
+
+def measured_charts(measured: MeasuredTest) -> list[Chart]:
+    """The curve of a measured test."""
+    if measured.test in CURVES:
+        return [curve_chart(measured.test, measured.record)]
+    return [load_chart([measured.record], "pressure_drop")]
 
 
 @styled

@@ -98,6 +98,17 @@ class Charts:
         return bool(self.charts)
 
 
+def on_one_axis(lines: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """(x, columns) of lines that have an axis each: x rises, and each line has a number where it has a point."""
+    x = np.unique(np.concatenate([at for at, _ in lines]))
+    columns = []
+    for at, values in lines:
+        column = np.full(len(x), np.nan)
+        column[np.searchsorted(x, at)] = values
+        columns.append(column)
+    return x, columns
+
+
 def packed(values: np.ndarray) -> str:
     """Numbers as text: base64 of deflate of single precision, its bytes apart; the page's script unpacks it."""
     singles = np.ascontiguousarray(values, dtype="<f4").view(np.uint8).reshape(-1, 4)

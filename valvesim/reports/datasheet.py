@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +14,11 @@ import matplotlib
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
 from valvesim.characterisation.judgement_table import HEADINGS, judgement_rows
 from valvesim.io import check_folder, write_atomically
-from valvesim.reports.acceptance import draw_acceptance
+from valvesim.reports.acceptance import acceptance_charts, draw_acceptance
+from valvesim.reports.chart import Chart, Charts
 from valvesim.reports.html_page import Picture, Section, Table, Text, section, write_html
 from valvesim.reports.plotting import png
-from valvesim.reports.response import CAPTIONS, draw_responses
+from valvesim.reports.response import CAPTIONS, draw_responses, response_charts
 from valvesim.reports.title_block import TitleBlock, valve_name
 from valvesim.units import quantities, range_text, symbol
 
@@ -36,11 +37,13 @@ class _Part:
     text: str
     rows: tuple[tuple[str, ...], ...]
     pictures: tuple[Picture, ...] = ()
+    charts: tuple[Chart, ...] = ()
 
     @property
     def section(self) -> Section:
-        """The part on the page."""
-        return section(self.heading, Text(self.text), Table(self.rows[0], self.rows[1:]), *self.pictures)
+        """The part on the page, where its charts stand in place of pictures."""
+        shown = (Charts(self.charts, beside=True),) if self.charts else self.pictures
+        return section(self.heading, Text(self.text), Table(self.rows[0], self.rows[1:]), *shown)
 
 
 def datasheet_report(
@@ -77,16 +80,22 @@ def _parts(sheet: Datasheet, block: TitleBlock) -> tuple[_Part, ...]:
     dynamic = tuple(
         Picture(png(figure, block), CAPTIONS[name]) for name, figure in draw_responses(sheet.responses).items()
     )  # fmt: skip
+    curves = []
+    for one in sheet.benches:
+        at_once = f", oil at {one.oil_temperature:g} °C"
+        curves += [replace(chart, title=f"{chart.title}{at_once}") for chart in acceptance_charts(one)]
     absent = _absent_rows(sheet)
     parameters = [
         (name, f"{getattr(sheet.valve, name):.6g}", symbol(f.metadata["unit"]), range_text(f), f.metadata["doc"])
         for name, f in quantities(sheet.valve).items()
     ]
     return (
-        _Part("Static figures of merit", validity, (("figure of merit", "unit", *at), *_static_rows(sheet)), static),
+        _Part("Static figures of merit", validity, (("figure of merit", "unit", *at), *_static_rows(sheet)), static,
+              tuple(curves)),
         _Part(
             "Dynamic figures of merit", "Steps and stepped sines of the spool, no load.",
             (("figure of merit", "unit", *at), *_dynamic_rows(sheet)), dynamic,
+            tuple(response_charts(sheet.responses)),
         ),
         _Part(
             f"Beside published figures of merit of the class, at {at[0]}",

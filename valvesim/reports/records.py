@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from valvesim.measurement.headings import UNITS
+from valvesim.reports.chart import Chart, Charts, Series
+from valvesim.reports.html_page import Bullets, section, write_html
 from valvesim.reports.plotting import COLOURS, MEASURED, Figure, draw_line, styled, time_unit, write_picture
 from valvesim.reports.title_block import TitleBlock
 from valvesim.units import DISPLAY, symbol
@@ -27,6 +30,28 @@ def picture_recording(
     """Write the picture of a recording; its path."""
     block = TitleBlock(title=", ".join(one.name for one in recording.paths), valve="measured", date=date)
     return write_picture(draw_recording(recording, qualities), block, path)
+
+
+def page_recordings(recordings: Sequence[Recording], date: datetime.date, path: Path) -> Path:
+    """Write the page of records, each channel of all of them beside each other with one zoom; its path."""
+    names = [", ".join(one.name for one in recording.paths) for recording in recordings]
+    block = TitleBlock(title=" and ".join(names), valve="as recorded", date=date)
+    sections = []
+    for channel in dict.fromkeys(name for recording in recordings for name in recording.values):
+        charts = []
+        for name, recording in zip(names, recordings, strict=True):
+            if channel in recording.values:
+                unit, factor = DISPLAY.get(UNITS[channel], (UNITS[channel], 1.0))
+                text, values = channel.replace("_", " "), recording.values[channel] * factor
+                line = Series(text, symbol(unit), values, joined=bool(np.isnan(values).any()))
+                label = f"{text} [{symbol(unit)}]"
+                charts.append(Chart(f"{text}, {name}", recording.time, [line], y_label=label, group="records"))
+        heading = channel.replace("_", " ").capitalize()
+        sections.append(section(heading, Charts(charts, beside=len(recordings) > 1)))
+    notes = [f"{name}: {note}" for name, one in zip(names, recordings, strict=True) for note in (*one.forms, *one.notes)]
+    left_out = [f"{name}: no channel {', '.join(one.left_out)}" for name, one in zip(names, recordings, strict=True)
+                if one.left_out]  # fmt: skip
+    return write_html(path, block, (*sections, section("Notes", Bullets([*notes, *left_out]))))
 
 
 @styled

@@ -12,7 +12,7 @@ import numpy as np
 from valvesim.characterisation.class_figures import ClassFigure, class_figures
 from valvesim.characterisation.figure_of_merit import Absent, table
 from valvesim.io import check_folder
-from valvesim.reports.chart import Chart, Charts, Series
+from valvesim.reports.chart import Chart, Charts, Series, on_one_axis
 from valvesim.reports.html_page import Picture, Section, Table, section, write_html
 from valvesim.reports.plotting import COLOURS, Figure, label_decades, png, styled, write_bytes
 from valvesim.reports.title_block import TitleBlock
@@ -52,15 +52,14 @@ def response_report(
 def frequency_charts(responses: Sequence[tuple[str, Sequence[FrequencyResponse]]], group: str = "") -> list[Chart]:
     """Amplitude ratio, phase and distortion of responses over frequency: a (name, responses) each condition."""
     lines: dict[str, list[Series]] = {"amplitude ratio [dB]": [], "phase [°]": [], "distortion [%]": []}
-    every = [one for _, several in responses for one in several]
-    x = np.unique(np.concatenate([one.frequency for one in every]))
-    for k, (name, response) in enumerate((name, one) for name, several in responses for one in several):
+    every = [(name, one) for name, several in responses for one in several]
+    x, _ = on_one_axis([(one.frequency, one.frequency) for _, one in every])
+    for k, (name, response) in enumerate(every):
         text = " ".join(filter(None, (name, _amplitude(response)))) if np.isfinite(response.share) else name or "run"
-        place = np.searchsorted(x, response.frequency)
         values = (response.amplitude_ratio, -response.phase_lag, 100.0 * response.distortion)
         for series, unit, given in zip(lines.values(), ("dB", "°", "%"), values, strict=True):
             on = np.full(len(x), np.nan)
-            on[place] = np.where(response.credible, given, np.nan)
+            on[np.searchsorted(x, response.frequency)] = np.where(response.credible, given, np.nan)
             if np.isfinite(on).any():
                 series.append(Series(text, unit, on, 0.01, colour=k, joined=True))
     own = group or "frequency"

@@ -36,6 +36,7 @@ from valvesim.reports.diagnosis.words import (
     unit_of,
     with_unit,
 )
+from valvesim.reports.chart import Charts
 from valvesim.reports.html_page import (
     Banner,
     Bar,
@@ -107,6 +108,7 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
             "Simulation beside records" if diagnosis.verdict == NO_DISCREPANCY else "What the simulation gets wrong",
             _picture(pictures, "errors", "Error of the nominal model, fitted to these records, in noise deviations "
                      "(root mean square): 1 is noise alone; grey is not measured."),
+            Charts(traces.trace_charts(diagnosis)),
             _picture(pictures, "traces", "The readings that the nominal model gets most wrong; below them the "
                      "residual, measured less model."),
         ),

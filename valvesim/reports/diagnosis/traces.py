@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.diagnosis.result import Diagnosis, Trace
+from valvesim.reports.chart import Chart, Series
 from valvesim.reports.diagnosis.words import short, spoken, unit_of
 from valvesim.reports.plotting import COLOURS, EXTENDED, MEASURED, MOST_POINTS, NOMINAL, Figure, styled, thin
 
@@ -26,6 +27,24 @@ def worst_traces(traces: Iterable[Trace]) -> list[Trace]:
     again = [trace.channel in {one.channel for one in ranked[:k]} for k, trace in enumerate(ranked)]
     chosen = sorted(range(len(ranked)), key=again.__getitem__)[:MOST_TRACES]
     return [ranked[k] for k in sorted(chosen)]
+
+
+def trace_charts(diagnosis: Diagnosis) -> list[Chart]:
+    """Each of the worst traces whole: measured, nominal and extended readings, and below them what both leave."""
+    charts = []
+    for trace in worst_traces(diagnosis.traces):
+        unit, factor = unit_of(trace.unit, float(np.nanmax(np.abs(trace.measured))))
+        models = [("nominal model", trace.base, 1), ("extended model", trace.extended, 0)]
+        models = [one for one in models if len(one[1]) == len(trace.time)]
+        known = factor * trace.noise
+        title, channel = f"{spoken(trace.channel)} in {trace.record}", spoken(trace.channel)
+        readings = [Series("measured", unit, factor * trace.measured, known, colour=5)]
+        readings += [Series(name, unit, factor * values, known, colour=k) for name, values, k in models]
+        left = [Series(name, unit, factor * (trace.measured - values), known, colour=k) for name, values, k in models]
+        for text, series in (("", readings), (", residual", left)):
+            label = f"{channel if not text else 'residual'} [{unit or '-'}]"
+            charts.append(Chart(f"{title}{text}", trace.time, series, y_label=label, group=trace.record))
+    return charts
 
 
 @styled
