@@ -20,6 +20,7 @@ from valvesim.diagnosis.result import (
 )
 from valvesim.errors import unknown_name
 from valvesim.io import check_folder
+from valvesim.reports.chart import Charts
 from valvesim.reports.diagnosis import error_map, gain, scores, term, traces
 from valvesim.reports.diagnosis.glossary import glossary
 from valvesim.reports.diagnosis.words import (
@@ -36,7 +37,6 @@ from valvesim.reports.diagnosis.words import (
     unit_of,
     with_unit,
 )
-from valvesim.reports.chart import Charts
 from valvesim.reports.html_page import (
     Banner,
     Bar,
