@@ -5,10 +5,9 @@ from __future__ import annotations
 import functools
 import hashlib
 import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
-
-import numpy as np
 
 from valvesim.errors import InputError
 from valvesim.export.traced_valve import INPUTS, TracedValve, Variable, node_names
@@ -21,8 +20,6 @@ ARGUMENTS = {
     "coefficients": ("p", "T", "u"),
     "pilot_oil": ("p", "u"),
     "thermal_rates": ("p", "s"),
-    "derivative": ("y", "u", "c", "p"),
-    "jacobian": ("y", "u", "c", "p"),
     "outputs": ("x", "u", "c", "p"),
     "forward": ("z", "u", "p", "dz", "du", "dp"),
     "adjoint": ("z", "u", "p", "d"),
@@ -32,7 +29,22 @@ ARGUMENTS = {
     "rest_balance": ("q", "u", "c"),
     "rest_current": ("u", "c"),
 }
-"""The printed functions, each `valve_model_NAME(arguments..., out)`, and what their arguments are called."""
+"""The functions of CasADi's that are printed, each `valve_model_NAME(arguments..., out)`, with their arguments."""
+
+_SQUARE = "[VALVE_COUPLED][VALVE_COUPLED]"
+LINES = {
+    "prepare": "const double c[], double out[]",
+    "rates": "const double y[], const double u[], const double c[], double out[]",
+    "linearise": "const double y[], const double u[], const double u_t[], const double c[], const double c_t[],\n"
+    f"    double f[], double J{_SQUARE}, double f_t[]",
+    "factor": f"double J{_SQUARE}, double diagonal, double W{_SQUARE}, double pivots[]",
+    "step": "const double y[], double u[VALVE_NODES_OF_STEP][VALVE_INPUTS],\n"
+    "    double c[VALVE_NODES_OF_STEP][VALVE_PREPARED], double h, const double f[], const double f_t[],\n"
+    f"    double W{_SQUARE}, double K[VALVE_STAGES][VALVE_COUPLED], double new_y[], double rate[]",
+    "error": "const double y[], const double new_y[], double K[VALVE_STAGES][VALVE_COUPLED], const double rest[],\n"
+    "    const double atol[], double rtol, double e[]",
+}
+"""The functions of the integrator that are printed from the lines of `solver`, with their arguments in C."""
 
 
 def model_sources(valve: TracedValve) -> dict[str, str]:
@@ -52,7 +64,8 @@ def _header(valve: TracedValve, digest: str) -> str:
     sizes = {
         "PARAMETERS": len(valve.parameters), "INPUTS": len(valve.inputs), "COUPLED": valve.coupled,
         "STATES": len(valve.states), "OUTPUTS": len(valve.outputs), "COEFFICIENTS": len(valve.coefficient_names),
-        "FIRST_TEMPERATURE": len(valve.coefficient_names) - len(PART_NAMES), "CLEARANCES": len(valve.clearances),
+        "PREPARED": valve.equations.coefficients,
+        "FIRST_TEMPERATURE": valve.coefficient_names.index(f"{PART_NAMES[0]}_temperature"), "CLEARANCES": len(valve.clearances),
         "NODES": len(node_names()), "LAGGED_PARTS": int(valve.lagged_parts), "USES_RATE": int(valve.uses_rate),
         "SETTLES": int(valve.settles),
     }  # fmt: skip
@@ -96,8 +109,7 @@ def _header(valve: TracedValve, digest: str) -> str:
         "extern const int valve_clearances[VALVE_CLEARANCES];",
         "",
         *(f"{_signature(name)};" for name in ARGUMENTS),
-        "int valve_model_factor(double W[VALVE_COUPLED][VALVE_COUPLED]);",
-        "void valve_model_substitute(double W[VALVE_COUPLED][VALVE_COUPLED], double x[VALVE_COUPLED]);",
+        *(f"void valve_model_{name}({arguments});" for name, arguments in LINES.items()),
         "",
         "#endif",
         "",
@@ -107,24 +119,15 @@ def _header(valve: TracedValve, digest: str) -> str:
 
 def _integrator() -> list[str]:
     """The figures of the method and of the step control, from the modules that have them."""
-
-    def array(values: Any) -> str:
-        inner = (array(value) if np.ndim(value) else repr(float(value)) for value in values)
-        return "{" + ", ".join(inner) + "}"
-
-    stages = rodas5p.STAGES
-    square = np.zeros((2, stages, stages))
-    square[0, :, : rodas5p.A.shape[1]], square[1, :, : rodas5p.C.shape[1]] = rodas5p.A, rodas5p.C
-    d = np.append(rodas5p.D, np.zeros(stages - len(rodas5p.D)))
+    nodes = sorted({(k, float(rodas5p.NODES[stage])) for stage, k in enumerate(rodas5p.NODE_OF_STAGE) if stage})
     figures = {
-        "TABLEAU_STAGES": stages, "TABLEAU_GAMMA": rodas5p.GAMMA, "TABLEAU_A": square[0], "TABLEAU_C": square[1],
-        "TABLEAU_NODES": rodas5p.NODES, "TABLEAU_D": d, "RATE_SPAN": rodas5p.RATE_SPAN,
-        "FIRST_BEND": rodas5p.FIRST_BEND, "ABSOLUTE_SHARE": driver.ABSOLUTE_SHARE, "FIRST_STEP": driver.FIRST_STEP,
+        "STAGES": rodas5p.STAGES, "GAMMA": rodas5p.GAMMA, "NODES_OF_STEP": len(nodes), "FIRST_BEND": rodas5p.FIRST_BEND,
+        "ABSOLUTE_SHARE": driver.ABSOLUTE_SHARE, "FIRST_STEP": driver.FIRST_STEP,
         "KNOT_ERROR": temperature_knots.KNOT_ERROR, "JUMP_TIME": run.JUMP_TIME,
     }  # fmt: skip
-    return [
-        f"#define VALVE_{name} {array(value) if np.ndim(value) else repr(value)}" for name, value in figures.items()
-    ]
+    shares = ", ".join(repr(node) for _, node in nodes)
+    defined = [f"#define VALVE_{name} {value!r}" for name, value in figures.items()]
+    return [*defined, f"#define VALVE_NODE_SHARES {{{shares}}}"]
 
 
 def _define(kind: str, name: str, k: int, about: Variable) -> str:
@@ -132,28 +135,19 @@ def _define(kind: str, name: str, k: int, about: Variable) -> str:
 
 
 def _signature(name: str) -> str:
-    if name == "jacobian":
-        return "void valve_model_jacobian(const double y[], const double u[], const double c[], const double p[],\n" + (
-            "                          double out[VALVE_COUPLED][VALVE_COUPLED])"
-        )
     arguments = ", ".join(f"const double {argument}[]" for argument in ARGUMENTS[name])
     return f"void valve_model_{name}({arguments}, double out[])"
 
 
 @functools.lru_cache(maxsize=8)
 def _code(valve: TracedValve) -> str:
-    n, pattern = valve.coupled, valve.functions["pattern"]
     lines = [
         "/* Printed by valvesim: one valve's equations with their exact derivatives, and tables of its variables. */",
         '#include "valve_model.h"',
         "",
         "#include <math.h>",
         "",
-        "static double sign(double a)",
-        "{",
-        "    return (a > 0.0) ? 1.0 : ((a < 0.0) ? -1.0 : 0.0);",
-        "}",
-        "",
+        *_HELPERS,
     ]
     tables = {
         "parameter": valve.parameters, "input": valve.inputs, "state": valve.states, "output": valve.outputs,
@@ -167,14 +161,53 @@ def _code(valve: TracedValve) -> str:
     lines += [f"const int valve_clearances[VALVE_CLEARANCES] = {{{clearances}}};", ""]
     for name in ARGUMENTS:
         function = valve.functions[name]
-        count = function.numel_out(0)
-        targets, zeros = [f"out[{k}]" for k in range(count)], []
-        if name == "jacobian":
-            targets = [f"out[{i}][{j}]" for i, j in pattern]
-            zeros = [(i, j) for i in range(n) for j in range(n) if (i, j) not in set(pattern)]
-        lines += [*_function(name, function, targets), *(f"    out[{i}][{j}] = 0.0;" for i, j in zeros), "}", ""]
-    lines += _solver(*print_elimination(n, pattern))
+        lines += [*_function(name, function, [f"out[{k}]" for k in range(function.numel_out(0))]), "}", ""]
+    factor, solve = print_elimination(valve.coupled, valve.equations.entries)
+    factor = ["def factor(J, diagonal, W, pivots):", *(f"    {line}" for line in factor)]
+    printed = [*valve.equations.lines, *factor, *rodas5p.print_step(valve.coupled, solve)]
+    for name, body in _by_function(printed).items():
+        if name in LINES:
+            lines += [f"void valve_model_{name}({LINES[name]})", "{", *_c_lines(body), "}", ""]
     return "\n".join(lines)
+
+
+def _by_function(lines: Iterable[str]) -> dict[str, list[str]]:
+    """The bodies of printed Python functions by name, unindented."""
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        head = re.match(r"def (\w+)\(", line)
+        if head:
+            body = found.setdefault(head[1], [])
+        else:
+            body.append(line.strip())
+    return found
+
+
+def _c_lines(lines: Iterable[str]) -> list[str]:
+    """Lines of arithmetic as C: the first assignment to a name declares it; what nothing uses is left out."""
+    known, written = set(), []
+    for line in _used(list(lines)):
+        text = re.sub(r"(\w)\[(\d+), (\d+)\]", r"\1[\2][\3]", line)
+        text = re.sub(r"\bnew\b", "new_y", re.sub(r"^rates\(", "valve_model_rates(", text))
+        name = re.match(r"([A-Za-z]\w*) = ", text)
+        declared = "" if name is None or name[1] in known else "double "
+        if name is not None:
+            known.add(name[1])
+        written.append(f"    {declared}{text};")
+    return written
+
+
+def _used(lines: list[str]) -> list[str]:
+    """The lines but for assignments to a name that no later line needs."""
+    needed: set[str] = set()
+    kept = []
+    for line in reversed(lines):
+        target, is_assigned, value = line.partition(" = ")
+        if is_assigned and target.isidentifier() and target not in needed:
+            continue
+        needed |= set(re.findall(r"[A-Za-z_]\w*", value if is_assigned else line))
+        kept.append(line)
+    return kept[::-1]
 
 
 def _rows(variables: Iterable[Variable]) -> list[str]:
@@ -223,19 +256,22 @@ def _function(name: str, function: Any, targets: Sequence[str]) -> list[str]:
     return [_signature(name), "{", *declared, *untouched, *lines]
 
 
-def _solver(factor: Sequence[str], back_substitute: Sequence[str]) -> list[str]:
-    """The two functions of the linear systems, from their Python lines."""
-
-    def c_line(text: str) -> str:
-        return "    " + text.replace(", ", "][") + ";"
-
-    first = "int valve_model_factor(double W[VALVE_COUPLED][VALVE_COUPLED])"
-    second = "void valve_model_substitute(double W[VALVE_COUPLED][VALVE_COUPLED], double x[VALVE_COUPLED])"
-    body = [c_line(line) for line in factor[1:-1]]
-    return [
-        first, "{", "    double pivots = 0.0, pivot, ratio;", *body, "    return isfinite(pivots) ? 1 : 0;", "}", "",
-        second, "{", *(c_line(line) for line in back_substitute), "}", "",
-    ]  # fmt: skip
+_HELPERS = [
+    line
+    for name, arguments, value in (
+        ("sign", "double a", "(a > 0.0) ? 1.0 : ((a < 0.0) ? -1.0 : 0.0)"),
+        ("maximum", "double a, double b", "(a < b) ? b : a"),
+        ("minimum", "double a, double b", "(b < a) ? b : a"),
+        ("power", "double a, double b", "pow(a, b)"),
+        ("where_true", "double condition, double value", "(condition != 0.0) ? value : 0.0"),
+        ("less", "double a, double b", "(a < b) ? 1.0 : 0.0"),
+        ("less_equal", "double a, double b", "(a <= b) ? 1.0 : 0.0"),
+        ("logical_not", "double a", "(a == 0.0) ? 1.0 : 0.0"),
+        ("logical_and", "double a, double b", "((a != 0.0) && (b != 0.0)) ? 1.0 : 0.0"),
+        ("logical_or", "double a, double b", "((a != 0.0) || (b != 0.0)) ? 1.0 : 0.0"),
+    )
+    for line in (f"static inline double {name}({arguments})", "{", f"    return {value};", "}", "")
+]
 
 
 @functools.cache

@@ -92,7 +92,7 @@ def _dependencies(valve: TracedValve) -> list[tuple[int, ...]]:
     """References of the states and inputs on which each derivative, then each output depends."""
     n = len(valve.states)
     found: list[list[int]] = [[] for _ in range(n + len(valve.outputs))]
-    for row, column in zip(*valve.functions["dependence"].get_triplet(), strict=True):
+    for row, column in zip(*valve.dependence.get_triplet(), strict=True):
         if column != n + RATE or valve.uses_rate:
             found[row].append(
                 REFERENCES["state"] + column if column < n else REFERENCES["input"] + column - n

@@ -21,6 +21,7 @@ from valvesim.channels import INPUT_CHANNELS, SIGNAL_CHANNELS, Channel, Inputs
 from valvesim.errors import InputError
 from valvesim.inputs import evaluate
 from valvesim.simulation.scenario import Scenario
+from valvesim.solver.codegen import PrintedEquations, print_rates
 from valvesim.units import POSITIVE, quantities
 from valvesim.valve.coefficients import CLEARANCES, PART_NAMES, PartTemperatures, check_routes, coefficient_formulas
 from valvesim.valve.effect import READABLE, ActiveEffect, Reading
@@ -55,7 +56,8 @@ class TracedValve:
 
     `states` are first those of the equations with lagged sensors (`coupled` many), then temperatures. `uses_rate` is
     true where the equations feel the command's rate of change. `settles` where effects move the state at rest away
-    from the static solution. `constant` are coefficients that no parameter or temperature changes.
+    from the static solution. `equations` are the rates of the coupled states as lines, over scaled states,
+    inputs and coefficients. `dependence` is the pattern of all rates, then outputs, over states, then inputs.
     """
 
     scenario: Scenario
@@ -71,11 +73,8 @@ class TracedValve:
     coefficient_names: tuple[str, ...]
     clearances: tuple[int, ...]
     functions: dict[str, Any]
-
-    @property
-    def scale(self) -> np.ndarray:
-        """Scales of the coupled states, (coupled,)."""
-        return np.array([state.scale for state in self.states[: self.coupled]])
+    equations: PrintedEquations
+    dependence: Any
 
 
 def trace_valve(scenario: Scenario) -> TracedValve:
@@ -230,9 +229,7 @@ class _Trace:
         SX, model = self.casadi.SX, self.model
         self.x = SX.sym("x", self.coupled)
         self.c = SX.sym("c", len(self.c_expressions))
-        seen = [
-            one if one.is_constant() else self.c[k] for k, one in enumerate(self.c_expressions)
-        ]  # fmt: skip
+        seen = self._seen()
         n, n_c = len(model.state_channels), len(model.coefficient_names)
         state = tuple(self.x[k] for k in range(n))
         inputs = Inputs(*(self.u[k] for k in range(len(INPUT_CHANNELS))))
@@ -265,7 +262,24 @@ class _Trace:
             doc = f"what the sensor of {name} reads"
             told = Variable(name=f"measured_{name}", unit=of.unit, doc=doc, scale=of.scale)
             self.outputs.append((told, value))
-        self.rates = self.casadi.vertcat(*rates)
+        self.rates = self._with_more_coefficients(self.casadi.vertcat(*rates))
+
+    def _seen(self) -> list[Any]:
+        """The coefficients as the equations see them: a symbol, or a number that nothing changes."""
+        return [one if one.is_constant() else self.c[k] for k, one in enumerate(self.c_expressions)]
+
+    def _with_more_coefficients(self, rates: Any) -> Any:
+        """Rates in which the parameters of sensors, which no coefficient holds, are coefficients too."""
+        casadi = self.casadi
+        found = [k for k, symbol in enumerate(self.symbols) if casadi.depends_on(rates, symbol)]
+        if not found:
+            return rates
+        more = casadi.SX.sym("more", len(found))
+        chosen = casadi.vertcat(*(self.symbols[k] for k in found))
+        self.c_expressions += [self.symbols[k] for k in found]
+        self.c_names = (*self.c_names, *(self.candidates[k].name for k in found))
+        self.c = casadi.vertcat(self.c, more)
+        return casadi.substitute(rates, chosen, more)
 
     def _plain_outputs(self, channels: dict[str, Any]) -> list[tuple[Variable, Any]]:
         """All channels of a run that are neither input nor state."""
@@ -291,7 +305,6 @@ class _Trace:
         casadi, model = self.casadi, self.model
         c_of_p = casadi.vertcat(*self.c_expressions)
         outputs = casadi.vertcat(*(value for _, value in self.outputs))
-        # sensors have parameters of their own, which no coefficient holds
         join = casadi.vertcat
         everything = join(c_of_p, self.rates, outputs, self.thermal_rates, self.pilot_oil)
         if self.network is not None:
@@ -306,10 +319,7 @@ class _Trace:
         c_of_p, rates, outputs = over_p(c_of_p), over_p(self.rates), over_p(outputs)
         thermal, pilot_oil = over_p(self.thermal_rates), over_p(self.pilot_oil)
         x, u, c, T, s = self.x, self.u, self.c, self.T, self.sources
-        scale = casadi.DM([state.scale for state in self.states[: self.coupled]])
-        y = casadi.SX.sym("y", self.coupled)
-        scaled = casadi.substitute(rates, x, y * scale) / scale
-        jacobian = casadi.jacobian(scaled, y)
+        equations = print_rates(rates, x, u, c, [state.scale for state in self.states[: self.coupled]])
         whole = join(
             casadi.substitute(rates, c, c_of_p),
             casadi.substitute(thermal, s, join(T, pilot_oil, over_p(self.ambient))),
@@ -329,16 +339,11 @@ class _Trace:
             "coefficients": function("coefficients", [p, T, u], c_of_p),
             "pilot_oil": function("pilot_oil", [p, u], pilot_oil),
             "thermal_rates": function("thermal_rates", [p, s], thermal),
-            "derivative": function("derivative", [y, u, c, p], scaled),
-            "jacobian": function("jacobian", [y, u, c, p], join(*jacobian.nonzeros())),
             "outputs": function("outputs", [x, u, c, p], outputs),
             "forward": function("forward", [z, u, p, *seeds], casadi.substitute(forward, join(x, T), z)),
             "adjoint": function("adjoint", [z, u, p, back], casadi.substitute(adjoint, join(x, T), z)),
             **self._rest_functions(function),
         }
-        pattern = list(zip(*jacobian.sparsity().get_triplet(), strict=True))
-        dependence = casadi.jacobian_sparsity(join(whole, whole_outputs), join(z, u))
-        functions["pattern"], functions["dependence"] = pattern, dependence
         uses_rate = bool(casadi.depends_on(join(rates, outputs), u[1]))
         names = self.c_names
         return TracedValve(
@@ -355,6 +360,10 @@ class _Trace:
             coefficient_names=names,
             clearances=tuple(names.index(name) for name in CLEARANCES),
             functions=functions,
+            equations=equations,
+            dependence=casadi.jacobian_sparsity(
+                casadi.substitute(join(whole, whole_outputs), join(x, T), z), join(z, u)
+            ),
         )
 
     def _rest_functions(self, function: Any) -> dict[str, Any]:
@@ -362,10 +371,7 @@ class _Trace:
         casadi, model = self.casadi, self.model
         q = casadi.SX.sym("q", 4)
         theta, p1, p2, current = (q[k] for k in range(4))
-        c_all = tuple(
-            one if one.is_constant() else self.c[k] for k, one in enumerate(self.c_expressions)
-        )  # fmt: skip
-        c = model.valve_coefficients(c_all)
+        c = model.valve_coefficients(tuple(self._seen()))
         supply, back, load = self.u[2], self.u[3], self.u[4]
         x_f = c.nozzle_arm * theta
         sides = (

@@ -202,8 +202,18 @@ class PrintedEquations:
 
 
 def print_equations(model: Model, absent: frozenset[str] = frozenset()) -> PrintedEquations:
-    """The equations of a model in scaled states, as a step computes them (see `linear_forms`).
+    """The equations of a model in scaled states, see `print_rates`."""
+    rates, at = trace(model, absent)
+    scale = [channel.scale for channel in model.state_channels]
+    return print_rates(rates, at["state"], at["inputs"], at["coefficients"], scale)
 
+
+def print_rates(
+    rates_of: Any, x: Any, inputs_of: Any, coefficients_of: Any, scales: Sequence[float]
+) -> PrintedEquations:  # fmt: skip
+    """Rates of states x over inputs and coefficients, CasADi's, in scaled states as a step computes them.
+
+    They are told as linear forms (`linear_forms`).
     `prepare(c, out)` turns flat coefficients into those that the others take; `rates(y, u, c, out)` are the
     derivatives, and `linearise(y, u, u_t, c, c_t, f, J, f_t)` the same with their exact derivatives by the states and
     over time, where u_t and c_t are how fast inputs and coefficients change.
@@ -211,14 +221,12 @@ def print_equations(model: Model, absent: frozenset[str] = frozenset()) -> Print
     import casadi
 
     join: Any = casadi.vertcat
-    unscaled, at = trace(model, absent)
-    n, n_u = at["state"].shape[0], at["inputs"].shape[0]
-    scale = casadi.DM([channel.scale for channel in model.state_channels])
+    n, n_u, scale = x.shape[0], inputs_of.shape[0], casadi.DM(scales)
     y = casadi.SX.sym("y", n)
-    scaled = casadi.substitute(unscaled, at["state"], y * scale) / scale
+    scaled = casadi.substitute(rates_of, x, y * scale) / scale
     expressions = Expressions()
     prepared: dict[tuple[int, float], int] = {}
-    values = expressions.of_symbols({"y": y, "u": at["inputs"], "c": at["coefficients"]}, scaled, constant=("c",))
+    values = expressions.of_symbols({"y": y, "u": inputs_of, "c": coefficients_of}, scaled, constant=("c",))
     rates = expressions.lines({f"out[{k}]": value for k, value in enumerate(values)}, prepared)
     ahead = {f"out[{k}]": {(node, ONE): number} for (node, number), k in prepared.items()}
 

@@ -108,6 +108,7 @@ ValveStatus valve_refresh(Valve *valve)
     ValveStatus status = VALVE_OK;
     if (!valve->coefficients_valid) {
         status = valve_coefficients_at(valve, &valve->states[VALVE_COUPLED], valve->inputs, valve->coefficients);
+        valve_model_prepare(valve->coefficients, valve->prepared);
         valve->coefficients_valid = (status == VALVE_OK);
     }
     return status;
@@ -124,7 +125,7 @@ ValveStatus valve_rates(Valve *valve, double rates[VALVE_STATE_ROOM])
     for (k = 0; k < VALVE_COUPLED; k++) {
         y[k] = valve->states[k] / valve_state_table[k].scale;
     }
-    valve_model_derivative(y, valve->inputs, valve->coefficients, valve->parameters, rates);
+    valve_model_rates(y, valve->inputs, valve->prepared, rates);
     for (k = 0; k < VALVE_COUPLED; k++) {
         rates[k] *= valve_state_table[k].scale;
     }

@@ -51,6 +51,7 @@ typedef struct {
 
     /* what follows the valve keeps for itself */
     double coefficients[VALVE_COEFFICIENTS]; /* at the parameters, the temperatures and the oil */
+    double prepared[VALVE_PREPARED];         /* what the equations make of them, once and for all states */
     double rest[VALVE_COUPLED];              /* scaled states at the start, from which errors are measured */
     double step;                             /* s, what the error control wants next */
     double command_before;                   /* command at the end of the last advance */

@@ -203,14 +203,19 @@ static double left_over(const double rates[N], const double scale[N])
 /* Scaled states at which every rate vanishes, next to those given. */
 ValveStatus valve_settle(Valve *valve, double y[VALVE_COUPLED])
 {
-    double rates[N], J[N][N], scale[N], step[N], right[N], ahead[N];
-    const double *u = valve->inputs, *c = valve->coefficients, *p = valve->parameters;
+    static const double still[VALVE_PREPARED + VALVE_INPUTS];
+    double rates[N], late[N], J[N][N], scale[N], step[N], right[N], ahead[N];
+    const double *u = valve->inputs, *c = valve->prepared;
     int i, j, turn;
     valve->culprit = 0;
-    valve_model_derivative(y, u, c, p, rates);
     for (turn = 0; turn < 60; turn++) {
         double size, share = 1.0, most = 0.0, now;
-        valve_model_jacobian(y, u, c, p, J);
+        for (i = 0; i < N; i++) {
+            for (j = 0; j < N; j++) {
+                J[i][j] = 0.0; /* where the pattern has none */
+            }
+        }
+        valve_model_linearise(y, u, still, c, still, rates, J, late);
         for (i = 0; i < N; i++) {
             scale[i] = 1e-300;
             for (j = 0; j < N; j++) {
@@ -233,7 +238,7 @@ ValveStatus valve_settle(Valve *valve, double y[VALVE_COUPLED])
             for (i = 0; i < N; i++) {
                 ahead[i] = y[i] + share * step[i];
             }
-            valve_model_derivative(ahead, u, c, p, rates);
+            valve_model_rates(ahead, u, c, rates);
             now = left_over(rates, scale);
             if ((now <= (1.0 - 0.1 * share) * size + 1e-14) || (share <= 1e-3)) {
                 break;

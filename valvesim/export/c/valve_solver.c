@@ -1,8 +1,7 @@
 /* The integrator: Rodas5P, an L-stable, stiffly accurate Rosenbrock method of order 5, as valvesim's own.
  *
  * Source of the method and its figures: G. Steinebach, "Construction of Rosenbrock-Wanner method Rodas5P", BIT 63
- * (2023). y scaled states, h step, f derivative, J its Jacobian, W = 1/(gamma h) - J, k stages:
- *     W k_i = f(t + c_i h, y + sum a_ij k_j) + sum C_ij k_j/h + d_i h df/dt
+ * (2023). A step, the solution of its linear systems and its error are printed with the equations (valve_model.c).
  * Coefficients run straight between knots in time, which are set so close that they would.
  */
 #include "valve.h"
@@ -10,144 +9,134 @@
 #include <math.h>
 
 #define N VALVE_COUPLED
-#define STAGES VALVE_TABLEAU_STAGES /* the method's figures stand in valve_model.h, printed from valvesim's own */
-#define GAMMA VALVE_TABLEAU_GAMMA
+#define NODES VALVE_NODES_OF_STEP /* times within a step at which its stages look */
 #define MOST_HALVINGS 16 /* of an advance, between two knots */
 #define MOST_STEPS 50000000.0
+#define RATE_SPAN 0.02 /* share of a step over which the rate of inputs is taken that a caller gives */
 
-static const double A[STAGES][STAGES] = VALVE_TABLEAU_A;
-static const double C[STAGES][STAGES] = VALVE_TABLEAU_C;
-static const double NODES[STAGES] = VALVE_TABLEAU_NODES;
-static const double D[STAGES] = VALVE_TABLEAU_D; /* zero from the sixth on */
+static const double node_shares[NODES] = VALVE_NODE_SHARES;
 
-/* A stretch of an advance on which the coefficients run straight. Times are seconds since the advance began. */
+/* A stretch of an advance on which the prepared coefficients run straight. Times are seconds since it began. */
 typedef struct {
     double begin, end;
-    double first[VALVE_COEFFICIENTS], change[VALVE_COEFFICIENTS];
-    int bent;    /* the coefficients change */
-    int driven;  /* the inputs change */
+    double first[VALVE_PREPARED], rate[VALVE_PREPARED];
+    int bent;                  /* the coefficients change */
+    int driven;                /* the inputs change */
     const double *cold, *warm; /* temperatures at both ends */
     const ValveHooks *hooks;
 } Stretch;
 
-static void inputs_at(const Valve *valve, const ValveHooks *hooks, double t, double u[VALVE_INPUTS])
-{
-    int k;
-    for (k = 0; k < VALVE_INPUTS; k++) {
-        u[k] = valve->inputs[k] + t * (valve->slopes[0][k] + 0.5 * t * (valve->slopes[1][k] + t / 3.0 * valve->slopes[2][k]));
-    }
-    if ((hooks != NULL) && (hooks->inputs_at != NULL)) {
-        hooks->inputs_at(hooks->context, t, u);
-    } else if (valve->slopes[0][VALVE_INPUT_COMMAND] != 0.0) {
-        u[VALVE_INPUT_COMMAND_RATE] = valve->slopes[0][VALVE_INPUT_COMMAND]
-            + t * (valve->slopes[1][VALVE_INPUT_COMMAND] + 0.5 * t * valve->slopes[2][VALVE_INPUT_COMMAND]);
-    }
-}
-
-static void conditions_at(const Valve *valve, const Stretch *stretch, double t, double u[], double c[])
-{
-    int k;
-    if (stretch->driven) {
-        inputs_at(valve, stretch->hooks, t, u);
-    }
-    if (stretch->bent) {
-        const double share = (t - stretch->begin) / (stretch->end - stretch->begin);
-        for (k = 0; k < VALVE_COEFFICIENTS; k++) {
-            c[k] = stretch->first[k] + share * stretch->change[k];
-        }
-    }
-}
+/* What a step works with. */
+typedef struct {
+    double f[N], f_t[N], J[N][N], W[N][N], K[VALVE_STAGES][N], rate[N], atol[N];
+    double u[VALVE_INPUTS], u_t[VALVE_INPUTS], u_late[NODES][VALVE_INPUTS];
+    double c[VALVE_PREPARED], c_late[NODES][VALVE_PREPARED];
+} Work;
 
 static double larger(double a, double b)
 {
     return (a > b) ? a : b;
 }
 
-static double size_of(const Valve *valve, double a, double b, int i)
+static int has_inputs(const ValveHooks *hooks)
 {
-    const double far = larger(fabs(a - valve->rest[i]), fabs(b - valve->rest[i]));
-    return VALVE_ABSOLUTE_SHARE * valve->tolerance + valve->tolerance * far;
+    return (hooks != NULL) && (hooks->inputs_at != NULL);
 }
 
-/* One step from y to new_y; returns its error in tolerances, 1e10 where it is no number. */
-static double rosenbrock_step(const Valve *valve, const Stretch *stretch, double t, double h, const double y[N],
-                              const double f[N], double J[N][N], double u[], double c[], double new_y[N])
+static void inputs_at(const Valve *valve, const ValveHooks *hooks, double t, double u[VALVE_INPUTS])
 {
-    double W[N][N], K[STAGES][N], slope[N], late[N];
-    double error;
-    int i, j, s;
-    const int moving = stretch->driven || stretch->bent;
-    for (i = 0; i < N; i++) {
-        late[i] = 0.0;
+    const double(*slopes)[VALVE_INPUTS] = valve->slopes;
+    int k;
+    for (k = 0; k < VALVE_INPUTS; k++) {
+        u[k] = valve->inputs[k] + t * (slopes[0][k] + 0.5 * t * (slopes[1][k] + t / 3.0 * slopes[2][k]));
     }
-    if (moving) { /* df/dt by a second-order difference, long enough to stay clear of rounding */
-        for (s = 0; s < 2; s++) {
-            conditions_at(valve, stretch, t + (double)(s + 1) * VALVE_RATE_SPAN * h, u, c);
-            valve_model_derivative(y, u, c, valve->parameters, slope);
-            for (i = 0; i < N; i++) {
-                const double rate = (slope[i] - f[i]) / (VALVE_RATE_SPAN * h);
-                late[i] = (s == 0) ? 2.0 * rate : late[i] - 0.5 * rate;
-            }
+    if (has_inputs(hooks)) {
+        hooks->inputs_at(hooks->context, t, u);
+    } else if (slopes[0][VALVE_INPUT_COMMAND] != 0.0) {
+        u[VALVE_INPUT_COMMAND_RATE] = slopes[0][VALVE_INPUT_COMMAND]
+            + t * (slopes[1][VALVE_INPUT_COMMAND] + 0.5 * t * slopes[2][VALVE_INPUT_COMMAND]);
+    }
+}
+
+/* How fast the inputs change at t; from a caller by a second-order difference within a step of h. */
+static void input_rates(const Valve *valve, const Stretch *stretch, double t, double h, const double u[VALVE_INPUTS],
+                        double u_t[VALVE_INPUTS])
+{
+    const double(*slopes)[VALVE_INPUTS] = valve->slopes;
+    int k;
+    if (!stretch->driven) {
+        for (k = 0; k < VALVE_INPUTS; k++) {
+            u_t[k] = 0.0;
         }
+    } else if (has_inputs(stretch->hooks)) {
+        double near[VALVE_INPUTS], far[VALVE_INPUTS];
+        const double span = RATE_SPAN * ((h < stretch->end - t) ? h : (stretch->end - t));
+        inputs_at(valve, stretch->hooks, t + span, near);
+        inputs_at(valve, stretch->hooks, t + 2.0 * span, far);
+        for (k = 0; k < VALVE_INPUTS; k++) {
+            u_t[k] = (4.0 * (near[k] - u[k]) - (far[k] - u[k])) / (2.0 * span);
+        }
+    } else {
+        for (k = 0; k < VALVE_INPUTS; k++) {
+            u_t[k] = slopes[0][k] + t * (slopes[1][k] + 0.5 * t * slopes[2][k]);
+        }
+        u_t[VALVE_INPUT_COMMAND_RATE] = slopes[1][VALVE_INPUT_COMMAND] + t * slopes[2][VALVE_INPUT_COMMAND];
     }
+}
+
+static void coefficients_at(const Stretch *stretch, double t, double c[VALVE_PREPARED])
+{
+    int k;
+    for (k = 0; k < VALVE_PREPARED; k++) {
+        c[k] = stretch->first[k] + (t - stretch->begin) * stretch->rate[k];
+    }
+}
+
+static void begin_work(const Valve *valve, const Stretch *stretch, Work *work)
+{
+    int i, j, k;
     for (i = 0; i < N; i++) {
+        work->atol[i] = VALVE_ABSOLUTE_SHARE * valve->tolerance;
         for (j = 0; j < N; j++) {
-            W[i][j] = -J[i][j];
+            work->J[i][j] = 0.0; /* where the pattern has none */
+            work->W[i][j] = 0.0;
         }
-        W[i][i] += 1.0 / (GAMMA * h);
     }
-    error = valve_model_factor(W) ? 0.0 : 1e10;
-    for (i = 0; i < N; i++) {
-        K[0][i] = f[i] + h * D[0] * late[i];
-        new_y[i] = y[i];
+    inputs_at(valve, stretch->hooks, stretch->begin, work->u);
+    for (k = 0; k < VALVE_PREPARED; k++) {
+        work->c[k] = stretch->first[k];
     }
-    valve_model_substitute(W, K[0]);
-    for (s = 1; s < STAGES; s++) {
-        for (i = 0; i < N; i++) {
-            double advanced = y[i], coupled = 0.0;
-            for (j = 0; j < s; j++) {
-                advanced += A[s][j] * K[j][i];
-                coupled += C[s][j] * K[j][i];
-            }
-            new_y[i] = advanced;
-            K[s][i] = coupled / h;
+    for (j = 0; j < NODES; j++) {
+        for (k = 0; k < VALVE_INPUTS; k++) {
+            work->u_late[j][k] = work->u[k];
         }
-        if (moving && (s < 6)) { /* the last three stages are at the end of the step */
-            conditions_at(valve, stretch, t + NODES[s] * h, u, c);
+        for (k = 0; k < VALVE_PREPARED; k++) {
+            work->c_late[j][k] = work->c[k];
         }
-        valve_model_derivative(new_y, u, c, valve->parameters, slope);
-        for (i = 0; i < N; i++) {
-            K[s][i] += slope[i] + ((s < 5) ? h * D[s] * late[i] : 0.0);
-        }
-        valve_model_substitute(W, K[s]);
     }
-    for (i = 0; i < N; i++) {
-        double share;
-        new_y[i] += K[STAGES - 1][i];
-        share = fabs(K[STAGES - 1][i]) / size_of(valve, y[i], new_y[i], i);
-        error = isfinite(share) ? larger(error, share) : 1e10;
-    }
-    return error;
 }
 
-/* After a break y' bends by y'' = J f + df/dt: a step that a long one before it allows would be right at its end alone. */
-static double first_step(const Valve *valve, const Stretch *stretch, double t, double h, const double y[N],
-                         const double f[N], double J[N][N])
+static void linearise(const Valve *valve, const Stretch *stretch, double t, double h, const double y[N], Work *work)
 {
-    double u[VALVE_INPUTS], c[VALVE_COEFFICIENTS], slope[N];
-    const double span = VALVE_RATE_SPAN * ((h < stretch->end - t) ? h : (stretch->end - t));
+    if (stretch->driven) {
+        inputs_at(valve, stretch->hooks, t, work->u);
+    }
+    if (stretch->bent) {
+        coefficients_at(stretch, t, work->c);
+    }
+    input_rates(valve, stretch, t, h, work->u, work->u_t);
+    valve_model_linearise(y, work->u, work->u_t, work->c, stretch->rate, work->f, work->J, work->f_t);
+}
+
+/* After a break y' bends by y'' = J f + df/dt: a step as long as those before it would be right at its end alone. */
+static double first_step(const Valve *valve, double h, const double y[N], const Work *work)
+{
     int i, j;
-    for (i = 0; i < VALVE_COEFFICIENTS; i++) {
-        c[i] = stretch->first[i];
-    }
-    inputs_at(valve, stretch->hooks, t + span, u);
-    conditions_at(valve, stretch, t + span, u, c);
-    valve_model_derivative(y, u, c, valve->parameters, slope);
     for (i = 0; i < N; i++) {
-        double bending = (slope[i] - f[i]) / span;
-        const double size = size_of(valve, y[i], y[i], i);
+        double bending = work->f_t[i];
+        const double size = work->atol[i] + valve->tolerance * fabs(y[i] - valve->rest[i]);
         for (j = 0; j < N; j++) {
-            bending += J[i][j] * f[j];
+            bending += work->J[i][j] * work->f[j];
         }
         bending = fabs(bending);
         if (bending * h * h > VALVE_FIRST_BEND * size) {
@@ -155,6 +144,26 @@ static double first_step(const Valve *valve, const Stretch *stretch, double t, d
         }
     }
     return h;
+}
+
+/* One step from y to new_y, linearised at its begin; returns its error in tolerances, 1e10 where it is no number. */
+static double rosenbrock_step(const Valve *valve, const Stretch *stretch, double t, double h, const double y[N],
+                              Work *work, double new_y[N])
+{
+    double pivots[1], e[2];
+    int k;
+    for (k = 0; k < NODES; k++) {
+        if (stretch->driven) {
+            inputs_at(valve, stretch->hooks, t + node_shares[k] * h, work->u_late[k]);
+        }
+        if (stretch->bent) {
+            coefficients_at(stretch, t + node_shares[k] * h, work->c_late[k]);
+        }
+    }
+    valve_model_factor(work->J, 1.0 / (VALVE_GAMMA * h), work->W, pivots);
+    valve_model_step(y, work->u_late, work->c_late, h, work->f, work->f_t, work->W, work->K, new_y, work->rate);
+    valve_model_error(y, new_y, work->K, valve->rest, work->atol, valve->tolerance, e);
+    return (isfinite(e[1]) && isfinite(pivots[0])) ? e[0] : 1e10;
 }
 
 static int fastest(const double f[N])
@@ -171,6 +180,14 @@ static int fastest(const double f[N])
     return found;
 }
 
+static void read_states(const Valve *valve, double y[N])
+{
+    int i;
+    for (i = 0; i < N; i++) {
+        y[i] = valve->states[i] / valve_state_table[i].scale;
+    }
+}
+
 static void write_states(Valve *valve, const double y[N])
 {
     int i;
@@ -179,25 +196,35 @@ static void write_states(Valve *valve, const double y[N])
     }
 }
 
+/* The valve as it is within an advance, for the hook; whether it wants to stop there. */
+static int tell_step(Valve *valve, const Stretch *stretch, double t, const double y[N])
+{
+    const double share = (t - stretch->begin) / (stretch->end - stretch->begin);
+    double u[VALVE_INPUTS];
+    int k;
+    write_states(valve, y);
+    for (k = 0; k < VALVE_SLOW; k++) {
+        valve->states[N + k] = stretch->cold[k] + share * (stretch->warm[k] - stretch->cold[k]);
+    }
+    inputs_at(valve, stretch->hooks, t, u);
+    valve_temperatures_changed(valve);
+    return stretch->hooks->step_done(stretch->hooks->context, t, valve->states, u);
+}
+
 /* From the beginning of a stretch to its end, or to where the hook stops it: *reached. */
 static ValveStatus integrate(Valve *valve, const Stretch *stretch, double y[N], double *reached)
 {
-    double f[N], J[N][N], new_y[N], u[VALVE_INPUTS], c[VALVE_COEFFICIENTS];
-    double t = stretch->begin, h = valve->step, steps = 0.0;
+    Work work;
+    double new_y[N], t = stretch->begin, h = valve->step, steps = 0.0;
     int i, fresh = 1;
-    for (i = 0; i < VALVE_COEFFICIENTS; i++) {
-        c[i] = stretch->first[i];
-    }
-    inputs_at(valve, stretch->hooks, t, u);
+    begin_work(valve, stretch, &work);
     *reached = t;
     while (t < stretch->end) {
         double free, error;
-        conditions_at(valve, stretch, t, u, c);
-        valve_model_derivative(y, u, c, valve->parameters, f);
-        valve_model_jacobian(y, u, c, valve->parameters, J);
+        linearise(valve, stretch, t, h, y, &work);
         if (fresh) {
             fresh = 0;
-            h = first_step(valve, stretch, t, h, y, f, J);
+            h = first_step(valve, h, y, &work);
         }
         free = h; /* the step that the error control wants, before the end shortens it */
         for (;;) {
@@ -206,14 +233,15 @@ static ValveStatus integrate(Valve *valve, const Stretch *stretch, double y[N], 
             if (t + 1.01 * h >= stretch->end) {
                 h = stretch->end - t;
             }
-            valve->culprit = fastest(f);
             if (steps > MOST_STEPS) {
+                valve->culprit = fastest(work.f);
                 return VALVE_TOO_MANY_STEPS;
             }
             if (!(h > 1e-14 * larger(fabs(t), 1e-3)) && (h < stretch->end - t)) {
+                valve->culprit = fastest(work.f);
                 return VALVE_STEP_TOO_SMALL;
             }
-            error = rosenbrock_step(valve, stretch, t, h, y, f, J, u, c, new_y);
+            error = rosenbrock_step(valve, stretch, t, h, y, &work, new_y);
             if (error <= 1.0) {
                 break;
             }
@@ -233,20 +261,8 @@ static ValveStatus integrate(Valve *valve, const Stretch *stretch, double y[N], 
         }
         valve->step = h;
         *reached = t;
-        if ((stretch->hooks != NULL) && (stretch->hooks->step_done != NULL)) {
-            const double share = (t - stretch->begin) / (stretch->end - stretch->begin);
-            write_states(valve, y);
-            conditions_at(valve, stretch, t, u, c);
-            for (i = 0; i < VALVE_COEFFICIENTS; i++) {
-                valve->coefficients[i] = c[i];
-            }
-            for (i = 0; i < VALVE_SLOW; i++) {
-                valve->states[N + i] = stretch->cold[i] + share * (stretch->warm[i] - stretch->cold[i]);
-            }
-            valve->coefficients_valid = 1;
-            if (stretch->hooks->step_done(stretch->hooks->context, t, valve->states, u)) {
-                break;
-            }
+        if ((stretch->hooks != NULL) && (stretch->hooks->step_done != NULL) && tell_step(valve, stretch, t, y)) {
+            break;
         }
     }
     return VALVE_OK;
@@ -255,7 +271,7 @@ static ValveStatus integrate(Valve *valve, const Stretch *stretch, double y[N], 
 static int is_driven(const Valve *valve, const ValveHooks *hooks)
 {
     int k, order;
-    if ((hooks != NULL) && (hooks->inputs_at != NULL)) {
+    if (has_inputs(hooks)) {
         return 1;
     }
     for (order = 0; order < VALVE_ORDERS; order++) {
@@ -268,13 +284,13 @@ static int is_driven(const Valve *valve, const ValveHooks *hooks)
     return 0;
 }
 
-/* Temperatures at the end of a stretch of `length`, coefficients there, and whether a straight line leads there. */
-static ValveStatus look_ahead(Valve *valve, const ValveHooks *hooks, double begin, double length, const double before[],
-                              double after[], Stretch *stretch, int *straight)
+/* Temperatures and coefficients at the end of a stretch of `length`, and whether a straight line leads there. */
+static ValveStatus look_ahead(Valve *valve, const ValveHooks *hooks, double begin, double length,
+                              const double c_begin[VALVE_COEFFICIENTS], double c_end[VALVE_COEFFICIENTS],
+                              const double before[], double after[], Stretch *stretch, int *straight)
 {
-    double u[VALVE_INPUTS], middle[VALVE_SLOW_ROOM], c_middle[VALVE_COEFFICIENTS], c_end[VALVE_COEFFICIENTS];
-    double oil[3];
-    int k, moved = 0;
+    double u[VALVE_INPUTS], middle[VALVE_SLOW_ROOM], c_middle[VALVE_COEFFICIENTS], last[VALVE_PREPARED], oil[3];
+    int k, moved;
     ValveStatus status;
     for (k = 0; k < 3; k++) {
         inputs_at(valve, hooks, begin + 0.5 * (double)k * length, u);
@@ -286,9 +302,15 @@ static ValveStatus look_ahead(Valve *valve, const ValveHooks *hooks, double begi
     for (k = 0; k < VALVE_SLOW; k++) {
         moved = moved || (fabs(after[k] - before[k]) > 1e-12);
     }
-    stretch->bent = 0;
+    stretch->bent = moved;
     *straight = 1;
+    for (k = 0; k < VALVE_PREPARED; k++) {
+        stretch->rate[k] = 0.0;
+    }
     if (!moved) {
+        for (k = 0; k < VALVE_COEFFICIENTS; k++) {
+            c_end[k] = c_begin[k];
+        }
         return VALVE_OK;
     }
     status = valve_coefficients_at(valve, after, u, c_end);
@@ -300,11 +322,14 @@ static ValveStatus look_ahead(Valve *valve, const ValveHooks *hooks, double begi
         return status;
     }
     for (k = 0; k < VALVE_COEFFICIENTS; k++) {
-        const double first = stretch->first[k], size = larger(fabs(first), fabs(c_end[k]));
+        const double size = larger(fabs(c_begin[k]), fabs(c_end[k]));
         const double least = (k >= VALVE_FIRST_TEMPERATURE) ? 100.0 : 0.0;
-        stretch->change[k] = c_end[k] - first;
-        stretch->bent = stretch->bent || (stretch->change[k] != 0.0);
-        *straight = *straight && (fabs(c_middle[k] - 0.5 * (first + c_end[k])) <= VALVE_KNOT_ERROR * larger(size, least));
+        const double bend = fabs(c_middle[k] - 0.5 * (c_begin[k] + c_end[k]));
+        *straight = *straight && (bend <= VALVE_KNOT_ERROR * larger(size, least));
+    }
+    valve_model_prepare(c_end, last);
+    for (k = 0; k < VALVE_PREPARED; k++) {
+        stretch->rate[k] = (last[k] - stretch->first[k]) / length;
     }
     return VALVE_OK;
 }
@@ -320,8 +345,8 @@ ValveStatus valve_pass_jump(Valve *valve)
         Stretch ramp = {0.0, VALVE_JUMP_TIME, {0.0}, {0.0}, 0, 1, NULL, NULL, NULL};
         int i, k;
         status = valve_refresh(valve);
-        for (i = 0; i < VALVE_COEFFICIENTS; i++) {
-            ramp.first[i] = valve->coefficients[i];
+        for (i = 0; i < VALVE_PREPARED; i++) {
+            ramp.first[i] = valve->prepared[i];
         }
         for (i = 0; i < VALVE_ORDERS; i++) {
             for (k = 0; k < VALVE_INPUTS; k++) {
@@ -329,12 +354,10 @@ ValveStatus valve_pass_jump(Valve *valve)
                 valve->slopes[i][k] = 0.0;
             }
         }
-        for (i = 0; i < N; i++) {
-            y[i] = valve->states[i] / valve_state_table[i].scale;
-        }
+        read_states(valve, y);
         valve->inputs[VALVE_INPUT_COMMAND] = before;
         valve->slopes[0][VALVE_INPUT_COMMAND] = (after - before) / VALVE_JUMP_TIME;
-        valve->step = 1e-11;
+        valve->step = 0.01 * VALVE_JUMP_TIME;
         if (status == VALVE_OK) {
             status = integrate(valve, &ramp, y, &reached);
         }
@@ -372,8 +395,9 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
 {
     Stretch stretch;
     double y[N], u[VALVE_INPUTS], temperatures[VALVE_SLOW_ROOM], after[VALVE_SLOW_ROOM];
+    double c_begin[VALVE_COEFFICIENTS], c_end[VALVE_COEFFICIENTS];
     double begin = 0.0, length = duration, reached = 0.0;
-    int k, straight, halvings = 0;
+    int k, straight, halvings = 0, stopped = 0;
     ValveStatus status = (isfinite(duration) && (duration > 0.0)) ? valve_check(valve) : VALVE_DURATION;
     if (status == VALVE_OK) {
         status = valve_pass_jump(valve);
@@ -388,12 +412,12 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
     if (status != VALVE_OK) {
         return status;
     }
-    for (k = 0; k < N; k++) {
-        y[k] = valve->states[k] / valve_state_table[k].scale;
-    }
+    read_states(valve, y);
     for (k = 0; k < VALVE_COEFFICIENTS; k++) {
-        stretch.first[k] = valve->coefficients[k];
-        stretch.change[k] = 0.0;
+        c_begin[k] = valve->coefficients[k];
+    }
+    for (k = 0; k < VALVE_PREPARED; k++) {
+        stretch.first[k] = valve->prepared[k];
     }
     for (k = 0; k < VALVE_SLOW; k++) {
         temperatures[k] = valve->states[N + k];
@@ -402,8 +426,8 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
     stretch.warm = after;
     stretch.hooks = hooks;
     stretch.driven = is_driven(valve, hooks);
-    while (begin < duration) {
-        status = look_ahead(valve, hooks, begin, length, temperatures, after, &stretch, &straight);
+    while ((begin < duration) && !stopped) {
+        status = look_ahead(valve, hooks, begin, length, c_begin, c_end, temperatures, after, &stretch, &straight);
         if (status != VALVE_OK) {
             break;
         }
@@ -415,10 +439,8 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
         stretch.begin = begin;
         stretch.end = (begin + 1.000001 * length >= duration) ? duration : begin + length;
         status = integrate(valve, &stretch, y, &reached);
-        if (status != VALVE_OK) {
-            break;
-        }
-        if (reached < stretch.end) { /* stopped on the way: the temperatures as far as that */
+        stopped = (status != VALVE_OK) || (reached < stretch.end);
+        if (stopped && (reached > begin)) { /* the temperatures as far as that */
             double oil[2];
             inputs_at(valve, hooks, begin, u);
             valve_model_pilot_oil(valve->parameters, u, &oil[0]);
@@ -427,16 +449,13 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
             valve_propagate(valve, reached - begin, oil[0], oil[1], temperatures, after);
         }
         for (k = 0; k < VALVE_SLOW; k++) {
-            temperatures[k] = after[k];
+            temperatures[k] = (reached > begin) ? after[k] : temperatures[k];
         }
-        if (stretch.bent) {
-            const double share = (reached - begin) / (stretch.end - begin);
-            for (k = 0; k < VALVE_COEFFICIENTS; k++) {
-                stretch.first[k] += share * stretch.change[k];
-            }
+        for (k = 0; k < VALVE_COEFFICIENTS; k++) {
+            c_begin[k] = c_end[k];
         }
-        if (reached < stretch.end) {
-            break;
+        for (k = 0; k < VALVE_PREPARED; k++) {
+            stretch.first[k] += stretch.rate[k] * (stretch.end - stretch.begin);
         }
         begin = stretch.end;
         if (halvings > 0) {
@@ -450,9 +469,12 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
         valve->states[N + k] = temperatures[k];
     }
     for (k = 0; k < VALVE_COEFFICIENTS; k++) {
-        valve->coefficients[k] = stretch.first[k];
+        valve->coefficients[k] = c_begin[k];
     }
-    valve->coefficients_valid = (status == VALVE_OK);
+    for (k = 0; k < VALVE_PREPARED; k++) {
+        valve->prepared[k] = stretch.first[k];
+    }
+    valve->coefficients_valid = (status == VALVE_OK) && !stopped;
     arrive(valve, hooks, reached);
     return status;
 }
@@ -460,8 +482,9 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
 ValveStatus valve_advance_fixed(Valve *valve, double duration, int steps)
 {
     Stretch stretch;
-    double y[N], new_y[N], f[N], J[N][N], u[VALVE_INPUTS], c[VALVE_COEFFICIENTS], after[VALVE_SLOW_ROOM];
-    double *temperatures = &valve->states[VALVE_COUPLED];
+    Work work;
+    double y[N], new_y[N], after[VALVE_SLOW_ROOM], c_end[VALVE_COEFFICIENTS];
+    double *temperatures = &valve->states[N];
     int k, i, straight;
     ValveStatus status = (isfinite(duration) && (duration > 0.0) && (steps > 0)) ? valve_check(valve) : VALVE_DURATION;
     if (status == VALVE_OK) {
@@ -470,13 +493,12 @@ ValveStatus valve_advance_fixed(Valve *valve, double duration, int steps)
     if (status == VALVE_OK) {
         status = valve_refresh(valve);
     }
-    for (k = 0; k < VALVE_COEFFICIENTS; k++) {
-        stretch.first[k] = valve->coefficients[k];
-        stretch.change[k] = 0.0;
-        c[k] = stretch.first[k];
+    for (k = 0; k < VALVE_PREPARED; k++) {
+        stretch.first[k] = valve->prepared[k];
     }
     if (status == VALVE_OK) {
-        status = look_ahead(valve, NULL, 0.0, duration, temperatures, after, &stretch, &straight);
+        status = look_ahead(valve, NULL, 0.0, duration, valve->coefficients, c_end, temperatures, after, &stretch,
+                            &straight); /* a line all the same: the caller chooses how long it is */
     }
     if (status != VALVE_OK) {
         return status;
@@ -485,16 +507,12 @@ ValveStatus valve_advance_fixed(Valve *valve, double duration, int steps)
     stretch.driven = is_driven(valve, NULL);
     stretch.begin = 0.0;
     stretch.end = duration;
-    for (i = 0; i < N; i++) {
-        y[i] = valve->states[i] / valve_state_table[i].scale;
-    }
-    inputs_at(valve, NULL, 0.0, u);
+    begin_work(valve, &stretch, &work);
+    read_states(valve, y);
     for (k = 0; k < steps; k++) {
         const double h = duration / (double)steps, t = h * (double)k;
-        conditions_at(valve, &stretch, t, u, c);
-        valve_model_derivative(y, u, c, valve->parameters, f);
-        valve_model_jacobian(y, u, c, valve->parameters, J);
-        (void)rosenbrock_step(valve, &stretch, t, h, y, f, J, u, c, new_y);
+        linearise(valve, &stretch, t, h, y, &work);
+        (void)rosenbrock_step(valve, &stretch, t, h, y, &work, new_y);
         for (i = 0; i < N; i++) {
             if (!isfinite(new_y[i])) {
                 valve->culprit = i;
@@ -509,7 +527,10 @@ ValveStatus valve_advance_fixed(Valve *valve, double duration, int steps)
         temperatures[k] = after[k];
     }
     for (k = 0; k < VALVE_COEFFICIENTS; k++) {
-        valve->coefficients[k] = stretch.first[k] + (stretch.bent ? stretch.change[k] : 0.0);
+        valve->coefficients[k] = c_end[k];
+    }
+    for (k = 0; k < VALVE_PREPARED; k++) {
+        valve->prepared[k] = stretch.first[k] + stretch.rate[k] * duration;
     }
     arrive(valve, NULL, duration);
     return VALVE_OK;
