@@ -1,6 +1,4 @@
-"""What becomes of commands that are killed at random moments: counts by outcome.
-
-    nice .venv/bin/python benchmarks/interrupted.py --kills 200
+"""What becomes of a command that gets a signal at some moment: the part of `robustness.py kills` that looks.
 
 Each command runs in a session of its own, with earlier results of it in the output folder or none. After a random time
 it gets Ctrl-C (SIGINT to its whole group, as a terminal sends it), SIGTERM, SIGHUP or SIGKILL. Outcomes:
@@ -43,6 +41,11 @@ def pids_of_session(session: int) -> list[int]:
     return alive
 
 
+def hash_of(data: bytes) -> str:
+    """SHA-256, as manifests have it."""
+    return hashlib.sha256(data).hexdigest()
+
+
 def whole(folder: Path) -> bool:
     """Whether a folder holds what its manifest says, and nothing else."""
     try:
@@ -53,14 +56,14 @@ def whole(folder: Path) -> bool:
     there = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file() and p.name[0] != "."}
     there.pop("manifest.json")
     return there.keys() == files.keys() and all(
-        hashlib.sha256(path.read_bytes()).hexdigest() == files[name] for name, path in there.items()
+        hash_of(path.read_bytes()) == files[name] for name, path in there.items()
     )
 
 
 def state(folder: Path) -> dict[str, str]:
     """Hashes of all files below a folder, temporary ones left out."""
     return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        str(path.relative_to(folder)): hash_of(path.read_bytes())
         for path in folder.rglob("*")
         if path.is_file() and not any(part.startswith(".") for part in path.relative_to(folder).parts)
     }

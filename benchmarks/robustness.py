@@ -1,280 +1,457 @@
-"""What becomes of mutated scenario files: counts by outcome, and every file that was not answered well.
+"""How valvesim takes what it should not be given: counts by outcome, and every case that was not answered well.
 
-    .venv/bin/python benchmarks/robustness.py                          # 2,000 files from seed 0
-    .venv/bin/python benchmarks/robustness.py --files 200 --seed 7 --keep /tmp/finds
+    nice .venv/bin/python benchmarks/robustness.py inputs --cases 10000     # mutated inputs of every reader
+    nice .venv/bin/python benchmarks/robustness.py scenarios --cases 1000   # random scenarios through the command line
+    nice .venv/bin/python benchmarks/robustness.py kills --cases 200        # signals at random moments of commands
+    nice .venv/bin/python benchmarks/robustness.py caches                   # damaged caches, four at once, full discs
 
-Outcomes: `ok` (loaded and run, every sample finite), `refused` (InputError) and `failed` (SolveError) with one
-printable line, `traceback` (any other exception, the end of the process included), `hang` (no answer within 10 s),
-`nonsense` (samples that are not finite, or pressures below zero), `unclear` (a message of several lines, or
-unprintable). What lasts beyond 0.1 s is loaded, not run. Files are read in a process that is ended when it hangs; its
-first answers may take 60 s, for compilation, and are asked for again. The exit code is 1 where anything is bad.
+Outcomes of inputs: `ok` (read; a short scenario also run, every sample finite), `refused` (InputError) and `failed`
+(SolveError) with one printable line; `traceback` (any other exception, the end of the process included), `hang` (no
+answer within 10 s), `large` (more than 200 MB for a refusal), `nonsense` (samples that are not finite, pressures below
+zero, times that do not rise), `unclear` (a message of several lines, or unprintable). The readers work in a process of
+its own with bounded memory, which is ended when it hangs. The exit code is 1 where anything is bad; `--keep FOLDER`
+keeps the cases.
 """
 
 from __future__ import annotations
 
 import argparse
 import collections
+import contextlib
+import io
+import json
 import multiprocessing
+import os
 import random
 import resource
+import shutil
+import subprocess
+import sys
 import tempfile
 import time
 import traceback
 import warnings
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parent))
+
+import interrupted
+import mutations
+
 PATIENCE = 10.0  # s
 MEMORY = 6_000_000_000  # bytes of address space; beyond it a MemoryError is a traceback
+REFUSAL_MEMORY = 200_000  # kB
 GOOD = ("ok", "refused", "failed")
 
-SEEDS = [
-    '[command.current]\nsine = { amplitude = "2 mA", frequency = "50 Hz", offset = "1 mA" }\n',
-    '[command.current]\nstep = { before = "-1 mA", after = "5 mA", time = "5 ms" }\n[thermal]\nisothermal = true\n',
-    '[command.current]\npulse = { base = "1 mA", height = "2 mA", width = "1 ms", time = "2 ms", period = "5 ms" }\n'
-    '[thermal.oil_temperature]\nramp = { start_value = "20 degC", end_value = "100 degC", rate = "3 degC/s" }\n',
-    '[command.voltage]\nconstant = "2 V"\n[pressures]\nsupply = "210 bar"\nreturn = "5 bar"\n'
-    'load = { sine = { amplitude = "20 bar", frequency = "30 Hz" } }\n',
-    '[command.current]\nchirp = { amplitude = "1 mA", start_frequency = "1 Hz", end_frequency = "200 Hz", '
-    'duration = "20 ms", logarithmic = true }\n[thermal]\nroutes = ["flow", "mmf"]\nthrottling_heat = true\n'
-    'initial_temperature = { body = "60 degC", spool = "20 degC" }\n',
-    '[command.current.table]\ntimes = "0, 5, 10 ms"\nvalues = "0, 2, -1 mA"\n[valve]\nnull_gap = "0.03 mm"\n'
-    'spool_mass = "5 g"\n[oil]\nname = "yh12_paper"\ndensity_at_20 = "850 kg/m^3"\n',
-    '[command.current]\nstaircase = { end_value = "5 mA", steps = 4, hold = "4 ms" }\n[[effects.sensor_bias]]\n'
-    'channel = "spool_position"\nbias = "5 um"\n[effects.coil_turns_loss]\nloss = "5 %"\n'
-    '[effects.spool_coulomb_friction]\nfriction_force = "1 N"\n',
-    '[command.current]\nconstant = "1 mA"\nsine = { amplitude = "1 mA", frequency = "20 Hz" }\n'
-    '[thermal.oil_temperature]\nconstant = "40 degC"\npulse = { height = "30 K", width = "3 ms", time = "5 ms" }\n'
-    '[outputs]\nrate = "5 kHz"\nchannels = ["spool_position"]\n[solver]\ntolerance = 1e-4\n',
-]
-WORDS = [
-    "",
-    "0",
-    "-1",
-    "1e999",
-    "nan",
-    "inf",
-    "-inf bar",
-    "1e308 bar",
-    "1e-320 s",
-    "20 C",
-    "0,03 mm",
-    "3000 psig",
-    "80 K",
-    "-300 degC",
-    "1e9 degC",
-    "1e300 mA",
-    "1 A",
-    "-5 V",
-    "1e-9 s",
-    "1e5 s",
-    "1e5 Hz",
-    "1e7 Hz",
-    "210 bar",
-    "\x1b[31mred",
-    "\u202eabc",
-    "9" * 5000 + " m",
-    "é",
-    "1 m**9**9",
-    " " * 4000 + "x",
-    "a" * 4000,
-    "1 " + "(" * 500,
-    "\x7f",
-    "🔧",
-    "/dev/zero",
-    ".",
-    "../..",
-    "nowhere.csv",
-    "1e-300 kg",
-    "1e300 Hz",
-    "5 um",
-    "1 %",
-]
-BARE = [
-    "true",
-    "false",
-    "0",
-    "-1",
-    "1e400",
-    "nan",
-    "inf",
-    "1979-05-27",
-    "[]",
-    "{}",
-    "[1, 2]",
-    "[[[[[[1]]]]]]",
-    '"""x\ny"""',
-    "9" * 5000,
-    "0x" + "f" * 5000,
-    "[" * 900 + "]" * 900,
-    "{ a = 1 }",
-    "1979-05-27T07:32:00Z",
-    "'x'",
-]
-LINES = [
-    "[valve]",
-    "[effects]",
-    "[[valve]]",
-    "[comand.current]",
-    'duraton = "1 s"',
-    "x" * 40_000 + ' = "1"',
-    "a." * 3000 + "a = 1",
-    '[effects.entrained_air]\nair_fraction = "2 %"',
-    '[[effects.sensor_bias]]\nchannel = "load_flow"\nbias = "1 L/min"',
-    '[effects.thermal_lag]\ntime_constant = "1 s"',
-    'title = "\\u001b[31m"',
-    'effects_files = ["/dev/zero"]',
-    "\x00",
-    "= 1",
-    "[",
-    "[command]",
-    '[pressures]\nsupply = { sine = { amplitude = "300 bar", offset = "210 bar" } }',
-    '[command.current]\ntable = { file = "/dev/zero" }',
-    '[thermal.initial_temperature]\noil = "20 degC"',
-]
+
+# ---------------------------------------------------------------- inputs
 
 
-def mutated(rng: random.Random) -> str:
-    """A scenario of the seeds with one to three faults or changes."""
-    text = 'title = "fuzz"\nduration = "20 ms"\n' + rng.choice(SEEDS)
-    for _ in range(rng.choice([1, 1, 1, 2, 2, 3])):
-        lines = text.split("\n")
-        k = rng.randrange(len(lines))
-        match rng.randrange(9):
-            case 0:
-                del lines[k]
-            case 1:
-                lines.insert(k, rng.choice(LINES))
-            case 2:
-                lines.insert(k, lines[rng.randrange(len(lines))])
-            case 3:  # a quoted figure becomes another
-                parts = lines[k].split('"')
-                if len(parts) > 2:
-                    parts[rng.randrange(1, len(parts), 2)] = (
-                        rng.choice(WORDS).replace("\x1b", "\\u001b").replace("\x7f", "\\u007f")
-                    )
-                lines[k] = '"'.join(parts)
-            case 4:  # a value becomes one of another type
-                key, equals, _ = lines[k].partition("=")
-                lines[k] = f"{key}= {rng.choice(BARE)}" if equals else lines[k]
-            case 5:  # a number is scaled
-                parts = lines[k].split('"')
-                if len(parts) > 2:
-                    at = rng.randrange(1, len(parts), 2)
-                    number, _, unit = parts[at].partition(" ")
-                    try:
-                        parts[at] = f"{float(number) * rng.choice([-1, 0, 1e-6, 1e-3, 10, 1e3, 1e6, 1e12]):g} {unit}"
-                    except ValueError:
-                        pass
-                lines[k] = '"'.join(parts)
-            case 6:  # a letter is lost, doubled or exchanged
-                if lines[k]:
-                    at = rng.randrange(len(lines[k]))
-                    lines[k] = (
-                        lines[k][:at]
-                        + rng.choice(["", lines[k][at] * 2, chr(rng.randrange(32, 700))])
-                        + lines[k][at + 1 :]
-                    )
-            case 7:
-                lines = [*lines[:k], *lines[k:][: rng.randint(0, 3)]]
-            case 8:
-                lines[k] = lines[k].replace("=", rng.choice(["==", ":", " = = ", "= \n"]), 1)
-        text = "\n".join(lines)
-    return text
-
-
-def outcome(path: Path) -> tuple[str, str]:
-    """(outcome, message) of one file, in this process."""
+def read(reader: str, folder: Path) -> str:
+    """Have a reader read its case; what is nonsense in what it gives, or ""."""
     import numpy as np
 
-    from valvesim.errors import InputError, SolveError
-    from valvesim.simulation.result import check_channels
-    from valvesim.simulation.run import simulate
     from valvesim.simulation.scenario_toml import load_scenario
 
+    (first, *_) = sorted(folder.iterdir())
+    if reader in ("scenario", "table", "oil"):
+        return _run(load_scenario(folder / "case.toml"))
+    if reader == "session":
+        from valvesim.identification.session_toml import load_session
+
+        for record in load_session(folder).records:
+            if not (np.diff(record.time) > 0.0).all() or not np.isfinite(record.time).all():
+                return f"the times of {record.name} do not rise"
+    elif reader == "valve":
+        from valvesim.valve.valve_file import load_valve
+
+        load_valve(first)
+    elif reader == "specification":
+        from valvesim.characterisation.specification import load_specification
+
+        load_specification(first)
+    elif reader == "study":
+        from valvesim.studies.study_toml import load_study
+
+        if not np.isfinite(np.asarray(load_study(first).draws(), dtype=float)).all():
+            return "draws are not finite"
+    elif reader == "effects":
+        from valvesim.valve.effect_files import load_effects
+
+        load_effects(first)
+    elif reader in ("record", "columns"):
+        from valvesim.identification.session import UNITS
+        from valvesim.measurement.recording import read_recording
+        from valvesim.measurement.survey import survey_stated
+
+        stated = survey_stated(folder / "columns.toml" if reader == "columns" else None, None)
+        found = read_recording([next(p for p in folder.iterdir() if p.suffix != ".toml")], UNITS, stated=stated)
+        if not (np.diff(found.time) > 0.0).all() or not np.isfinite(found.time).all():
+            return "times do not rise"
+    else:
+        raise KeyError(reader)
+    return ""
+
+
+def _run(case: Any) -> str:
+    """What is nonsense in the run of a short scenario."""
+    import numpy as np
+
+    from valvesim.simulation.result import check_channels
+    from valvesim.simulation.run import simulate
+
+    check_channels(case)
+    if case.duration > 0.1:
+        return ""
+    for name, values in simulate(case).values.items():
+        if not np.isfinite(values).all():
+            return f"{name} is not finite"
+        if name in ("supply_pressure", "return_pressure") and (values < 0.0).any():
+            return f"{name} below zero"
+    return ""
+
+
+def outcome(reader: str, folder: Path) -> tuple[str, str]:
+    """(outcome, message) of one case, in this process."""
+    from valvesim.errors import InputError, SolveError
+
     try:
-        case = load_scenario(path)
-        check_channels(case)
-        if case.duration > 0.1:
-            return "ok", "too long to be run"
-        result = simulate(case)
+        nonsense = read(reader, folder)
     except (InputError, SolveError) as error:
         told = str(error)
         clear = told and "\n" not in told and told.isprintable() and len(told) < 2000
         return ("unclear" if not clear else "refused" if isinstance(error, InputError) else "failed"), told
-    except Exception:
+    except BaseException:
         return "traceback", traceback.format_exc()
-    for name, values in result.values.items():
-        if not np.isfinite(values).all():
-            return "nonsense", f"{name} is not finite"
-        if name in ("supply_pressure", "return_pressure") and (values < 0.0).any():
-            return "nonsense", f"{name} below zero"
-    return "ok", ""
+    return ("nonsense", nonsense) if nonsense else ("ok", "")
 
 
 def work(pipe: Connection) -> None:
-    """Answer files by their outcome until the pipe ends."""
+    """Answer cases by (outcome, message, seconds, kB of memory more than before) until the pipe ends."""
     warnings.simplefilter("ignore")
+    sys.stdout = sys.stderr = io.StringIO()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    while True:
+    with contextlib.suppress(EOFError):
+        while True:
+            reader, folder = pipe.recv()
+            before, begin = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+            found, told = outcome(reader, folder)
+            more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+            pipe.send((found, told, time.monotonic() - begin, more))
+
+
+class Worker:
+    """A process that answers cases, begun again where one ended it."""
+
+    def __init__(self) -> None:
+        self.process: Any = None
+
+    def ask(self, reader: str, folder: Path, patience: float) -> tuple[str, str, float, int]:
+        if self.process is None:
+            context = multiprocessing.get_context("spawn")
+            self.pipe, other = context.Pipe()
+            self.process = context.Process(target=work, args=(other,), daemon=True)
+            self.process.start()
+            other.close()
+            patience = max(patience, 60.0)
+        self.pipe.send((reader, folder))
         try:
-            pipe.send(outcome(Path(pipe.recv())))
+            if self.pipe.poll(patience):
+                return self.pipe.recv()
+            found = "hang", f"more than {patience:g} s"
         except EOFError:
-            return
+            self.process.join(5.0)
+            found = "traceback", f"the process ended with {self.process.exitcode}"
+        self.process.kill()
+        self.process.join()
+        self.process = None
+        return (*found, patience, 0)
+
+
+def inputs(cases: int, seed: int, keep: Path | None) -> collections.Counter[str]:
+    """Mutated inputs of every reader."""
+    rng, worker = random.Random(seed), Worker()
+    counts: collections.Counter[str] = collections.Counter()
+    table: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+    slowest: tuple[float, str] = (0.0, "")
+    largest: tuple[int, str] = (0, "")
+    for k in range(cases):
+        reader, files = mutations.draw(rng)
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            write(files, folder)
+            found, told, seconds, more = worker.ask(reader, folder, 60.0)
+            if seconds > PATIENCE and found in GOOD:  # a compilation takes longer, once
+                found, told, seconds, more = worker.ask(reader, folder, PATIENCE)
+            if found == "refused":
+                if seconds > slowest[0] or more > largest[0]:  # what was loaded for the first time does not count
+                    found, told, seconds, more = worker.ask(reader, folder, PATIENCE)
+                slowest = max(slowest, (seconds, f"{reader} {k}: {told[:100]}"))
+                largest = max(largest, (more, f"{reader} {k}: {told[:100]}"))
+                if more > REFUSAL_MEMORY:
+                    found = "large"
+            counts[found] += 1
+            table[reader][found] += 1
+            if found not in GOOD:
+                report(f"{reader} {k}", found, told, keep and keep / f"{seed}_{k}_{reader}", files)
+    for reader in sorted(table):
+        print(f"{reader:14} " + ", ".join(f"{name} {count}" for name, count in sorted(table[reader].items())))
+    print(f"slowest refusal {slowest[0]:.2f} s ({slowest[1]})")
+    print(f"largest refusal {largest[0] / 1e3:.0f} MB ({largest[1]})")
+    return counts
+
+
+def write(files: dict[str, str | bytes], folder: Path) -> None:
+    """Write the files of a case."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass"))
+
+
+def report(what: str, found: str, told: str, folder: Path | None, files: dict[str, str | bytes]) -> None:
+    """Print what is wrong, and keep the case."""
+    last = told.strip().splitlines()[-1] if told.strip() else ""
+    print(f"{what}: {found}: {last}"[:300], flush=True)
+    if folder is not None:
+        write(files, folder)
+        (folder / "answer.txt").write_text(told, encoding="utf-8", errors="replace")
+
+
+# ---------------------------------------------------------------- random scenarios through the command line
+
+
+def scenarios(cases: int, seed: int, keep: Path | None) -> collections.Counter[str]:
+    """Random scenarios through `valvesim run`, in this process: every file whole, every sample finite."""
+    import numpy as np
+    import xarray
+    from random_scenarios import scenarios as draw
+
+    from valvesim.cli import main as command_line
+    from valvesim.simulation.scenario_toml import scenario_to_toml
+
+    counts: collections.Counter[str] = collections.Counter()
+    warnings.simplefilter("ignore")
+    for k, case in enumerate(draw(seed, cases)):
+        text = scenario_to_toml(case)
+        with tempfile.TemporaryDirectory() as name:
+            path, out = Path(name) / "case.toml", Path(name) / "out"
+            path.write_text(text, encoding="utf-8")
+            code, told = call(command_line.main, ["run", str(path), "-o", str(out), "--no-pictures"])
+            if code == 0:
+                with xarray.open_dataset(out / "result.nc") as result:
+                    finite = all(
+                        np.isfinite(values).all() for values in result.variables.values() if values.dtype.kind == "f"
+                    )
+                found = "ok" if finite and interrupted.whole(out) else "nonsense"
+            elif code in (1, 2) and told.count("\n") == 1 and not out.exists():
+                found = "failed" if code == 1 else "refused"
+            else:
+                found = "traceback" if code not in (1, 2) or told.count("\n") != 1 else "left"
+            counts[found] += 1
+            if found not in ("ok", "failed"):
+                report(f"scenario {k}", found, told, keep and keep / f"{seed}_{k}_run", {"case.toml": text})
+    return counts
+
+
+def call(main: Callable[[], None], words: list[str]) -> tuple[int, str]:
+    """(exit code, standard error without warnings) of a command line in this process."""
+    sys.argv = ["valvesim", *words]
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else 1
+        except BaseException:
+            code, _ = 70, err.write(traceback.format_exc())
+    lines = [line for line in err.getvalue().splitlines(True) if not line.startswith("warning: ")]
+    return code, "".join(lines)
+
+
+# ---------------------------------------------------------------- kills
+
+SMALL = 'title = "Small"\nduration = "20 ms"\n[thermal]\nisothermal = true\n[command.current]\n' \
+        'step = { after = "5 mA", time = "5 ms" }\n[outputs]\nrate = "10 kHz"\n'  # fmt: skip
+LONG = SMALL.replace("20 ms", "60000 s").replace("10 kHz", "1 Hz").replace("5 ms", "1 s").replace(
+    'step = { after = "5 mA", time = "1 s" }', 'sine = { amplitude = "2 mA", frequency = "10 Hz" }'
+)  # fmt: skip
+COMMANDS: dict[str, list[str]] = {
+    "run": ["run", "small.toml"],
+    "run, long": ["run", "long.toml", "--no-pictures"],
+    "response": ["response", "--oil-temperature", "20 degC"],
+    "bench": ["bench"],
+    "datasheet": ["datasheet"],
+    "reproduce": ["reproduce", "--starts", "1"],
+    "diagnose": ["diagnose", "session"],
+    "identify": ["identify", "page.toml"],
+    "records": ["records", "session/a.csv"],
+    "study": ["study", "study.toml", "--workers", "2"],
+    "study, alone": ["study", "study.toml", "--workers", "0"],
+}
+
+
+def kills(cases: int, seed: int, keep: Path | None) -> collections.Counter[str]:
+    """Signals at random moments of every command, with earlier results in the folder or none."""
+    rng, counts = random.Random(seed), collections.Counter[str]()
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        inputs_of_kills(place)
+        environment = dict(os.environ, VALVESIM_CACHE_DIR=str(place / "cache"), VALVESIM_DATA_DIR=str(place / "data"))
+        for k in range(cases):
+            what = list(COMMANDS)[k % len(COMMANDS)]
+            if rng.random() < 0.3:
+                shutil.rmtree(place / "cache", ignore_errors=True)
+            found = killed_once(rng, what, place, environment)
+            for each in found or ["ok"]:
+                counts[each] += 1
+            if found:
+                print(f"{k} {what}: {', '.join(found)}", flush=True)
+    return counts
+
+
+def inputs_of_kills(place: Path) -> None:
+    """The files that the commands read."""
+    (place / "session").mkdir()
+    for name, text in (
+        ("small.toml", SMALL), ("long.toml", LONG), ("page.toml", mutations.SPECIFICATION),
+        ("study.toml", mutations.STUDY), ("session/a.csv", mutations.columns()),
+        ("session/b.csv", mutations.columns(100)), ("session/session.toml", "seed = 3\n"),
+    ):  # fmt: skip
+        (place / name).write_text(text, encoding="utf-8")
+
+
+def killed_once(rng: random.Random, what: str, place: Path, environment: dict[str, str]) -> list[str]:
+    """What is wrong after one signal at a random moment of a command."""
+    number, wait = rng.choice(interrupted.SIGNALS), rng.uniform(0.05, interrupted.LONGEST)
+    out = place / "out"
+    shutil.rmtree(out, ignore_errors=True)
+    one_file = what == "identify"
+    resumed = what.startswith("study")  # a study goes on where it was: its store stays
+    earlier = not resumed and rng.random() < 0.5
+    if earlier:
+        out.mkdir()
+        results = {"earlier.txt": b"earlier"}
+        command = COMMANDS[what][0]
+        listed = {name: interrupted.hash_of(data) for name, data in results.items()}
+        for name, data in {**results, "manifest.json": json.dumps({"commands": {command: listed}}).encode()}.items():
+            (out / name).write_bytes(data)
+    before = interrupted.state(out)
+    target = str(out / "valve.toml") if one_file else str(out)
+    end = interrupted.killed([*COMMANDS[what], "-o", target], number, wait, environment, place)
+    found = interrupted.judged(*end, number)
+    after = interrupted.state(out)
+    if not resumed and not (after == before or (out.exists() and (one_file or interrupted.whole(out)))):
+        found.append("lost")
+    if number != interrupted.signal.SIGKILL or end[0] is None:
+        kept = {"session", "cache", "data", "out"} | {path.name for path in place.glob("*.toml")}
+        hidden = [path for path in place.rglob(".*") if path.name.startswith((".valvesim-", ".new-", ".valve-"))]
+        if {path.name for path in place.iterdir()} - kept or hidden or (out.exists() and not any(out.iterdir())):
+            found.append("left")
+    for path in [*place.glob(".valvesim-*"), *place.glob("cache/compiled/.new-*")]:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    if found:
+        found.append(f"{interrupted.signal.Signals(number).name} after {wait:.2f} s: {end}"[:600])
+    return found
+
+
+# ---------------------------------------------------------------- caches
+
+
+def caches(cases: int, seed: int, keep: Path | None) -> collections.Counter[str]:
+    """A run from a damaged, missing, read-only or full cache, and four at once from an empty one: all give the same."""
+    rng, counts = random.Random(seed), collections.Counter[str]()
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        (place / "small.toml").write_text(SMALL, encoding="utf-8")
+        wanted = run_with(place, place / "cache")
+        assert wanted is not None
+        for k in range(cases):
+            damaged = damage(rng, place / "cache")
+            counts["ok" if run_with(place, place / "cache") == wanted else "bad"] += 1
+            if counts["bad"]:
+                print(f"{k}: {damaged}")
+        for kind, cache in (
+            ("a file", place / "small.toml"),
+            ("/dev/full", Path("/dev/full")),
+            ("nowhere", Path("/proc/x")),
+        ):
+            right = run_with(place, cache) == wanted
+            counts["ok" if right else "bad"] += 1
+            if not right:
+                print(f"cache is {kind}")
+        for _ in range(max(cases // 20, 1)):
+            shutil.rmtree(place / "cache")
+            counts["ok" if all(each == wanted for each in at_once(place, 4)) else "bad"] += 1
+    return counts
+
+
+def run_with(place: Path, cache: Path) -> bytes | None:
+    """The figures that a run gives with a cache folder; None where it fails or says more than warnings."""
+    return at_once(place, 1, cache)[0]
+
+
+def at_once(place: Path, count: int, cache: Path | None = None) -> list[bytes | None]:
+    """The figures of so many runs at the same time, into the same folder."""
+    out = place / "out"
+    environment = dict(os.environ, VALVESIM_CACHE_DIR=str(cache or place / "cache"))
+    words = [sys.executable, "-m", "valvesim.cli.main", "run", "small.toml", "-o", str(out), "--no-pictures", "--csv"]
+    begun = [
+        subprocess.Popen(words, cwd=place, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        for _ in range(count)
+    ]
+    found: list[bytes | None] = []
+    for process in begun:
+        _, err = process.communicate(timeout=300)
+        lines = [line for line in err.decode().splitlines() if not line.startswith("warning: ")]
+        good = process.returncode == 0 and not lines
+        if not good:
+            print(f"code {process.returncode}: {err.decode()[-500:]}")
+        found.append((out / "result.csv").read_bytes() if good and interrupted.whole(out) else None)
+    shutil.rmtree(out, ignore_errors=True)
+    return found
+
+
+def damage(rng: random.Random, cache: Path) -> str:
+    """Damage a random file of the cache in a random way; what was done."""
+    path = rng.choice(sorted(path for path in cache.rglob("*") if path.is_file()))
+    data = path.read_bytes()
+    at = rng.randrange(len(data) or 1)
+    kind = rng.choice(["empty", "cut", "flipped", "gone", "folder", "junk", "swapped"])
+    if kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "cut":
+        path.write_bytes(data[:at])
+    elif kind == "flipped":
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1 << rng.randrange(8)] if data else []) + data[at + 1 :])
+    elif kind == "junk":
+        path.write_bytes(rng.randbytes(rng.randrange(2000)))
+    elif kind == "swapped":
+        path.write_bytes(rng.choice([p for p in cache.rglob("*") if p.is_file()]).read_bytes())
+    else:
+        path.unlink()
+        if kind == "folder":
+            path.mkdir()
+    return f"{kind}: {path.relative_to(cache)}"
+
+
+PARTS = {"inputs": (inputs, 10_000), "scenarios": (scenarios, 1000), "kills": (kills, 200), "caches": (caches, 60)}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--files", type=int, default=2000)
+    parser.add_argument("part", choices=PARTS)
+    parser.add_argument("--cases", type=int)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="Folder for the files that were not answered well.")
+    parser.add_argument("--keep", type=Path, help="Folder for the cases that were not answered well.")
     options = parser.parse_args()
-    rng, counts = random.Random(options.seed), collections.Counter[str]()
-    context = multiprocessing.get_context("spawn")
-    worker: Any = None
-    slowest = 0.0
-    with tempfile.TemporaryDirectory() as folder:
-        for k in range(options.files):
-            path = Path(folder) / "case.toml"
-            path.write_bytes(mutated(rng).encode("utf-8", "surrogatepass"))
-            for fresh in (True, False):  # a compilation may take longer, once: then the file is tried again
-                if worker is None:
-                    pipe, other = context.Pipe()
-                    worker = context.Process(target=work, args=(other,), daemon=True)
-                    worker.start()
-                    other.close()
-                    patience = 60.0
-                else:
-                    patience = 60.0 if fresh else PATIENCE
-                begin = time.monotonic()
-                pipe.send(str(path))
-                try:
-                    found, told = pipe.recv() if pipe.poll(patience) else ("hang", f"more than {patience:g} s")
-                except EOFError:
-                    found, told = "traceback", "the process ended"
-                seconds = time.monotonic() - begin
-                if found == "hang" or told == "the process ended":
-                    worker.kill()
-                    worker.join()
-                    worker = None
-                if seconds <= PATIENCE or found == "hang":
-                    break
-            slowest = max(slowest, seconds)
-            if seconds > PATIENCE and found != "hang":
-                found, told = "hang", f"{seconds:.1f} s, twice"
-            counts[found] += 1
-            if found not in GOOD:
-                print(f"file {k}: {found}: {told.strip().splitlines()[-1] if told else ''}"[:300], flush=True)
-                if options.keep is not None:
-                    options.keep.mkdir(parents=True, exist_ok=True)
-                    (options.keep / f"{options.seed}_{k}.toml").write_bytes(path.read_bytes())
-                    (options.keep / f"{options.seed}_{k}.txt").write_text(told, encoding="utf-8")
-    if worker is not None:
-        pipe.close()
-        worker.join(5.0)
-    print(", ".join(f"{name} {counts[name]}" for name in (*GOOD, "traceback", "hang", "nonsense", "unclear")))
-    print(f"slowest answer {slowest:.1f} s, {options.files} files, seed {options.seed}")
+    run, usual = PARTS[options.part]
+    begin, cases = time.monotonic(), usual if options.cases is None else options.cases
+    counts = run(cases, options.seed, options.keep)
+    print(", ".join(f"{name} {count}" for name, count in sorted(counts.items())))
+    print(f"{options.part}: {cases} cases, seed {options.seed}, {time.monotonic() - begin:.0f} s")
     raise SystemExit(any(count for name, count in counts.items() if name not in GOOD))
 
 

@@ -174,6 +174,8 @@ def test_the_command_writes_a_valve_and_tells_rows(tmp_path, found, monkeypatch)
     command = ["identify", str(tmp_path / "page.toml"), "-o", str(tmp_path / "mine.toml")]
     table = CliRunner().invoke(cli, command, catch_exceptions=False)
     assert "measure next" in table.stdout and "assumed" in table.stdout
-    rows = json.loads(CliRunner().invoke(cli, [*command, "--format", "json"], catch_exceptions=False).stdout)
+    refused = CliRunner().invoke(cli, command)
+    assert "stands there already; name another file, or give --overwrite" in str(refused.exception)
+    rows = json.loads(CliRunner().invoke(cli, [*command, "--overwrite", "--format", "json"], catch_exceptions=False).stdout)
     assert {row["kind"] for row in rows} == {"figure", "parameter", "next figure"}
     assert vs.load_valve(tmp_path / "mine.toml") == found.valve

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from valvesim.cli.display import console, print_rows, print_table, print_written, progress_bar
-from valvesim.cli.options import format_option
+from valvesim.cli.options import format_option, output_file_option
+from valvesim.cli.output_folder import check_free_file
 
 if TYPE_CHECKING:
     from valvesim.identification.from_figures.identify import Identification
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("specification", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("valve.toml"), show_default=True)
+@output_file_option("valve.toml")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the starts that are drawn.")
 @format_option("table", "json", "csv")
 def identify(specification: Path, output: Path, seed: int, form: str) -> None:
@@ -29,6 +30,7 @@ def identify(specification: Path, output: Path, seed: int, form: str) -> None:
     from valvesim.identification.from_figures.identify import identify as find
     from valvesim.valve.valve_file import save_valve
 
+    check_free_file(output)
     read = load_specification(specification)
     with progress_bar() as bar:
         stage = bar.add_task("identifying", total=1.0)

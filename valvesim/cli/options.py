@@ -30,15 +30,25 @@ def output_option(default: str | None) -> Callable[[Any], Any]:
         "-o", "--output", type=click.Path(path_type=Path), default=default and Path(default), show_default=True,
         help=None if default else "Folder of the results [results/SCENARIO].",
     )  # fmt: skip
-    overwrite = click.option(
-        "--overwrite", is_flag=True, expose_value=False, callback=_keep_overwrite,
-        help="Write over files in it that this command did not write.",
+    return lambda command: folder(overwrite_option("Write over files in it that this command did not write.")(command))
+
+
+def overwrite_option(help: str) -> Callable[[Any], Any]:
+    """Whether the command may write over what stands there (`may_overwrite`)."""
+
+    def keep(context: click.Context, _: click.Parameter, given: bool) -> None:
+        context.meta[_OVERWRITE] = given
+
+    return click.option("--overwrite", is_flag=True, expose_value=False, callback=keep, help=help)
+
+
+def output_file_option(default: str | None, help: str | None = None) -> Callable[[Any], Any]:
+    """The one file that a command writes, which `output_folder.check_free_file` looks at."""
+    file = click.option(
+        "-o", "--output", type=click.Path(path_type=Path), default=default and Path(default), show_default=True,
+        help=help,
     )  # fmt: skip
-    return lambda command: folder(overwrite(command))
-
-
-def _keep_overwrite(context: click.Context, _: click.Parameter, given: bool) -> None:
-    context.meta[_OVERWRITE] = given
+    return lambda command: file(overwrite_option("Write over a file that stands there.")(command))
 
 
 def may_overwrite() -> bool:

@@ -48,6 +48,13 @@ def all_or_nothing(folder: Path) -> Iterator[Path]:
                 _publish(folder, place, new)
 
 
+def check_free_file(*files: Path) -> None:
+    """InputError where a file stands that a command would write, unless the command line says `--overwrite`."""
+    for file in files:
+        if os.path.lexists(file) and not may_overwrite():
+            raise InputError("stands there already; name another file, or give --overwrite", file=file)
+
+
 @contextlib.contextmanager
 def _written(folder: Path) -> Iterator[None]:
     """InputError for what the system refuses."""

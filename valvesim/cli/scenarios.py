@@ -7,12 +7,13 @@ from pathlib import Path
 import click
 
 from valvesim.cli.display import print_rows, print_table, print_written
-from valvesim.cli.options import format_option
+from valvesim.cli.options import format_option, output_file_option
+from valvesim.cli.output_folder import check_free_file
 
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Copy the scenario to this file, to change it.")
+@output_file_option(None, "Copy the scenario to this file, to change it.")
 @format_option("table", "json", "csv")
 def scenarios(name: str | None, output: Path | None, form: str) -> None:
     """The scenarios that come along; with a NAME the text of one, or with -o a copy of it.
@@ -44,5 +45,7 @@ def scenarios(name: str | None, output: Path | None, form: str) -> None:
         click.echo(text, nl=False)
         return
     files = [path for path in known[name].parent.glob("*.csv") if path.name in text]
-    for file, content in ((output, text), *((output.parent / file.name, file.read_text("utf-8")) for file in files)):
+    copies = [(output, text), *((output.parent / file.name, file.read_text("utf-8")) for file in files)]
+    check_free_file(*(file for file, _ in copies))
+    for file, content in copies:
         print_written([write_atomically(file, lambda path, content=content: write_text(path, content))])  # type: ignore[misc]
