@@ -8,8 +8,10 @@ import pytest
 
 import valvesim as vs
 from valvesim.errors import LONGEST_MESSAGE, InputError, one_line
+from valvesim.identification.session import UNITS
 from valvesim.inputs import MOST_PIECES, Pulse, Scaled, Staircase, Step, Sum, Table, evaluate, read_table
 from valvesim.io import DEEPEST, MOST_TEXT, check_file, read_columns, split_heading
+from valvesim.measurement.recording import read_recording
 from valvesim.simulation.scenario import MOST_OIL_PIECES
 from valvesim.simulation.scenario_toml import load_scenario
 from valvesim.units import parse, parse_list
@@ -138,6 +140,39 @@ def test_a_sum_of_too_many_pieces_is_refused():
     trains = tuple(Pulse(width=1e-6 * (k + 1), period=1e-3, height=1.0) for k in range(3))
     with pytest.raises(InputError, match="sum: the commands have more than 2000000 pieces together"):
         Sum(trains).pieces(499.0)
+
+
+LONG_CELLS = {
+    "digits": "9" * 100_000,
+    "digits and a letter": "9" * 100_000 + "x",
+    "spaces": " " * 100_000 + "x",
+    "brackets": "[" * 50_000 + "(" * 50_000,
+    "commas of a heading": "a, " * 40_000,
+    "slashes": "a / " * 30_000,
+}
+
+
+@pytest.mark.parametrize("cell", LONG_CELLS.values(), ids=LONG_CELLS.keys())
+@pytest.mark.parametrize("line", [0, 3])
+def test_no_cell_of_a_record_takes_longer_than_its_length(tmp_path, cell, line):
+    """A quadratic expression would take minutes here."""
+    lines = ["time [s],current [mA],x", *(f"{k}.0,1.0,2.0" for k in range(40))]
+    lines[line] = lines[line].rpartition(",")[0] + "," + cell
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines) + "\n")
+    try:
+        read_recording([path], UNITS)
+    except InputError as error:
+        assert str(path) in str(error)
+
+
+@pytest.mark.parametrize(
+    "text", ['time [s],current [mA]\n0,1\n1,"2\n2,3\n3,4\n', 'time [s],current [mA]\n0,"1\r2"\n1,2\n2,3\n']
+)
+def test_a_record_with_quotes_where_none_belong_is_refused(tmp_path, text):
+    (tmp_path / "a.csv").write_bytes(text.encode())
+    with pytest.raises(InputError, match=r"a\.csv"):
+        read_recording([tmp_path / "a.csv"], UNITS)
 
 
 # --- what is no file -------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from valvesim.errors import InputError, unknown_name
 P = ParamSpec("P")
 F = TypeVar("F")
 
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)")
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)")
 # What a unit may look like. Nothing else reaches pint, which would work out a text such as 9**9**9 for days.
 _UNIT = re.compile(
     r"(?:[A-Za-z_°Δ\u00b5\u03bcΩ%‰\s/·.()]|\*(?!\*)|(?<=[A-Za-z])\d(?!\d)|(?<![\w.])1(?![\w.])"

@@ -24,11 +24,11 @@ columns_option = click.option(
 _OVERWRITE = "valvesim.overwrite"
 
 
-def output_option(default: str | None) -> Callable[[Any], Any]:
+def output_option(default: str | None, help: str | None = None) -> Callable[[Any], Any]:
     """The folder that a command writes to, and whether it may write over what stands there (`may_overwrite`)."""
     folder = click.option(
         "-o", "--output", type=click.Path(path_type=Path), default=default and Path(default), show_default=True,
-        help=None if default else "Folder of the results [results/SCENARIO].",
+        help=help,
     )  # fmt: skip
     return lambda command: folder(overwrite_option("Write over files in it that this command did not write.")(command))
 

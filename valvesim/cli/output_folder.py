@@ -48,6 +48,17 @@ def all_or_nothing(folder: Path) -> Iterator[Path]:
                 _publish(folder, place, new)
 
 
+def check_place(folder: Path) -> None:
+    """InputError where a folder cannot be made and written to; it is not made yet."""
+    with _written(folder):
+        place = Path(os.path.abspath(folder))
+        above = next(each for each in (place, *place.parents) if each.exists())
+        if not above.is_dir():
+            raise FileExistsError(f"{above} is a file")
+        with temporary_folder(above, PREFIX):
+            pass
+
+
 def check_free_file(*files: Path) -> None:
     """InputError where a file stands that a command would write, unless the command line says `--overwrite`."""
     for file in files:

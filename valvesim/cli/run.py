@@ -23,7 +23,7 @@ from valvesim.cli.output_folder import all_or_nothing
 
 @click.command()
 @click.argument("scenario", type=click.Path(path_type=Path))
-@output_option(None)
+@output_option(None, "Folder of the results [results/SCENARIO].")
 @valve_option
 @settings_option
 @click.option("--csv", "with_csv", is_flag=True, help="Write result.csv beside result.nc.")

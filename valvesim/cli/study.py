@@ -9,7 +9,9 @@ from typing import Any
 import click
 
 from valvesim.cli.display import console, print_rows, print_table, print_written, progress_bar
-from valvesim.cli.options import format_option, settings_option
+from valvesim.cli.interrupts import hidden_from_children
+from valvesim.cli.options import format_option, output_option, settings_option
+from valvesim.cli.output_folder import check_free_file, check_place
 
 RECORD = ("figure", "unit", "nominal", "mean", "deviation", "percentile_1", "percentile_50", "percentile_99", "least",
           "least_member", "greatest", "greatest_member")  # fmt: skip
@@ -17,7 +19,7 @@ RECORD = ("figure", "unit", "nominal", "mean", "deviation", "percentile_1", "per
 
 @click.command()
 @click.argument("study", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder of the store and page [results/STUDY].")
+@output_option(None, "Folder of the store and page [results/STUDY].")
 @click.option("--workers", type=click.IntRange(0), help="Processes on this machine; 0: this one [all cores].")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask scheduler, such as tcp://host:8786.")
 @click.option("--dry-run", is_flag=True, help="Tell members, size and time; run and write nothing.")
@@ -39,7 +41,6 @@ def study(
     study.html.
     """
     from valvesim.errors import InputError
-    from valvesim.io import check_folder
     from valvesim.reports.study import study_report
     from valvesim.reports.title_block import valve_name
     from valvesim.studies.engine import run_study
@@ -61,8 +62,10 @@ def study(
     goal = None if wanted is None else parse(wanted, "1", "--yield")
     if goal is not None and not 0.0 < goal < 1.0:
         raise InputError(f"{wanted!r} must be between 0 and 100 %", key="--yield")
-    check_folder(folder)
-    with progress_bar() as bar:
+    check_place(folder)
+    if not (folder / "study.zarr").exists():  # else it is this command's folder
+        check_free_file(folder / "study.html")
+    with hidden_from_children(), progress_bar() as bar:  # Dask's workers end with this process
         stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
 
         def tell(done: int, members: int) -> None:

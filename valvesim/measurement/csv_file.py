@@ -6,6 +6,7 @@ one of too few: both are refused here, with the line.
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -52,6 +53,8 @@ def read_csv(path: Path, choice: Choice, stated: Dialect) -> tuple[MeasuredTable
         except InputError as error:
             raise error.at(file=path, line=layout.header_line) from None
         columns, start = _columns(path, raw, layout, wanted, rows)
+    except InputError as error:
+        raise error if error.file else error.at(file=path) from None
     except (OSError, UnicodeError) as error:
         raise InputError(f"cannot be read ({reason(error)})", file=path) from None
     return (
@@ -222,7 +225,7 @@ def _chunks(raw: np.ndarray, layout: Layout, wanted: Sequence[int], kind: type, 
     )  # fmt: skip
     spaced = layout.separator == " "
     file = io.BufferedReader(_Bytes(raw), 1 << 20)
-    with pandas.read_csv(
+    with _no_table(pandas.errors.ParserError), pandas.read_csv(
         file, sep=r"\s+" if spaced else layout.separator, decimal=layout.decimal, header=None,
         names=None if spaced else range(len(layout.kinds)), usecols=None if spaced else list(wanted),
         skiprows=layout.data_line - 1, nrows=rows, encoding=layout.encoding, skip_blank_lines=True,
@@ -233,6 +236,15 @@ def _chunks(raw: np.ndarray, layout: Layout, wanted: Sequence[int], kind: type, 
             if spaced and kind is float and chunk.isna().any(axis=None):
                 raise ValueError("a row of too few cells, or a cell of text")
             yield chunk
+
+
+@contextlib.contextmanager
+def _no_table(error_of_pandas: type[Exception]) -> Iterator[None]:
+    """InputError for what pandas cannot parse, such as quotes that are never closed."""
+    try:
+        yield
+    except error_of_pandas as error:
+        raise InputError(f"is no plain table of columns ({str(error).strip()})") from None
 
 
 class _Bytes(io.RawIOBase):

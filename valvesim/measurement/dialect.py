@@ -6,6 +6,7 @@ What can be read in two ways that give other numbers is refused, with what to st
 from __future__ import annotations
 
 import codecs
+import contextlib
 import csv
 import re
 from collections.abc import Iterator, Sequence
@@ -26,8 +27,8 @@ MISSING = frozenset({
 
 SAMPLE_BYTES = 262_144
 _SAMPLE_LINES = 400
-_POINT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-_COMMA = re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?")
+_POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?")
+_COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eE][+-]?\d+)?")
 _COMMENT = re.compile(r"^\s*[#%]+\s*")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _CLOCK = re.compile(
@@ -121,7 +122,8 @@ def cells_of(line: str, separator: str) -> list[str]:
     if separator == " ":
         return re.split(r"\s+(?![\[({])", line.strip())
     if '"' in line:
-        return next(csv.reader([line], delimiter=separator), [])
+        with contextlib.suppress(csv.Error):  # a carriage return within, a cell of more than 128 kB
+            return next(csv.reader([line], delimiter=separator), [])
     return line.split(separator)
 
 

@@ -42,6 +42,7 @@ _SPELLED = {
     "msec": "ms", "usec": "us", "amp": "A", "amps": "A", "volt": "V", "volts": "V", "ltr/min": "L/min",
     "bar abs": "bar", "bara": "bar", "psia": "psi", "µs": "us", "μs": "us",
 }  # fmt: skip
+LONGEST = 300  # characters of a heading in which a unit is looked for
 _BRACKETED = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*(?:\([^()]*\))?)\)|\{(?P<c>[^{}]*)\})$")
 _WORDED = re.compile(r"^(?P<name>.+?)\s+(?:in|/)\s+(?P<unit>\S+)$|^(?P<name2>[^/,]+?),\s+(?P<unit2>\S+)$")
 
@@ -65,6 +66,8 @@ def heading_of(text: str) -> Heading:
     """The heading of a cell: `current [mA]`, `current (mA)`, `current / mA`, `current in mA`, `current, mA`, or a unit
     after the last underscore where the name before it is a channel's (`current_mA`)."""
     text = text.strip().lstrip("#%").strip().strip('"').strip()
+    if len(text) > LONGEST:
+        return Heading(text)
     if (found := _BRACKETED.match(text)) is not None:
         unit = next(unit for unit in (found["a"], found["b"], found["c"]) if unit is not None)
         return Heading(found["name"].strip(), spelled(unit))
@@ -78,7 +81,7 @@ def heading_of(text: str) -> Heading:
 
 def channel_of(name: str) -> str | None:
     """The channel that a name stands for, None where it is no channel's."""
-    key = plain(name)
+    key = plain(name[:LONGEST])
     if name.strip() == "T":  # a temperature, whichever; `t` is the time
         return None
     return _CHANNELS.get(key) or _ALIASED.get(key)
@@ -86,7 +89,7 @@ def channel_of(name: str) -> str | None:
 
 def is_own_name(name: str, channel: str) -> bool:
     """Whether a name is the channel's own, and no alias."""
-    return _CHANNELS.get(plain(name)) == channel
+    return _CHANNELS.get(plain(name[:LONGEST])) == channel
 
 
 def fits(unit: str, channel: str) -> bool:

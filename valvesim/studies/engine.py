@@ -24,6 +24,7 @@ from valvesim.studies.members import BlockResult, Plan, make_plan, run_block, va
 from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.store import StudyStore, open_store, store_bytes
 from valvesim.studies.versions import difference, versions
+from valvesim.temporary_files import temporary_folder
 
 WORKER_MEMORY = "2GiB"
 TASKS_A_WORKER = 2  # in flight, so that none waits for its next
@@ -137,7 +138,7 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
             yield client
         return
     with (
-        tempfile.TemporaryDirectory(prefix="valvesim-study-") as scratch,
+        temporary_folder(Path(tempfile.gettempdir()), "valvesim-study-") as scratch,
         LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=WORKER_MEMORY,
             local_directory=scratch, silence_logs=logging.ERROR,
