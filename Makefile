@@ -39,7 +39,7 @@ lint: $(STAMP)
 # Keeps the pins that still fit; `rm requirements.lock` first to move them all.
 lock: | $(VENV)/bin/pip-compile
 	@echo "valvesim: locking pyproject.toml into requirements.lock"
-	@CUSTOM_COMPILE_COMMAND="make lock" $(VENV)/bin/pip-compile --quiet --extra test,dev \
+	@CUSTOM_COMPILE_COMMAND="make lock" $(VENV)/bin/pip-compile --quiet --extra test,dev,fleet \
 		--build-deps-for editable --generate-hashes --allow-unsafe --strip-extras \
 		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links \
 		--output-file requirements.lock pyproject.toml
