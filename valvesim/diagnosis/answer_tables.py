@@ -9,6 +9,7 @@ import numpy as np
 from valvesim.channels import SIGNAL_CHANNELS, STATE_CHANNELS
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, odds_against_noise, temperature_of
 from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.power import detected_amplitude
 from valvesim.diagnosis.result import CandidateAnswer, DetectionLimit, Score, Shift
 from valvesim.diagnosis.score_test import ScoreTest
 from valvesim.identification.fit import Fit
@@ -68,7 +69,7 @@ def detection_limits(scores: ScoreTest, level: float) -> tuple[DetectionLimit, .
         name = candidate.effect.amplitude.name if candidate.effect is not None else candidate.name.partition(":")[2]
         amplitude = None
         if visible[k]:
-            amplitude = float((level + 1.2816) / distance[k] * abs(scores.sizes[k]))
+            amplitude = detected_amplitude(float(distance[k]), float(scores.sizes[k]), level)
         one = DetectionLimit(
             name=candidate.name, label=candidate.label, parameter=name, amplitude=amplitude, unit=candidate.unit
         )

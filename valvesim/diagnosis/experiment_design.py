@@ -20,6 +20,7 @@ import numpy as np
 
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
 from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.power import separation_power
 from valvesim.diagnosis.result import NextTest
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, predict_readings
@@ -85,7 +86,7 @@ def design(
     run = [
         one
         for one in run[: options.design.examined]
-        if _power(furthest * float(np.linalg.norm(one.second)), asked(0.0)) >= options.design.least_power
+        if separation_power(furthest * float(np.linalg.norm(one.second)), asked(0.0)) >= options.design.least_power
     ]
     if not run:  # not even where nothing is refitted
         return None
@@ -225,15 +226,8 @@ def _judge(
     for n in options.design.replicates:
         distance = float(np.sqrt(min(left(n, 0), left(n, 1))))
         more = min(left(n, 2), float(n * len(tried.nominal)))  # a fall beyond the noise itself is no measure
-        found.append(ExperimentPower(tried.trial, n, distance, _power(distance, asked(more))))
+        found.append(ExperimentPower(tried.trial, n, distance, separation_power(distance, asked(more))))
     return found
-
-
-def _power(distance: float, asked: float) -> float:
-    """How surely two hypotheses that far apart are told apart where a difference of chi-squares is asked."""
-    from scipy.stats import norm
-
-    return float(norm.cdf((distance**2 - asked) / (2.0 * distance))) if distance > 0.0 else 0.0
 
 
 def _products(

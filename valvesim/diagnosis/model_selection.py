@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.power import asked_difference
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.nominal_fit import NominalFit
@@ -113,7 +114,7 @@ def answer_set_width(nominal: NominalFit, best: FittedHypothesis, more: float = 
     is what it would explain besides in further records.
     """
     fall = min(nominal.fit.chi_square - best.fit.chi_square, best.fit.rows) + more
-    return max(best.options.selection.answer_ratio, max(best.options.selection.answer_share, best.law_error) * fall)
+    return asked_difference(fall, best.law_error, options=best.options.selection)
 
 
 def temperature_of(nominal: NominalFit, best: FittedHypothesis) -> float:

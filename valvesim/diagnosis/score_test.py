@@ -121,7 +121,7 @@ def score_test(
     taken = [member.candidate for member in fit.fitted]
     labels_taken = {candidate.label for candidate in taken}
     candidates = tuple(c for c in study.candidates if c.label not in labels_taken and not any(map(c.excludes, taken)))
-    sizes = np.array([_search_size(c) for c in candidates])
+    sizes = np.array([search_size(c) for c in candidates])
     changed = [c.apply_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
     S = all_candidate_sensitivities(study, linearised, J, candidates, changed)
     spans = _spans(linearised, terms)
@@ -138,7 +138,7 @@ def score_test(
     )
 
 
-def _search_size(candidate: Candidate) -> float:
+def search_size(candidate: Candidate) -> float:
     """The amplitude at which a candidate is tested: small, so that the response is linear, and inside its limits."""
     low, high = candidate.limits
     size = 0.2 * candidate.typical

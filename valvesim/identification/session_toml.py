@@ -81,12 +81,12 @@ def _load(
     if valve is not None:
         table["valve"] = valve_argument(valve)
     with located(path, text, document="session"):
-        session = _settings(folder, table, tuple(Path(file).absolute() for file in effects))
+        session = session_settings(folder, table, tuple(Path(file).absolute() for file in effects))
         if seed is not None:
             session = replace(session, seed=_seed(seed))
         columns = statements_of(table.get("columns", {}), table.get("csv", {}))
         listed = _listed(folder, table.get("records"), columns)
-        stated = _stated_sensors(table.get("sensors", {}))
+        stated = stated_sensors(table.get("sensors", {}))
     notes: list[str] = []
     records = []
     for entry in listed:
@@ -113,10 +113,12 @@ def _load(
     return replace(session, sensors=sensors, records=tuple(records), notes=tuple(notes))
 
 
-def _settings(folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...]) -> Session:
-    """Everything in `session.toml` but sensors and records, with more files of effects."""
+def session_settings(
+    folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...], more: Sequence[str] = ()
+) -> Session:
+    """Everything in `session.toml` but sensors and records, with more files of effects; `more` are further keys."""
     reader = Reader(folder)
-    check_known(table, ("title", "seed", "effects_files", "records", "columns", "csv", *_TABLES), "session")
+    check_known(table, ("title", "seed", "effects_files", "records", "columns", "csv", *_TABLES, *more), "session")
     check_tables(table, _TABLES[1:])
     title = table.get("title", folder.resolve().name)
     check_printable(title, "title")
@@ -149,7 +151,8 @@ def _seed(given: Any) -> int:
     return given
 
 
-def _stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
+def stated_sensors(table: dict[str, Any]) -> dict[str, Sensor]:
+    """What `[sensors]` says, by output channel. Raises InputError with the key."""
     sensors = {}
     for name, figures in table.items():
         where = f"sensors.{name}"
