@@ -331,7 +331,7 @@ def test_folder_that_cannot_be_written_falls_back_to_memory(tmp_path, monkeypatc
 
 def test_models_that_differ_have_files_of_their_own(tmp_path, monkeypatch, temporary):
     monkeypatch.setenv("VALVESIM_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(compiled, "_call_once", lambda module, model: None)  # nothing is compiled
+    monkeypatch.setattr(compiled, "_call_once", lambda module, model, lanes: None)  # nothing is compiled
     models = [NOMINAL, Model(drive=VoltageDrive()), *(Model(effects=(e,)) for e in ACTING[:3])]
     models += [Model(effects=(user_effect(1.0),)), Model(effects=(user_effect(2.0),))]
     models += [Model(effects=(user_effect(3.0, name="entrained_air"),))]  # not the one of the catalogue

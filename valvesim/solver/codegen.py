@@ -258,6 +258,7 @@ def _on_symbols(lines: Sequence[str], **arguments: Any) -> list[Any]:
         **{name: getattr(casadi, name) for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "fabs", "sign")},
         # a choice, for the derivative of CasADi's own maximum divides by a sum of two truths
         "maximum": lambda a, b: casadi.if_else(a < b, b, a), "minimum": lambda a, b: casadi.if_else(b < a, b, a),
+        "inverse_fourth_root": lambda a: 1.0 / casadi.sqrt(casadi.sqrt(a)),
         "where_true": lambda a, b: casadi.if_else(a, b, 0.0), "power": lambda a, b: a**b,
         "less": lambda a, b: a < b, "less_equal": lambda a, b: a <= b, "logical_not": casadi.logic_not,
         "logical_and": casadi.logic_and, "logical_or": casadi.logic_or,

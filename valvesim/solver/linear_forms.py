@@ -122,11 +122,19 @@ class Expressions:
         kind, *of = self.nodes[a]
         if kind == "inverse":
             return of[0]
+        varies = self.varies[a]
+        if (inner := self._under_root(a)) and (innermost := self._under_root(inner)):
+            return self.node("call", "inverse_fourth_root", innermost, varies=varies)
         root = self._known.get(("call", "sqrt", a))
         if root is not None:  # which is inverted anyway, or costs as much
             inverse = self._inverse(root)
             return self._product(inverse, inverse)
-        return self.node("inverse", a, varies=self.varies[a])
+        return self.node("inverse", a, varies=varies)
+
+    def _under_root(self, a: int) -> int:
+        """What a node is the square root of; 0 for others."""
+        kind, *of = self.nodes[a]
+        return of[1] if kind == "call" and of[0] == "sqrt" else 0
 
     # ------------------------------------------------------------ from a traced function
 
@@ -181,15 +189,15 @@ class Expressions:
         def factor(k: int, number: float) -> tuple[float, str]:
             sign, size = (-1.0, -number) if number < 0.0 else (1.0, number)
             if k == ONE:
-                return sign, "" if size == 1.0 else repr(size)
+                return sign, "" if size == 1.0 else _literal(size)
             if prepared is not None:
                 return sign, f"c[{prepared.setdefault((k, size), len(prepared))}]"
-            return sign, name(k) if size == 1.0 else f"{size!r} * {name(k)}"
+            return sign, name(k) if size == 1.0 else f"{_literal(size)} * {name(k)}"
 
         def name(k: int) -> str:
             kind, *of = self.nodes[k]
             if kind == "sum" and all(c == ONE == r for r, c, _ in of):  # a number
-                return repr(of[0][2]) if of else "0.0"
+                return _literal(of[0][2]) if of else "0.0"
             if not self.varies[k] and prepared is not None:
                 return factor(k, 1.0)[1] or "1.0"
             return {"one": "1.0", "variable": of[0] if of else ""}.get(kind, f"w{k}")
@@ -197,7 +205,8 @@ class Expressions:
         nodes = {target: self.collect(form) for target, form in targets.items()}
         computed = [k for k in self._needed(nodes.values()) if self.nodes[k][0] not in ("one", "variable")]
         text = [f"w{k} = {self._text(k, name, factor)}" for k in computed if self.varies[k] or prepared is None]
-        return [f"    {line}" for line in (*text, *(f"{target} = {name(k)}" for target, k in nodes.items()))]
+        text += [f"{target} = {name(k)}" for target, k in nodes.items()]
+        return [f"    {line}" for line in text or ["pass"]]
 
     def _needed(self, roots: Iterable[int]) -> list[int]:
         """The nodes that some nodes are computed from, in the order in which they can be."""
@@ -240,6 +249,11 @@ class Expressions:
             one = " * ".join(x for x in (scale, "" if product == ONE else name(product)) if x) or "1.0"
             text += (" - " if sign < 0 else " + ") + one if text else ("-" if sign < 0 else "") + one
         return text or "0.0"
+
+
+def _literal(number: float) -> str:
+    """A number as Python reads it."""
+    return repr(number).replace("inf", "1e999").replace("nan", "(1e999 - 1e999)")
 
 
 def _calls(casadi: Any) -> dict[int, str]:

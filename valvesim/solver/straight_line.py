@@ -23,12 +23,14 @@ _OF_LLVM = ("sqrt", "exp", "log", "tanh", "sin", "cos", "fabs")
 _TRUTHS = ("less", "less_equal", "logical_not", "logical_and", "logical_or")
 FUNCTIONS: dict[str, Any] = {
     **{name: getattr(np, name) for name in (*_OF_LLVM, *_TRUTHS, "maximum", "minimum", "sign", "power")},
+    "inverse_fourth_root": lambda value: 1.0 / np.sqrt(np.sqrt(value)),
     "where_true": lambda condition, value: np.where(np.not_equal(condition, 0.0), value, 0.0),
 }
 """What a printed function may call, as numpy has it."""
 
 FLAGS = ("contract", "nsz", "arcp")  # a product may be added without rounding, -0 is 0, a division may be a product
 ALIGNMENT = 8  # bytes, of numpy's arrays
+FOURTH_ROOT = 0x4FEB028F5C28F800  # less a quarter of a double's bits: those of its inverse fourth root to 3 %
 
 
 def as_python(lines: Sequence[str], **more: Callable) -> dict[str, Callable]:
@@ -208,6 +210,26 @@ class _Lines:
             vector = self.builder.insert_element(vector, value, self.ir.IntType(32)(lane))
         return vector
 
+    def _inverse_fourth_root(self, value: Any) -> Any:
+        """s^(-1/4) of positive s, to rounding. For vectors without roots and divisions, of which they have few a time.
+
+        Two steps of fourth order from an approximation by the bits: y + y d (1/4 + d (5/32 + d 15/128)), d = 1 - s y^4.
+        """
+        b, one = self.builder, self._constant(1.0)
+        if self.vector == self.number:
+            return b.fdiv(one, self._call("sqrt", [self._call("sqrt", [value])]), flags=FLAGS)
+        bits = self.ir.VectorType(self.ir.IntType(64), self.program.lanes)
+        whole, two = (self.ir.Constant(bits, [number] * self.program.lanes) for number in (FOURTH_ROOT, 2))
+        y = b.bitcast(b.sub(whole, b.lshr(b.bitcast(value, bits), two)), self.vector)
+        for _ in range(2):
+            square = b.fmul(y, y, flags=FLAGS)
+            d = b.fsub(one, b.fmul(value, b.fmul(square, square, flags=FLAGS), flags=FLAGS), flags=FLAGS)
+            series = self._constant(15 / 128)
+            for factor in (5 / 32, 1 / 4):
+                series = b.fadd(b.fmul(series, d, flags=FLAGS), self._constant(factor), flags=FLAGS)
+            y = b.fadd(b.fmul(b.fmul(y, d, flags=FLAGS), series, flags=FLAGS), y, flags=FLAGS)
+        return y
+
     def _of_llvm(self, name: str, arguments: int) -> Any:
         """A function that LLVM has for vectors."""
         from numba.core import cgutils
@@ -221,6 +243,8 @@ class _Lines:
         b, zero, one = self.builder, self._constant(0.0), self._constant(1.0)
         if name in _OF_LLVM or name == "power":
             return b.call(self._of_llvm("pow" if name == "power" else name, len(values)), values, fastmath=FLAGS)
+        if name == "inverse_fourth_root":
+            return self._inverse_fourth_root(values[0])
         if name in ("maximum", "minimum"):
             return b.select(b.fcmp_ordered(">" if name == "maximum" else "<", *values), *values)
         if name == "where_true":
