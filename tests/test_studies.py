@@ -202,6 +202,12 @@ def test_percentiles_over_time_are_those_of_the_members(tmp_path):
     assert np.abs(told.values - exact).max() < 0.08 * span  # of 150 members, between two of them
 
 
+def test_percentiles_of_a_window_stand_at_its_samples():
+    asked = ChannelPercentiles(channels=("spool_position",), points=5, start=4e-3, end=8e-3)
+    plan = make_plan(small(percentiles=asked))
+    assert np.allclose(plan.times[plan.samples], [4e-3, 5e-3, 6e-3, 7e-3, 8e-3])
+
+
 @pytest.mark.parametrize("law", [stats.norm(3.0, 2.0), stats.lognorm(1.5), stats.uniform(-1.0, 4.0), stats.t(2)])
 def test_percentiles_from_counts_are_within_a_bin_of_those_of_the_values(law):
     values = law.rvs(20_000, random_state=1)
@@ -312,6 +318,8 @@ def test_a_distribution_that_leaves_the_bounds_of_its_quantity_is_refused():
         (lambda: small(whole=WholeChannels(members=(12,), channels=("spool_position",))), "12 is no member"),
         (lambda: small(percentiles=ChannelPercentiles(channels=("spool",))), "unknown channel 'spool'"),
         (lambda: ChannelPercentiles(channels=("spool_position",), levels=(101.0,)), "within 0 and 100"),
+        (lambda: ChannelPercentiles(channels=("spool_position",), start=2.0, end=1.0), "start = 2 s must be before"),
+        (lambda: small(percentiles=ChannelPercentiles(channels=("spool_position",), start=0.02)), "behind the end"),
         (lambda: small(options=FigureOptions(start=0.02)), "before the end of the run"),
         (lambda: make_plan(small(keep=("run.spool_position.larges",))), "did you mean 'run.spool_position.largest'"),
         (lambda: make_plan(small(keep=("bench.flows.lap",))), "unknown test of bench 'flows'; did you mean 'flow'"),

@@ -32,7 +32,7 @@ from valvesim.studies.figures import (
     static_drifts,
     tests_of,
 )
-from valvesim.studies.parameter_study import ParameterStudy
+from valvesim.studies.parameter_study import ChannelPercentiles, ParameterStudy
 from valvesim.studies.variables import Case, Variable, apply, scenario_of
 
 KNOT_BYTES = 20e6  # of the flat coefficients of a batch; what they are made of takes some ten times as much
@@ -155,7 +155,7 @@ def make_plan(study: ParameterStudy) -> Plan:
         values |= _reduced(channels, [figure.name for figure in known], times, study.options.start)
         if study.percentiles is not None:
             scale = {channel.name: channel.scale for channel in study.channels}
-            samples = np.unique(np.linspace(0, len(times) - 1, study.percentiles.points).astype(int))
+            samples = _samples(times, study.percentiles)
             rows = np.array([channels[name][samples] for name in study.percentiles.channels])
             reference = reference_of(rows, np.array([scale[name] for name in study.percentiles.channels]))
     if "drift" in families:
@@ -167,6 +167,13 @@ def make_plan(study: ParameterStudy) -> Plan:
     figures = matching(study.keep, known)
     nominal = np.array([values[figure.name] for figure in figures])
     return Plan(figures, nominal, bench, response, times, knot_times, samples, reference)
+
+
+def _samples(times: np.ndarray, asked: ChannelPercentiles) -> np.ndarray:
+    """Places of the output times (n_t,) of percentiles, as even as the samples are."""
+    first = int(np.searchsorted(times, asked.start * (1.0 - 1e-12)))
+    last = int(np.searchsorted(times, asked.end * (1.0 + 1e-12), side="right")) - 1
+    return np.unique(np.linspace(min(first, last), last, asked.points).astype(int))
 
 
 def run_block(study: ParameterStudy, plan: Plan, number: int, draws: np.ndarray) -> BlockResult:

@@ -29,13 +29,21 @@ MOST_WHOLE = 10_000  # members whose whole channels are kept
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelPercentiles:
-    """Percentiles over the members of channels over time: `levels` in %, at `points` times of the run."""
+    """Percentiles over the members of channels over time: `levels` in %, at `points` times from `start` to `end` (s).
+
+    What swings faster than the points stand is not seen as it is: a window of the run shows it.
+    """
 
     channels: tuple[str, ...]
     levels: tuple[float, ...] = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
     points: int = 101
+    start: float = 0.0
+    end: float = float("inf")
 
     def __post_init__(self):
+        if not 0.0 <= self.start < self.end:
+            problem = f"{self.start:g} s must be before the end of {self.end:g} s"
+            raise InputError(problem, key="percentiles.start", joint=" = ")
         if not self.levels or any(not 0.0 <= level <= 100.0 for level in self.levels):
             raise InputError(f"{self.levels} must be within 0 and 100", key="percentiles.levels", joint=" = ")
         if not 2 <= self.points <= 2000:
@@ -130,6 +138,8 @@ class ParameterStudy:
             for name in given.channels if given is not None else ():
                 if name not in known:
                     raise unknown_name("channel", name, known, f"{what}.channels")
+        if self.percentiles is not None and self.percentiles.start >= scenario_of(self.case).duration:
+            raise InputError("is behind the end of the run", key="percentiles.start", joint=" ")
         if self.whole is not None:
             if len(self.whole.members) > MOST_WHOLE:
                 raise InputError(f"{len(self.whole.members)} members are more than {MOST_WHOLE}", key="whole.members")

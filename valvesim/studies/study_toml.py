@@ -393,8 +393,11 @@ def _own_function(path: Path) -> OwnFigures:
 def _percentiles(table: Mapping[str, Any] | None) -> ChannelPercentiles | None:
     if table is None:
         return None
-    check_known(table, ("channels", "levels", "points"), "percentiles")
+    check_known(table, ("channels", "levels", "points", "start", "end"), "percentiles")
     options: dict[str, Any] = {"channels": read_names(table.get("channels"), "percentiles.channels", "channel")}
+    for key in ("start", "end"):
+        if key in table:
+            options[key] = parse(table[key], "s", f"percentiles.{key}")
     if "levels" in table:
         levels = table["levels"]
         if not isinstance(levels, list) or not all(isinstance(one, (int, float)) for one in levels):
