@@ -368,3 +368,47 @@ def test_the_functions_have_the_signatures_of_the_standards_own_headers(tmp_path
     of_types = "Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean String".split()
     made = {f"fmi3{way}{kind}" for way in ("Get", "Set") for kind in of_types}  # by a macro
     assert len(listed) > 40 and set(listed) - set(written) - made == set()
+
+
+@needs_compiler
+@pytest.mark.parametrize("number", [2, 3])
+def test_an_fmu_is_flown_where_a_valve_would_be(archives, number):
+    own = vs.FmuValve(path=archives / f"fmi{number}.fmu")
+    held = replace(CASE, oil_temperature=vs.Constant(value=20.0), command=vs.Step(after=4e-3, time=1e-3), duration=0.01)
+    flown, run = vs.simulate(replace(held, valve=own)), vs.simulate(held)
+    assert set(run.values) == set(flown.values)
+    for name in ("spool_position", "load_flow", "nozzle_pressure_1", "body_temperature"):
+        width = max(np.ptp(run.values[name]), 1e-9)
+        assert np.max(np.abs(flown.values[name] - run.values[name])) < 1e-3 * width, name
+
+
+@needs_compiler
+def test_an_fmu_with_other_names_and_units_is_told_by_them(archives):
+    own = vs.FmuValve(path=archives / "fmi3.fmu", names={"spool_position": "flapper_position"})
+    plain = vs.simulate(replace(CASE, valve=vs.FmuValve(path=own.path)))
+    renamed = vs.simulate(replace(CASE, valve=own))
+    np.testing.assert_array_equal(renamed.values["spool_position"], plain.values["flapper_position"])
+    in_mm = vs.simulate(replace(CASE, valve=replace(own, units={"flapper_position": "mm"})))
+    np.testing.assert_allclose(in_mm.values["spool_position"], 1e-3 * renamed.values["spool_position"], rtol=1e-12)
+    with pytest.raises(vs.InputError, match="armature_angle of the FMU: 'rad' has the wrong dimension"):
+        vs.simulate(replace(CASE, valve=replace(own, names={"spool_position": "armature_angle"})))
+    assert own.in_words() == "FMU fmi3.fmu"
+
+
+@needs_compiler
+def test_what_an_fmu_cannot_do_is_said(archives, tmp_path):
+    own = vs.FmuValve(path=archives / "fmi3.fmu")
+    with pytest.raises(vs.InputError, match="is an FMU, whose equations are not known"):
+        vs.static_solution(own, current=1e-3)
+    with pytest.raises(vs.InputError, match="effects belong to this package's equations"):
+        vs.simulate(replace(CASE, valve=own, effects=(CATALOGUE["spool_lap"](overlap=1e-6),)))
+    with pytest.raises(vs.InputError, match="has no variable 'spol'"):
+        vs.FmuValve(path=archives / "fmi3.fmu", names={"spool_position": "spol"})
+    with pytest.raises(vs.InputError, match="has no input 'voltage'"):
+        vs.simulate(replace(CASE, valve=own, drive=vs.VoltageDrive()))
+    with pytest.raises(vs.SolveError, match=r"the FMU fmi3.fmu fails: .*is outside \[-1, 1\] A"):
+        vs.simulate(replace(CASE, valve=own, command=vs.Step(after=3.0, time=1e-3)))
+    (tmp_path / "no.fmu").write_text("nothing")
+    for path, told in ((tmp_path / "no.fmu", "is no FMU that FMPy reads"), (tmp_path / "none.fmu", "no such file")):
+        with pytest.raises(vs.InputError, match=told):
+            vs.FmuValve(path=path)

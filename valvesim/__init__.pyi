@@ -20,6 +20,8 @@ from valvesim.errors import InputError as InputError
 from valvesim.errors import SolveError as SolveError
 from valvesim.errors import ValidityWarning as ValidityWarning
 from valvesim.errors import ValvesimError as ValvesimError
+from valvesim.export.c_source import export_c as export_c
+from valvesim.export.fmu import export_fmu as export_fmu
 from valvesim.identification.from_figures.identify import Identification as Identification
 from valvesim.identification.from_figures.identify import identify as identify
 from valvesim.identification.session_toml import load_session as load_session
@@ -33,6 +35,7 @@ from valvesim.inputs import Step as Step
 from valvesim.inputs import Sum as Sum
 from valvesim.inputs import Table as Table
 from valvesim.simulation.batch import simulate_batch as simulate_batch
+from valvesim.simulation.fmu_valve import FmuValve as FmuValve
 from valvesim.simulation.result import Result as Result
 from valvesim.simulation.run import simulate as simulate
 from valvesim.simulation.scenario import Scenario as Scenario

@@ -20,6 +20,7 @@ from valvesim.characterisation.held_scenario import (
     command_of,
     held,
     held_oil_temperature,
+    output_of,
     rated_command,
     unit_of,
 )
@@ -191,7 +192,7 @@ def frequency_response(
         rate = SAMPLES_A_CYCLE * frequency
         result = simulate(replace(base, command=command, duration=(wait + read) / frequency, output_rate=rate))
         part = slice(-SAMPLES_A_CYCLE * read, None)
-        return fit_sine(result.time[part], command_of(result)[part], result.values[output][part], frequency)
+        return fit_sine(result.time[part], command_of(result)[part], output_of(result, output)[part], frequency)
 
     points = []
     with ThreadPoolExecutor(workers) as pool:

@@ -65,6 +65,13 @@ def command_of(result: Result) -> np.ndarray:
     return result.values[result.scenario.drive.command_name]
 
 
+def output_of(result: Result, output: str) -> np.ndarray:
+    """A channel (n_t,) of a run; InputError where it has none by that name, as of an FMU that does not tell it."""
+    if output not in result.values:
+        raise unknown_name("channel", output, result.names, "output")
+    return result.values[output]
+
+
 def unit_of(base: Scenario, output: str) -> str:
     units = {channel.name: channel.unit for channel in output_channels(base)}
     if output not in units:

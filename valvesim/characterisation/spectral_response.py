@@ -20,6 +20,7 @@ from valvesim.characterisation.held_scenario import (
     command_of,
     held,
     held_oil_temperature,
+    output_of,
     rated_command,
     unit_of,
 )
@@ -125,7 +126,7 @@ def own_response(result: Result, output: str = "spool_position") -> FrequencyRes
     result.select((output,))
     with contextlib.suppress(InputError):
         return spectral_response(
-            result.time, command_of(result), result.values[output], channel=output,
+            result.time, command_of(result), output_of(result, output), channel=output,
             oil_temperature=held_oil_temperature(result.scenario),
         )  # fmt: skip
     return None
@@ -157,7 +158,7 @@ def chirp_response(
     case = replace(base, command=command, duration=duration + 2.0 * CHIRP_REST, output_rate=20.0 * end)
     result = simulate(case, progress=progress)
     taken = spectral_response(
-        result.time, command_of(result), result.values[output], low=low, high=high, channel=output,
+        result.time, command_of(result), output_of(result, output), low=low, high=high, channel=output,
         share=amplitude / rated_command(base), oil_temperature=held_oil_temperature(base),
     )  # fmt: skip
     return replace(taken, amplitude=amplitude)

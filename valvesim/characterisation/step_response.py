@@ -21,6 +21,7 @@ from valvesim.characterisation.held_scenario import (
     command_of,
     held,
     held_oil_temperature,
+    output_of,
     rated_command,
     unit_of,
 )
@@ -225,5 +226,5 @@ def step_response(
         unit=unit,
         time=result.time,
         command=command_of(result),
-        output=result.values[output],
+        output=output_of(result, output),
     )

@@ -65,8 +65,8 @@ def _header(valve: TracedValve, digest: str) -> str:
         "PARAMETERS": len(valve.parameters), "INPUTS": len(valve.inputs), "COUPLED": valve.coupled,
         "STATES": len(valve.states), "OUTPUTS": len(valve.outputs), "COEFFICIENTS": len(valve.coefficient_names),
         "PREPARED": valve.equations.coefficients,
-        "FIRST_TEMPERATURE": valve.coefficient_names.index(f"{PART_NAMES[0]}_temperature"), "CLEARANCES": len(valve.clearances),
-        "NODES": len(node_names()), "LAGGED_PARTS": int(valve.lagged_parts), "USES_RATE": int(valve.uses_rate),
+        "FIRST_TEMPERATURE": valve.coefficient_names.index(f"{PART_NAMES[0]}_temperature"),
+        "CLEARANCES": len(valve.clearances), "NODES": len(node_names()), "LAGGED_PARTS": int(valve.lagged_parts), "USES_RATE": int(valve.uses_rate),
         "SETTLES": int(valve.settles),
     }  # fmt: skip
     lines = [

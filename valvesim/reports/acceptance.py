@@ -95,7 +95,7 @@ def load_chart(records: Sequence[AcceptanceRecord], x_channel: str) -> Chart:
 def acceptance_charts(result: AcceptanceTests) -> list[Chart]:
     """Flow curve, pressure gain, leakage and flow over load pressure."""
     curves = (("flow", result.flow), ("pressure-gain", result.blocked), ("leakage", result.blocked))
-    charts = [curve_chart(test, record) for test, record in curves]
+    charts = [curve_chart(test, record) for test, record in curves if record is not None]
     return [*charts, load_chart(result.flow_load, "load_pressure")] if result.flow_load else charts
 
 
@@ -114,8 +114,13 @@ def draw_acceptance(result: AcceptanceTests) -> Figure:
     axes = figure.subplots(2, 2)
     figure.subplots_adjust(left=0.07, right=0.98, top=0.91, bottom=0.07, wspace=0.2, hspace=0.28)
     _flow(axes[0, 0], cycle(result.flow, "load_flow"), _of(merits, "flow."))
-    _pressure_gain(axes[0, 1], cycle(result.blocked, "load_pressure"), _of(merits, "pressure-gain."))
-    _leakage(axes[1, 0], cycle(result.blocked, "internal_leakage"), _of(merits, "leakage."))
+    if result.blocked is None:
+        for axis, test in ((axes[0, 1], "pressure gain"), (axes[1, 0], "internal leakage")):
+            axis.text(0.5, 0.5, f"no {test}: an FMU cannot be flown with ports blocked", ha="center", va="center")
+            axis.set_axis_off()
+    else:
+        _pressure_gain(axes[0, 1], cycle(result.blocked, "load_pressure"), _of(merits, "pressure-gain."))
+        _leakage(axes[1, 0], cycle(result.blocked, "internal_leakage"), _of(merits, "leakage."))
     axis = axes[1, 1]
     top = result.valve.rated_current
     for record in result.flow_load:

@@ -14,6 +14,7 @@ from valvesim.channels import Inputs
 from valvesim.errors import InputError, SolveError
 from valvesim.inputs import evaluate, merge, piece_value
 from valvesim.simulation import driver
+from valvesim.simulation.fmu_valve import FmuValve
 from valvesim.simulation.result import Result, output_channels
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
@@ -56,6 +57,8 @@ def simulate(
         from valvesim.simulation.scenario_toml import load_scenario
 
         scenario = load_scenario(scenario)
+    if isinstance(scenario.valve, FmuValve):
+        return scenario.valve.simulate(scenario, progress)
     if arrays := array_quantities(scenario.valve):
         raise InputError("is an array, a batch of valves: use simulate_batch", key=f"valve.{arrays[0]}", joint=" ")
     problem = prepare(scenario)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from valvesim.errors import InputError
 from valvesim.inputs import Command
 from valvesim.io import DEEPEST, MOST_TEXT, check_known, check_tables, located, read_names, read_toml
 from valvesim.simulation.command_toml import TABLE, command_entries, read_command, read_switch
+from valvesim.simulation.fmu_valve import FmuValve
 from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.simulation.scenario_files import scenario_file
 from valvesim.units import change, exact_text, parse, quantities
@@ -79,8 +80,13 @@ def _load(path: Path, settings: Sequence[str], valve: str | Path | None) -> Scen
 def read_tables(settings: Sequence[str], *, valve: str | Path | None = None) -> ValveFile:
     """The reference valve, or that of a valve file or preset, with settings such as `valve.null_gap=0.03 mm`.
 
+    A file `*.fmu` is a valve too (`FmuValve`); settings of `valve` are then rated current and pressures of the tests.
     Settings are of `valve`, `oil` and `effects`; nothing else may be set.
     """
+    if valve is not None and Path(valve).suffix.lower() == ".fmu":
+        own = read_tables(settings)
+        figures = {name: getattr(own.valve, name) for name in quantities(own.valve)}
+        return replace(own, title=Path(valve).stem, valve=FmuValve(path=valve, **figures))
     table: dict[str, Any] = {} if valve is None else {"valve": valve_argument(valve)}
     for setting in settings:
         override(table, setting)

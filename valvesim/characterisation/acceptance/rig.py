@@ -8,6 +8,7 @@ import numpy as np
 
 from valvesim.characterisation.acceptance.cycle import cycle, loop
 from valvesim.characterisation.acceptance.record import record_of
+from valvesim.errors import unknown_name
 from valvesim.inputs import Command, Constant, Table
 from valvesim.simulation.run import simulate
 from valvesim.simulation.scenario import Scenario, Thermal
@@ -45,6 +46,8 @@ class Rig:
                 tolerance=1e-6,
             )
         )
+        if "load_flow" not in result.values:  # of an FMU alone
+            raise unknown_name("channel", "load_flow", result.names, "the FMU's outputs")
         return {"time": result.time, **result.values}
 
     def full_cycle(self, *, null: float | None = None) -> dict[str, np.ndarray]:
