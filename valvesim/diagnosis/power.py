@@ -2,9 +2,10 @@
 
 Symbols
     d' distance of a candidate off the nuisance parameters, in noise deviations; d that which a rival leaves of it;
-    w the difference of chi-squares that tells two hypotheses apart; z(0.9) = 1.2816
-    detected with 0.9: d' = level + z(0.9);  power to tell apart = Phi((d^2 - w)/(2 d)): the likelihood ratio of two
-    hypotheses d apart is normal with mean d^2 and deviation 2 d
+    w the difference of chi-squares that tells two hypotheses apart; z(0.9) = 1.2816, z(0.95) = 1.6449
+    detected with 0.9: d' = level + z(0.9);  named: d'^2 beyond level^2 by w, so that noise is no rival
+    power to tell apart = Phi((d^2 - w)/(2 d)): the likelihood ratio of two hypotheses d apart is normal with mean d^2
+    and deviation 2 d
 """
 
 from __future__ import annotations
@@ -13,12 +14,17 @@ import numpy as np
 
 from valvesim.diagnosis.options import SelectionOptions
 
-NINE_IN_TEN = 1.2816
+NINE_IN_TEN, NINETEEN_IN_TWENTY = 1.2816, 1.6449
 
 
-def detected_amplitude(distance: float, size: float, level: float) -> float:
-    """The amplitude that passes the alarm nine times in ten, of a candidate whose d' at `size` is `distance`."""
-    return float((level + NINE_IN_TEN) / distance * abs(size)) if distance > 0.0 else np.inf
+def detected_amplitude(distance: float, size: float, level: float, quantile: float = NINE_IN_TEN) -> float:
+    """The amplitude that passes a level nine times in ten, of a candidate whose d' at `size` is `distance`."""
+    return float((level + quantile) / distance * abs(size)) if distance > 0.0 else np.inf
+
+
+def naming_level(level: float, *, options: SelectionOptions) -> float:
+    """The z from which noise alone explains a cause no longer nearly as well, beside an alarm level."""
+    return float(np.sqrt(level**2 + options.answer_ratio))
 
 
 def detection_power(distance: float, level: float) -> float:
@@ -40,15 +46,17 @@ def asked_difference(explained: float, law_error: float, *, options: SelectionOp
     return max(options.answer_ratio, max(options.answer_share, law_error) * explained)
 
 
-def separated_share(whole: float, left: float, law_error: float, *, options: SelectionOptions) -> float:
+def separated_share(
+    whole: float, left: float, law_error: float, quantile: float = NINE_IN_TEN, *, options: SelectionOptions
+) -> float:
     """By how much a candidate at the distance `whole`, of which a rival leaves `left`, must grow to be told from it
     nine times in ten; infinite where no size is enough."""
     if left <= 0.0:
         return np.inf
-    enough = NINE_IN_TEN + np.sqrt(NINE_IN_TEN**2 + options.answer_ratio)
+    enough = quantile + np.sqrt(quantile**2 + options.answer_ratio)
     share = max(options.answer_share, law_error)
     growth = enough / left
     if share * (growth * whole) ** 2 <= options.answer_ratio:
         return float(growth)
     remains = 1.0 - share * (whole / left) ** 2
-    return float(2.0 * NINE_IN_TEN / remains / left) if remains > 0.0 else np.inf
+    return float(2.0 * quantile / remains / left) if remains > 0.0 else np.inf

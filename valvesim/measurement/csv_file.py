@@ -206,7 +206,7 @@ def _numbers(path: Path, raw: np.ndarray, layout: Layout, wanted: Sequence[int],
 
 def _number(path: Path, raw: np.ndarray, layout: Layout, cell: str, k: int, row: int) -> float:
     if is_number(cell, layout.decimal):
-        return float(cell.replace(",", "."))
+        return float(cell.strip().replace(",", "."))
     if is_missing(cell):
         return np.nan
     told = f"{cell!r} in column {layout.headings[k].name!r} is not a number"

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+import logging
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from valvesim.errors import InputError, ValvesimError
+from valvesim.errors import InputError
 from valvesim.io import check_file
 from valvesim.measurement.csv_file import read_csv
 from valvesim.measurement.dialect import NO_DIALECT, Dialect
@@ -62,22 +67,48 @@ def read_tables(path: Path, choice: Choice, stated: Dialect = NO_DIALECT) -> tup
     form = FORMATS[suffix]
     for library in form.libraries:
         _check_installed(path, form, library)
-    try:
-        tables = form.read(path, choice)
-    except ValvesimError as error:
-        raise error.at(file=path) if isinstance(error, InputError) and not error.file else error from None
-    except MemoryError:
-        raise
-    except Exception as error:  # libraries raise errors of many kinds on a broken file
-        told = " ".join(str(error).split())[:200]
-        raise InputError(
-            f"is no {form.name} file that can be read ({told or type(error).__name__})", file=path
-        ) from None
+    tables, problem = _read(path, form, choice)
+    if problem is not None:
+        raise problem
     for table in tables:
         for column in table.columns:
             if len(column.values) > MOST_SAMPLES:
                 raise InputError(f"{len(column.values)} samples are more than {MOST_SAMPLES}", file=path)
     return tables
+
+
+def _read(path: Path, form: Format, choice: Choice) -> tuple[tuple[MeasuredTable, ...], InputError | None]:
+    """The tables of a file, or why it has none; what the libraries say of a broken one otherwise is kept quiet."""
+    with _quiet((*form.libraries, "scipy", "netCDF4")):
+        try:
+            return form.read(path, choice), None
+        except InputError as error:
+            return (), error if error.file else error.at(file=path)
+        except MemoryError:
+            raise
+        except Exception as error:  # libraries raise errors of many kinds on a broken file
+            told = " ".join(str(error).split())[:200] or type(error).__name__
+        gc.collect()  # what is half made complains as it goes: now
+        return (), InputError(f"is no {form.name} file that can be read ({told})", file=path)
+
+
+@contextmanager
+def _quiet(libraries: tuple[str, ...]) -> Iterator[None]:
+    """Libraries that log nothing, warn of nothing, and whose half-made objects go without a word."""
+    loggers = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict)
+               if name.partition(".")[0] in libraries]  # fmt: skip
+    before, hook = [logger.disabled for logger in loggers], sys.unraisablehook
+    for logger in loggers:
+        logger.disabled = True
+    sys.unraisablehook = lambda *given: None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        sys.unraisablehook = hook
+        for logger, disabled in zip(loggers, before, strict=True):
+            logger.disabled = disabled
 
 
 def _check_installed(path: Path, form: Format, library: str) -> Any:

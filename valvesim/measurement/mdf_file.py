@@ -21,7 +21,7 @@ def read_mdf(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
         for index, group in enumerate[Any](file.groups):
             master = file.masters_db.get(index)
             channels = [k for k in range(len(group.channels)) if k != master]
-            headings = [_heading(group.channels[k].name, group.channels[k].unit) for k in channels]
+            headings = [_heading(group.channels[k].name, file.get_channel_unit(group=index, index=k)) for k in channels]
             headings.append(Heading("time", "s"))
             wanted = sorted(choice(headings))
             columns = []

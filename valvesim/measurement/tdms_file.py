@@ -20,12 +20,14 @@ def read_tdms(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
 
     tables = []
     with TdmsFile.open(path) as file:
+        cut = file.file_status.incomplete_final_segment
+        notes = ("the file ends in the middle of its last segment: what is there of it is used",) if cut else ()
         for group in file.groups():
             clocks: dict[tuple[Any, ...], list[Any]] = {}
             for channel in group.channels():
                 if len(channel) and channel.data_type is not None and channel.dtype is not None:
                     clocks.setdefault(_clock(channel), []).append(channel)
-            tables += [_table(group.name, clock, members, choice) for clock, members in clocks.items()]
+            tables += [_table(group.name, clock, members, choice, notes) for clock, members in clocks.items()]
     return tuple(tables)
 
 
@@ -42,7 +44,8 @@ def _clock(channel: Any) -> tuple[Any, ...]:
     )
 
 
-def _table(name: str, clock: tuple[Any, ...], members: list[Any], choice: Choice) -> MeasuredTable:
+def _table(name: str, clock: tuple[Any, ...], members: list[Any], choice: Choice, notes: tuple[str, ...]
+) -> MeasuredTable:
     increment, offset, begun, length = clock
     headings = [_heading(channel) for channel in members]
     if increment is not None:
@@ -59,7 +62,7 @@ def _table(name: str, clock: tuple[Any, ...], members: list[Any], choice: Choice
             columns.append(Column(Heading(headings[k].name, "s"), seconds))
         elif np.issubdtype(values.dtype, np.number) and not np.iscomplexobj(values):
             columns.append(Column(headings[k], as_numbers(values)))
-    return MeasuredTable(name, tuple(headings), tuple(columns), start=start)
+    return MeasuredTable(name, tuple(headings), tuple(columns), start=start, notes=notes)
 
 
 def _heading(channel: Any) -> Heading:

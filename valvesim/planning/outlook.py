@@ -17,9 +17,11 @@ import numpy as np
 
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.diagnosis.power import (
+    NINETEEN_IN_TWENTY,
     asked_difference,
     detected_amplitude,
     detection_power,
+    naming_level,
     separated_share,
     separation_power,
 )
@@ -40,9 +42,9 @@ class CauseOutlook:
     """What is to be expected of a cause, in SI above neutral.
 
     `limit` is the amplitude that passes the alarm nine times in ten (None where none within reach does), `power` how
-    surely `size` does; `isolated` the amplitude from which every other cause of the aim is told from it nine times in
-    ten, `rival` the hardest of these; `nearest` the hardest of all that a diagnosis looks for, told from it from
-    `nearest_isolated` on.
+    surely `size` does; `isolated` the amplitude from which it is named nine times in ten, and neither another cause of
+    the aim nor noise beside it, `rival` the hardest of these; `nearest` the hardest of all that a diagnosis looks for,
+    told from it from `nearest_isolated` on.
     """
 
     label: str
@@ -145,10 +147,18 @@ class Judgement:
         asked = asked_difference(distance**2, self._law_error(k), options=self.options.selection)
         return separation_power(left, asked)
 
+    def named(self, k: int) -> float:
+        """The amplitude of a candidate from which noise alone does not explain it nineteen times in twenty, SI."""
+        level = naming_level(self.level, options=self.options.selection)
+        size, distance = float(self.planned.sizes[k]), float(self.scores.distance[k])
+        return detected_amplitude(distance, size, level, NINETEEN_IN_TWENTY)
+
     def isolated(self, k: int, rivals: Sequence[int]) -> float:
-        """The amplitude from which candidate k is told from a rival nine times in ten, SI."""
+        """The amplitude from which candidate k is told from a rival nineteen times in twenty, SI."""
         whole, left = float(self.scores.distance[k]), self._left(k, rivals)
-        share = separated_share(whole, left, self._law_error(k), options=self.options.selection)
+        share = separated_share(
+            whole, left, self._law_error(k), NINETEEN_IN_TWENTY, options=self.options.selection
+        )  # fmt: skip
         return share * abs(float(self.planned.sizes[k]))
 
     def _same(self, k: int, rivals: Sequence[int]) -> bool:
@@ -218,7 +228,7 @@ def _cause(
     aimed = {other: value for other, value in others.items() if other in sought}
     rival = max(aimed, key=lambda other: aimed[other], default="")
     nearest = max(others, key=lambda other: others[other], default="")
-    limit, reach = judged.limit(k), max(map(abs, candidate.limits))
+    limit, named, reach = judged.limit(k), judged.named(k), max(map(abs, candidate.limits))
 
     def within(value: float) -> float | None:
         """None beyond what the cause may have."""
@@ -228,8 +238,8 @@ def _cause(
     return CauseOutlook(
         label=label, location=candidate.location(), parameter=candidate.effect.amplitude.name, unit=candidate.unit,
         size=size, limit=limit if np.isfinite(limit) else None, power=judged.power(k, size),
-        isolated=within(max(aimed[rival], limit)) if rival else within(limit), rival=rival, nearest=nearest,
-        nearest_isolated=within(max(others[nearest], limit)) if nearest else within(limit),
+        isolated=within(max(aimed[rival], named)) if rival else within(named), rival=rival, nearest=nearest,
+        nearest_isolated=within(max(others[nearest], named)) if nearest else within(named),
     )  # fmt: skip
 
 
