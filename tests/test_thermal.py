@@ -13,7 +13,7 @@ from valvesim.inputs import Constant, Pulse, Ramp, Sine, Step, Table
 from valvesim.units import quantities
 from valvesim.valve.coefficients import PART_NAMES
 from valvesim.valve.fluid import MIL_PRF_5606
-from valvesim.valve.thermal_network import NODES, ThermalNetwork, temperature_path, throttling_rise
+from valvesim.valve.thermal_network import NODES, ThermalNetwork, exponential, temperature_path, throttling_rise
 
 NETWORK = ThermalNetwork()
 SEALED = ThermalNetwork(torque_motor_to_ambient=0.0, body_to_ambient=0.0)  # nothing lost to the air
@@ -294,3 +294,14 @@ def test_one_start_for_all_is_that_of_each_part():
     one = temperature_path(LAUNCH, 5.0, network=NETWORK, initial=-40.0)
     each = temperature_path(LAUNCH, 5.0, network=NETWORK, initial=dict.fromkeys(NODES, -40.0))
     assert (values(one) == values(each)).all()
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 0.1, 3.0, 300.0])
+def test_the_matrix_exponential_is_that_of_scipy(size):
+    from scipy.linalg import expm
+
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        A = rng.uniform(0.0, 1.0, (6, 6))
+        A -= np.diag(A.sum(axis=1))  # a network: what flows out of one part flows into others
+        assert exponential(size * A) == pytest.approx(expm(size * A), rel=1e-12, abs=1e-13)

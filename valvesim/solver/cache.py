@@ -124,10 +124,26 @@ def _import(entry: Path, name: str, call_once) -> ModuleType:
     with _numba_keeps_beside_the_source():
         for function in functions:
             function.enable_caching()
+            _load_without_registries(function._cache)
     call_once(module)
     for function in functions:  # what another type of argument needs later stays in memory: the entry is closed
         function._cache.disable()
     return module
+
+
+def _load_without_registries(kept: Any) -> None:
+    """Let numba load machine code without all that it would compile with, which it imports first: half a start.
+
+    What is compiled loads it then. `kept` is numba's cache of a function.
+    """
+    from numba.core.runtime import rtsys
+
+    def load_overload(signature: Any, context: Any) -> Any:
+        rtsys.initialize(context)
+        return kept._load_overload(signature, context)
+
+    if hasattr(kept, "_load_overload"):
+        kept.load_overload = load_overload
 
 
 def _in_memory(text: str, call_once) -> ModuleType:
