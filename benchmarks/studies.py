@@ -134,8 +134,8 @@ def _scipy(own: ParameterStudy, draws: np.ndarray, rtol: float, name: str) -> tu
 
             times = problem.times[(problem.times >= start) & (problem.times <= end)]
             solved = solve_ivp(
-                rates, (start, end), y, method=name.split()[1], t_eval=np.unique(np.append(times, end)), jac=jacobian, rtol=rtol,
-                atol=0.01 * rtol,
+                rates, (start, end), y, method=name.split()[1], t_eval=np.unique(np.append(times, end)), jac=jacobian,
+                rtol=rtol, atol=0.01 * rtol,
             )  # fmt: skip
             y, start = solved.y[:, -1], end
             highest = max(highest, float(solved.y[VELOCITY].max() * compiled.scale[VELOCITY]))

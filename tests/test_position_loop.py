@@ -115,7 +115,8 @@ def test_a_study_of_the_loop_varies_valve_and_actuator_and_runs_each_as_it_runs_
     loop = loop_of(reference=vs.Step(after=5e-3, time=0.05))
     own = ParameterStudy(
         case=loop, variables=tuple(variable_of(find_quantity(loop, key)) for key in keys),
-        design=Design(members=6, seed=2), keep=("run.position.mean", "run.position.rms", "run.velocity.highest", "run.load_flow.rms"),
+        design=Design(members=6, seed=2),
+        keep=("run.position.mean", "run.position.rms", "run.velocity.highest", "run.load_flow.rms"),
     )  # fmt: skip
     plan, draws = make_plan(own), own.draws()
     got = run_block(own, plan, 0, draws)

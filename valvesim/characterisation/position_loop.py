@@ -11,7 +11,7 @@ launch of 90 s takes a fraction of a second.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ import numpy as np
 from valvesim.channels import INPUT_CHANNELS, Channel, Inputs
 from valvesim.characterisation.gain_schedule import gain_schedule
 from valvesim.characterisation.linearisation import refuse_command_rate
-from valvesim.errors import InputError
+from valvesim.errors import InputError, SolveError
 from valvesim.inputs import Command, Sine, evaluate, merge
 from valvesim.simulation import driver
 from valvesim.simulation.run import ADVICE, MAX_STEPS, output_times
@@ -256,16 +256,25 @@ def _rest(compiled: CompiledModel, inputs: np.ndarray, flat: np.ndarray, member:
     )  # fmt: skip
 
 
-def integrate_loop(problem: LoopProblem, member: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """(states (n_t, n) in SI, counts (2,) of accepted and rejected steps) of one member."""
+def integrate_loop(problem: LoopProblem, member: int = 0) -> np.ndarray:
+    """States (n_t, n) in SI of one member. Raises SolveError."""
+    return driver.integrate(_of_member(problem, member), what="the position loop", advice=ADVICE)[0]
+
+
+def integrate_loops(problem: LoopProblem, members: Sequence[int]) -> Iterator[np.ndarray | SolveError]:
+    """States (n_t, n) in SI of some members, in order, or why one fails; see `driver.integrate_members`."""
+    return driver.integrate_members(
+        lambda member: _of_member(problem, member), lambda member: integrate_loop(problem, member),
+        problem.initial, problem.knots, members,
+    )  # fmt: skip
+
+
+def _of_member(problem: LoopProblem, member: int) -> driver.InitialValueProblem:
     scenario = problem.loop.scenario
-    return driver.integrate(
-        driver.InitialValueProblem(
-            compiled=problem.compiled, initial=problem.initial[member], starts=problem.starts, rows=problem.rows,
-            knot_times=problem.path.times, knots=problem.knots[member], times=problem.times, end=scenario.duration,
-            tolerance=scenario.tolerance, most_steps=MAX_STEPS,
-        ),
-        what="the position loop", advice=ADVICE,
+    return driver.InitialValueProblem(
+        compiled=problem.compiled, initial=problem.initial[member], starts=problem.starts, rows=problem.rows,
+        knot_times=problem.path.times, knots=problem.knots[member], times=problem.times, end=scenario.duration,
+        tolerance=scenario.tolerance, most_steps=MAX_STEPS,
     )  # fmt: skip
 
 
@@ -292,7 +301,7 @@ def simulate_loop(loop: PositionLoop) -> Any:
     import xarray
 
     problem = prepare_loop(loop)
-    states, _ = integrate_loop(problem)
+    states = integrate_loop(problem)
     values = loop_values(problem, states)
     return xarray.Dataset(
         {c.name: ("time", values[c.name], {"units": c.unit, "long_name": c.doc}) for c in loop_channels(loop)},

@@ -19,7 +19,7 @@ from valvesim.simulation.result import Result, output_channels
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
 from valvesim.simulation.temperature_knots import array_quantities, between, temperature_knots
-from valvesim.solver.codegen import LANES, CompiledModel, absent_coefficients, compile_model
+from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
 from valvesim.valve.coefficients import PART_NAMES
 from valvesim.valve.effect import Reading
 from valvesim.valve.thermal_network import TemperaturePath
@@ -27,7 +27,6 @@ from valvesim.valve.thermal_network import TemperaturePath
 MAX_STEPS = 50_000_000  # of a slice
 SLICES = 64  # at most, of a run, between which progress is told: none shorter than a second
 ADVICE = "Try a larger valve.transition_pressure or effect width, a smaller command, or a looser solver.tolerance"
-FEWEST_TOGETHER = 3  # members that take more time alone than in lanes of which the others are idle
 JUMP_TIME = 1e-9  # s over which a jump of the command runs for the effects that feel its rate
 
 
@@ -138,22 +137,12 @@ def integrate(problem: Problem, member: int, progress: Callable[[float], None] |
 def integrate_members(problem: Problem, members: Sequence[int]) -> Iterator[np.ndarray | SolveError]:
     """States (n_t, states) in SI of some members, in order, or why one fails.
 
-    They take their steps together, `codegen.LANES` at a time, at a third to a seventh of the time that they take alone.
-    An answer may differ from that of `integrate` within the tolerance, with its neighbours among `members`.
+    They take their steps together, see `driver.integrate_members`.
     """
-    for first in range(0, len(members), LANES):
-        some = list(members[first : first + LANES])
-        states = None
-        if len(problem.knots) >= LANES and len(some) >= FEWEST_TOGETHER:
-            states = driver.integrate_together(_of_member(problem, some[0]), problem.initial[some], problem.knots[some])
-        if states is not None:
-            yield from states
-            continue
-        for member in some:
-            try:
-                yield integrate(problem, member, None)[0]
-            except SolveError as error:
-                yield error
+    return driver.integrate_members(
+        lambda member: _of_member(problem, member), lambda member: integrate(problem, member, None)[0],
+        problem.initial, problem.knots, members,
+    )  # fmt: skip
 
 
 def _of_member(problem: Problem, member: int) -> driver.InitialValueProblem:

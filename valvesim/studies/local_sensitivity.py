@@ -22,7 +22,7 @@ from valvesim.identification.tangent_linear import TangentLinear, fill_propagato
 from valvesim.inputs import evaluate
 from valvesim.simulation.temperature_knots import between
 from valvesim.studies.distributions import Distribution
-from valvesim.studies.members import FAILURES, Plan, prepared, run_block, validity_warnings
+from valvesim.studies.members import FAILURES, Plan, nominal_channels, prepared, run_block, validity_warnings
 from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.variables import Case, Variable, apply, scenario_of
 
@@ -100,8 +100,7 @@ def _run_slopes(
     rate = min(scenario.output_rate * every, MOST / scenario.duration)
     fine: Case = _at_rate(case, rate)
     runs: Any = prepared(fine, plan.knot_times)
-    channels = [channel.name for channel in study.channels]
-    values = runs.values(0, channels)
+    values = nominal_channels(study, runs)
     compiled, times = runs.problem.compiled, runs.times
     model: Any = fine.model
     states = np.column_stack([values[channel.name] for channel in model.state_channels])

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
-from valvesim.characterisation.position_loop import LoopProblem, PositionLoop, integrate_loop, loop_values, prepare_loop
-from valvesim.errors import ValidityWarning, ValvesimError, forget_warnings, one_line
-from valvesim.simulation.run import Problem, channel_values, integrate, prepare
+from valvesim.characterisation.position_loop import (
+    LoopProblem,
+    PositionLoop,
+    integrate_loops,
+    loop_values,
+    prepare_loop,
+)
+from valvesim.errors import SolveError, ValidityWarning, ValvesimError, forget_warnings, one_line
+from valvesim.simulation.run import Problem, channel_values, integrate_members, prepare
 from valvesim.studies.channel_histogram import BINS, Reference, count, reference_of
 from valvesim.studies.distributions import Choice
 from valvesim.studies.figures import (
@@ -42,6 +48,10 @@ FAILURES = (ValvesimError, ArithmeticError, np.linalg.LinAlgError)
 """What may go wrong with one member without anything being wrong with the study."""
 
 
+Channels = dict[str, np.ndarray]
+"""Channels (n_t,) of a run by name."""
+
+
 class Runs(Protocol):
     """A batch that is ready to run."""
 
@@ -50,8 +60,8 @@ class Runs(Protocol):
         """Output times (n_t,)."""
         ...
 
-    def values(self, member: int, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """Channels (n_t,) by name of a member's run. Raises SolveError."""
+    def each(self, members: Sequence[int], names: Callable[[int], Sequence[str]]) -> Iterator[Channels | SolveError]:
+        """Channels (n_t,) by name of each member's run, those of `names` at least, or why it fails."""
         ...
 
 
@@ -66,14 +76,19 @@ class ScenarioRuns:
         """Output times (n_t,)."""
         return self.problem.times
 
-    def values(self, member: int, names: Sequence[str]) -> dict[str, np.ndarray]:
+    def each(self, members: Sequence[int], names: Callable[[int], Sequence[str]]) -> Iterator[Channels | SolveError]:
         """See `Runs`; signals are computed where one is asked for, or a sensor has an effect."""
-        states, _ = integrate(self.problem, member, None)
         scenario = self.problem.scenario
         own = {channel.name: k for k, channel in enumerate(scenario.model.state_channels)}
-        if all(name in own for name in names) and not any(a.effect.reading for a in scenario.effects):
-            return {name: states[:, own[name]] for name in names}
-        return channel_values(self.problem, states, member)
+        read = any(active.effect.reading for active in scenario.effects)
+        for member, states in zip(members, integrate_members(self.problem, members), strict=True):
+            asked = names(member)
+            if isinstance(states, SolveError):
+                yield states
+            elif read or any(name not in own for name in asked):
+                yield channel_values(self.problem, states, member)
+            else:
+                yield {name: states[:, own[name]] for name in asked}
 
 
 @dataclass(frozen=True)
@@ -87,10 +102,10 @@ class LoopRuns:
         """Output times (n_t,)."""
         return self.problem.times
 
-    def values(self, member: int, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """See `Runs`."""
-        states, _ = integrate_loop(self.problem, member)
-        return loop_values(self.problem, states, member)
+    def each(self, members: Sequence[int], names: Callable[[int], Sequence[str]]) -> Iterator[Channels | SolveError]:
+        """See `Runs`; the signals of a loop are few and always there."""
+        for member, states in zip(members, integrate_loops(self.problem, members), strict=True):
+            yield states if isinstance(states, SolveError) else loop_values(self.problem, states, member)
 
 
 def prepared(case: Case, knot_times: np.ndarray | None = None) -> Runs:
@@ -151,7 +166,7 @@ def make_plan(study: ParameterStudy) -> Plan:
         if not any(variable.key.startswith("thermal.oil_temperature") for variable in study.variables):
             knot_times = runs.problem.path.times
         known += run_figures(study.channels)
-        channels = runs.values(0, [channel.name for channel in study.channels])
+        channels = nominal_channels(study, runs)
         values |= _reduced(channels, [figure.name for figure in known], times, study.options.start)
         if study.percentiles is not None:
             scale = {channel.name: channel.scale for channel in study.channels}
@@ -167,6 +182,15 @@ def make_plan(study: ParameterStudy) -> Plan:
     figures = matching(study.keep, known)
     nominal = np.array([values[figure.name] for figure in figures])
     return Plan(figures, nominal, bench, response, times, knot_times, samples, reference)
+
+
+def nominal_channels(study: ParameterStudy, runs: Runs) -> Channels:
+    """All channels of the one member of a case that has run. Raises SolveError."""
+    names = [channel.name for channel in study.channels]
+    (channels,) = runs.each([0], lambda member: names)
+    if isinstance(channels, SolveError):
+        raise channels
+    return channels
 
 
 def _samples(times: np.ndarray, asked: ChannelPercentiles) -> np.ndarray:
@@ -244,25 +268,48 @@ def _case_of(study: ParameterStudy, draws: np.ndarray, rows: np.ndarray) -> Case
     return apply(study.case, values)
 
 
+@dataclass(frozen=True)
+class _Ready:
+    """A batch that is ready to run, if anything of a run is kept, and its drifts by figure."""
+
+    runs: Runs | None
+    drifts: dict[str, np.ndarray]
+
+
+def _prepare_batch(study: ParameterStudy, plan: Plan, draws: np.ndarray, rows: np.ndarray) -> _Ready:
+    """The batch of some members. Raises one of `FAILURES` where a member cannot be prepared."""
+    case, names = _case_of(study, draws, rows), [figure.name for figure in plan.figures]
+    simulated = any(name.startswith("run.") for name in names) or study.percentiles or study.whole
+    runs = prepared(case, plan.knot_times) if simulated else None
+    drifts = [name for name in names if name.startswith("drift.")]
+    return _Ready(runs, static_drifts(scenario_of(case), drifts) if drifts else {})
+
+
+def _ready(
+    study: ParameterStudy, plan: Plan, draws: np.ndarray, rows: np.ndarray, reasons: list[str]
+) -> tuple[_Ready | None, np.ndarray]:
+    """(the batch, its members): halved until those that cannot be prepared are found, then the rest as one."""
+    try:
+        return _prepare_batch(study, plan, draws, rows), rows
+    except FAILURES as error:
+        if len(rows) == 1:
+            reasons[rows[0]] = str(error)
+            return None, rows[:0]
+    good = np.concatenate([_ready(study, plan, draws, half, reasons)[1] for half in np.array_split(rows, 2)])
+    return (_prepare_batch(study, plan, draws, good), good) if len(good) else (None, good)
+
+
 def _run_batch(
     study: ParameterStudy, plan: Plan, draws: np.ndarray, rows: np.ndarray, out: BlockResult, reasons: list[str]
 ) -> None:  # fmt: skip
-    """Runs and drifts of a batch into `out`. One that cannot be prepared is halved until the member is found."""
+    """Runs and drifts of a batch into `out`, without the members that cannot be prepared."""
     places = {figure.name: k for k, figure in enumerate(plan.figures)}
-    try:
-        case = _case_of(study, draws, rows)
-        simulated = any(name.startswith("run.") for name in places) or study.percentiles or study.whole
-        runs = prepared(case, plan.knot_times) if simulated else None
-        if drifts := [name for name in places if name.startswith("drift.")]:
-            for name, values in static_drifts(scenario_of(case), drifts).items():
-                out.figures[rows, places[name]] = values
-    except FAILURES as error:
-        if len(rows) > 1:
-            for half in np.array_split(rows, 2):
-                _run_batch(study, plan, draws, half, out, reasons)
-        else:
-            reasons[rows[0]] = str(error)
+    ready, rows = _ready(study, plan, draws, rows, reasons)
+    if ready is None:
         return
+    for name, values in ready.drifts.items():
+        out.figures[rows, places[name]] = values
+    runs = ready.runs
     if runs is None:
         return
     percentiles = study.percentiles.channels if study.percentiles is not None else ()
@@ -270,11 +317,14 @@ def _run_batch(
     kept = set(study.whole.members) if study.whole is not None else set()
     reduced = [name for name in places if name.startswith("run.")]
     names = list(dict.fromkeys([name.split(".")[1] for name in reduced] + list(percentiles)))
-    for k, row in enumerate(rows):
-        try:
-            channels = runs.values(k, [*names, *whole] if out.first + int(row) in kept else names)
-        except FAILURES as error:
-            reasons[row] = str(error).replace(f" of member {k}", "")
+
+    def asked(k: int) -> list[str]:
+        return [*names, *whole] if out.first + int(rows[k]) in kept else names
+
+    for k, channels in enumerate(runs.each(range(len(rows)), asked)):
+        row = rows[k]
+        if isinstance(channels, SolveError):
+            reasons[row] = str(channels).replace(f" of member {k}", "")
             continue
         for name, value in _reduced(channels, reduced, runs.times, study.options.start).items():
             out.figures[row, places[name]] = value
