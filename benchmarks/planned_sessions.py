@@ -26,7 +26,7 @@ from valvesim.diagnosis.score_test import score_test
 from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.predictor import prepare_record
 from valvesim.identification.study import prepare_session
-from valvesim.planning.outlook import cause_groups
+from valvesim.planning.outlook import Judgement, cause_groups
 from valvesim.planning.plan import plan_tests
 from valvesim.planning.plan_toml import read_plan
 from valvesim.planning.sensitivities import planned_record, white_noise
@@ -111,6 +111,14 @@ def judged(seed: int) -> dict:
     z = scores.z()
     own = [k for k, c in enumerate(scores.candidates) if c.label == cause.label]
     told = {limit.label: limit.amplitude for limit in detection_limits(scores, level)}
+    q = len(scores.candidates)
+    own_scores = replace(scores.projected, score=scores.projected.score[:q], overlap=scores.projected.overlap[:q, :q])
+    own_plan = replace(plan.planned, candidates=scores.candidates, sizes=scores.sizes)
+    seen = Judgement(own_plan, own_scores, level, DEFAULT_DIAGNOSIS)
+    told_groups = cause_groups(scores.candidates)
+    rivals = [told_groups[label] for label in found["aim"] if label != cause.label and label in told_groups]
+    k = min(told_groups[cause.label], key=seen.limit)
+    found["told_isolated"] = max([seen.named(k), *(seen.isolated(k, one) for one in rivals if not seen._same(k, one))])
     distances = [float(scores.projected.distance[k] * cause.limit / abs(scores.sizes[k])) for k in own]
     found |= {"alarm": bool(alarm), "z": float(max(z[own], default=0.0)), "told_level": level,
               "told_limit": told.get(cause.label), "distance": max(distances),
@@ -143,6 +151,11 @@ def summary(rows: list[dict]) -> None:
     ratios = np.array([row["told_limit"] / row["limit"] for row in rows if row["told_limit"]])
     alarms = [row["alarm"] for row in rows]
     isolated = [row for row in rows if "verdict" in row]
+    pairs = [(row["told_isolated"], row["isolated"]) for row in rows if row.get("told_isolated") and row["isolated"]]
+    shares = np.array([told / planned for told, planned in pairs if np.isfinite(told)])
+    if len(shares):
+        print(f"isolation limit after the fit over the planned one: median {np.median(shares):.3f}, "
+              f"within 20 % in {np.mean(np.abs(np.log(shares)) < np.log(1.2)):.0%} of {len(shares)}")  # fmt: skip
     kept = [row["true_in_set"] and not row["rivals_in_set"] for row in isolated]
     print(f"{len(rows)} planned sessions")
     print(f"limit that the diagnosis tells over the planned one: median {np.median(ratios):.3f}, "

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import valvesim as vs
-from valvesim.diagnosis.extended_model import EFFECT_FILE, effect_file, effect_files, scenario_text
+from valvesim.diagnosis.extended_model import EFFECT_FILE, INPUT_FILE, effect_file, effect_files, scenario_text
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant
@@ -331,3 +331,16 @@ def test_points_that_make_no_sense_are_refused(tmp_path, table, message):
     with pytest.raises(vs.InputError) as told:
         vs.load_scenario(path)
     assert message in str(told.value)
+
+
+def test_inputs_of_another_dialect_or_format_stand_in_a_file_beside_the_scenario(tmp_path):
+    session = write(tmp_path, supply_pressure__bar=200.0 + 5.0 * np.cos(20.0 * TIME))
+    text = (tmp_path / "wave.csv").read_text(encoding="utf-8").replace(",", ";").replace(".", ",")
+    (tmp_path / "wave.csv").write_text(text, encoding="utf-8")
+    session = load_session(tmp_path, trust=True)
+    (record,) = session.records
+    scenario = reread(session, ModelVariant(session.valve), tmp_path)
+    inputs = (tmp_path / "answer" / INPUT_FILE).read_text(encoding="utf-8")
+    assert inputs.startswith("time [s],current [A],supply_pressure [Pa]\n") and inputs.count("\n") == len(TIME) + 1
+    assert np.array_equal(evaluate(scenario.command, record.time), record.values["current"])
+    assert np.array_equal(evaluate(scenario.supply_pressure, record.time), record.values["supply_pressure"])

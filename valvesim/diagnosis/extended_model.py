@@ -15,7 +15,7 @@ from valvesim.identification.prior import ToleratedSensorError
 from valvesim.identification.record_scenario import record_scenario
 from valvesim.identification.session import UNITS, Record, Session
 from valvesim.inputs import Table
-from valvesim.io import read_columns
+from valvesim.io import csv_text, read_columns
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.scenario_toml import PRESSURES, scenario_document
 from valvesim.units import exact_text
@@ -23,6 +23,7 @@ from valvesim.valve.additive_term import LAG, NONE, PATH, PORTS, VARIABLES, term
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect
 
+INPUT_FILE = "inputs.csv"  # where the scenario looks for inputs that its record's file does not give as they are
 EFFECT_FILE = "recovered_term.py"  # where the scenario looks for a recovered term, beside itself
 
 
@@ -31,7 +32,7 @@ def scenario_text(session: Session, variant: ModelVariant, *, options: Diagnosis
 
     Figures come back exactly as they are in the variant. The small errors of sensors within their tolerances are left
     out, a lag that the session states of a sensor is in. The record's CSV and a user's own files of effects are named
-    by absolute paths; a recovered term is expected in `EFFECT_FILE` beside the scenario, see `effect_files`.
+    by absolute paths; a recovered term and inputs of another format are expected beside it, see `effect_files`.
 
     Raises InputError for what no scenario file can say: a flow law, an oil or an effect that has no name there.
     """
@@ -57,9 +58,19 @@ def scenario_text(session: Session, variant: ModelVariant, *, options: Diagnosis
 
 
 def effect_files(session: Session, variant: ModelVariant) -> dict[str, str]:
-    """The files that the scenario of a variant needs beside it: name -> text; none where no term was recovered."""
+    """The files that the scenario of a variant needs beside it: name -> text.
+
+    `EFFECT_FILE` where a term was recovered, and `INPUT_FILE` where the inputs do not stand in a plain CSV of the
+    record.
+    """
     terms = [active for active in variant.effects if _recovered(session, active.effect)]
-    return {EFFECT_FILE: effect_file(*terms)} if terms else {}
+    texts = {EFFECT_FILE: effect_file(*terms)} if terms else {}
+    record = session.training[0]
+    if columns := _unreadable_inputs(record):
+        values = [record.time, *(record.values[name] for name in columns)]
+        headings = (f"{name} [{UNITS[name]}]" for name in ("time", *columns))
+        texts[INPUT_FILE] = csv_text(headings, zip(*(map(repr, one.tolist()) for one in values), strict=True))
+    return texts
 
 
 def effect_file(*terms: ActiveEffect) -> str:
@@ -119,7 +130,7 @@ def _term_call(active: ActiveEffect) -> str:
 
 
 def _files_of_inputs(record: Record, scenario: Scenario) -> dict[str, dict[str, str]]:
-    """For each input that is what the record's own file says, by its key in a scenario: that file instead of points."""
+    """For each input that stands in a file, by its key in a scenario: the record's own, or `INPUT_FILE`."""
     inputs = {
         f"command.{record.command}": (record.command, scenario.command),
         "thermal.oil_temperature": ("oil_temperature", scenario.oil_temperature),
@@ -127,15 +138,39 @@ def _files_of_inputs(record: Record, scenario: Scenario) -> dict[str, dict[str, 
     }
     files = {}
     for key, (column, command) in inputs.items():
-        if isinstance(command, Table) and (start := _start_in_file(record, column, command.values)) is not None:
+        if not isinstance(command, Table):
+            continue
+        if (start := _start_in_file(record, column, command.values)) is not None:
             file = str(record.path.absolute())  # type: ignore[union-attr]
             files[key] = {"file": file, "column": column, "start": exact_text(start, "s")}
+        elif column in _unreadable_inputs(record):
+            files[key] = {"file": INPUT_FILE, "column": column}
     return files
+
+
+def _unreadable_inputs(record: Record) -> list[str]:
+    """The inputs of a record that move from sample to sample, where its own file is no plain CSV that a scenario reads.
+
+    Temperatures are followed by few straight lines.
+    """
+    moving = [name for name in record.inputs if not name.endswith("_temperature") and np.ptp(record.values[name]) > 0.0]
+    if record.path is None:
+        return []
+    try:
+        read_columns(Path(record.path), {name: UNITS[name] for name in ("time", *moving)})
+    except InputError:
+        return moving
+    return []
 
 
 def _start_in_file(record: Record, column: str, values: Sequence[float]) -> float | None:
     """The time of the record's file at which the record starts; None where the file's column is not what is used."""
     if record.path is None or len(values) != len(record.time):
         return None
-    read = read_columns(Path(record.path), {"time": "s", column: UNITS[column]})
+    try:
+        read = read_columns(Path(record.path), {"time": "s", column: UNITS[column]})
+    except InputError:  # another dialect or format
+        return None
+    if len(read["time"]) != len(values) or not np.allclose(read["time"] - read["time"][0], record.time, atol=1e-9):
+        return None
     return float(read["time"][0]) if np.array_equal(read[column], values) else None
