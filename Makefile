@@ -27,6 +27,12 @@ test-browser: $(STAMP)
 	@$(PIP) install -qq playwright axe-playwright-python
 	VALVESIM_BROWSER=required $(VENV)/bin/python -m pytest -q -m "" tests/browser
 
+# The documentation as a site in site/, without a network; its gallery runs a handful of commands.
+docs: $(STAMP)
+	@$(PIP) install -qq -e '.[docs]' --no-build-isolation
+	$(VENV)/bin/python -m mkdocs build --quiet
+	@echo "valvesim: open site/site/index.html"
+
 # By branch, of the quick tests.
 coverage: $(STAMP)
 	$(PYTEST) --cov=valvesim --cov-branch --cov-report=term-missing:skip-covered

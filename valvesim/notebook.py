@@ -84,7 +84,8 @@ def _(responses: ResponseSet) -> str:
     parts: list[Block] = [Text(repr(responses))]
     for test in tests:
         kind = "Step" if test in responses.steps else "Sines"
-        parts += [Text(f"{kind} of {100 * test.share:.3g} % of rated"), Table(FIGURE_HEADINGS, table(test.figures), (1, 2))]
+        heading = Text(f"{kind} of {100 * test.share:.3g} % of rated")
+        parts += [heading, Table(FIGURE_HEADINGS, table(test.figures), (1, 2))]
     return fragment((section("", *parts),))
 
 

@@ -16,12 +16,12 @@ class ClassFigure:
     source: str
 
 
-_TYPICAL = "typical limit of the class, field.md section 4; not checked against a vendor's sheet"
+_TYPICAL = "typical limit of the class; not checked against a vendor's sheet"
 _NASA = "NASA TN D-5388 (1969), Table I"
 
 
 def class_figures() -> tuple[ClassFigure, ...]:
-    """Published dynamic figures of valves of this class (field.md sections 1 and 4), by the names of the computed."""
+    """Published dynamic figures of valves of this class (NASA TN D-5388, ARP490), by the names of the computed."""
     return (
         ClassFigure("armature_frequency", 730.0, 730.0, "Hz", _NASA),
         ClassFigure("loop_gain", 837.0, 837.0, "1/s", "computed from " + _NASA),

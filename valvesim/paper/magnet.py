@@ -14,7 +14,7 @@ from valvesim.valve.parameters import reference_valve
 
 @dataclass(frozen=True, kw_only=True)
 class MagnetCheck:
-    """The inequality of model.md 6.6 over random valves, 20 to 270 °C at 1 mA, balances as derived."""
+    """The inequality theta ~ M0/(K - k M0^2) over random valves, 20 to 270 °C at 1 mA, balances as derived."""
 
     drawn: int
     stable: int

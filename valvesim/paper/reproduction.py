@@ -1,6 +1,6 @@
 """The paper's figures and tables recomputed, and the valve of its lost Table 4 identified: all of it together.
 
-Source: Yan, Liu, Ma, IEEE Access 2019, sections II to V; model.md section 6 for its misprints.
+Source: Yan, Liu, Ma, IEEE Access 2019, sections II to V; docs/site/physics.md for its misprints.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Drift of the armature angle by temperature route, with the balances as derived and as the appendix prints them.
 
-Symbols (model.md sections 2 to 4)
+Symbols (docs/site/physics.md)
     theta armature angle, drift theta(T)/theta(20 °C) - 1, M0 polarization magnetomotive force, a armature arm
     A1 A2 A3 factors of the balances, K_k coefficients of the TAD polynomial
 Signs
@@ -10,7 +10,7 @@ Signs
     A drift counts as positive where the angle grows. The paper tells which routes go together, not which way they go: a
     valve is compared in both senses, and "turned" so that the published flow coefficients count as negative.
 
-Source: Yan, Liu, Ma, IEEE Access 2019, section IV; model.md section 6 for its misprints.
+Source: Yan, Liu, Ma, IEEE Access 2019, section IV; docs/site/physics.md for its misprints.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from valvesim.valve.parameters import (
 
 
 def printed_polynomial(c: Coefficients, current, *, supply_pressure, return_pressure):
-    """K_0..K_9 with the appendix's signs (model.md 6.5). Not the model: for this reproduction alone.
+    """K_0..K_9 with the appendix's signs. Not the model: for this reproduction alone.
 
     The polynomial is affine in A1, A2, A3; a rigid spring tube makes all three vanish, so the one with their signs
     turned is twice the rigid one less the derived one.

@@ -1,6 +1,6 @@
 """The torque motor of the paper: air gaps over temperature (Fig. 3) and their flux over current (Fig. 7).
 
-Symbols (model.md section 2)
+Symbols (docs/site/physics.md)
     L1 to L7 lengths of Table 2, a_c a_x a_m a_s thermal expansions of pole, armature, magnet, spring tube
     R0 to R4 reluctances of magnet and gaps, N magnetomotive force of the coils, M0 of the magnet, phi fluxes
 """
@@ -66,7 +66,7 @@ class GapFlux:
 
 
 def gap_flux(valve: Valve, currents) -> GapFlux:
-    """The nine equations of the magnetic circuit (Eq. 11 restored, model.md 2), solved as they stand."""
+    """The nine equations of the magnetic circuit (Eq. 11 restored), solved as they stand."""
     c = valve.at(PartTemperatures.uniform(20.0), oil=OIL)
     share, R0 = c.flux_share, c.magnet_reluctance
     R1 = R2 = c.upper_air_gap_1 / (MU_0 * c.air_gap_area)

@@ -85,7 +85,8 @@ def load_chart(records: Sequence[AcceptanceRecord], x_channel: str) -> Chart:
     lines, names = [], []
     for record in records:
         lines.append((record.values[x_channel] / 1e5, record.values["load_flow"] * 6e4))
-        names.append(f"{float(np.mean(record.values['current'])) * 1e3:.3g} mA" if "current" in record.values else "flow")
+        current = record.values.get("current")
+        names.append("flow" if current is None else f"{float(np.mean(current)) * 1e3:.3g} mA")
     x, columns = on_one_axis(lines)
     series = [Series(name, "L/min", y, 1e-3, joined=True) for name, y in zip(names, columns, strict=True)]
     label = x_channel.replace("_", " ")

@@ -48,9 +48,9 @@ def page_recordings(recordings: Sequence[Recording], date: datetime.date, path: 
                 charts.append(Chart(f"{text}, {name}", recording.time, [line], y_label=label, group="records"))
         heading = channel.replace("_", " ").capitalize()
         sections.append(section(heading, Charts(charts, beside=len(recordings) > 1)))
-    notes = [f"{name}: {note}" for name, one in zip(names, recordings, strict=True) for note in (*one.forms, *one.notes)]
-    left_out = [f"{name}: no channel {', '.join(one.left_out)}" for name, one in zip(names, recordings, strict=True)
-                if one.left_out]  # fmt: skip
+    named = list(zip(names, recordings, strict=True))
+    notes = [f"{name}: {note}" for name, one in named for note in (*one.forms, *one.notes)]
+    left_out = [f"{name}: no channel {', '.join(one.left_out)}" for name, one in named if one.left_out]
     return write_html(path, block, (*sections, section("Notes", Bullets([*notes, *left_out]))))
 
 

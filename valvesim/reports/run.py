@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from valvesim.simulation.scenario import Scenario
 
 CAPTIONS = {
-    "run": "The whole run, and its end enlarged.",
+    "run": "The whole run, and its end or last jump enlarged.",
     "characteristic": "Armature angle, spool, flow and leakage over current; dashed: the valve at rest, 20 °C.",
     "drift": "Drift against the same valve at 20 °C, in all and by route of the temperature.",
     "sweep": "Frequency response from the run's own sweep (faint where not coherent); power over time and frequency.",
@@ -155,9 +155,9 @@ def draw_run(result: Result) -> Figure:
     """The whole run left, its last cycles right: command, temperatures, angle, pressures, spool and flow."""
     scenario, t = result.scenario, result.time
     rows = run_panels(scenario)
-    begin = t[-1] - (cycles(result) or t[-1] / 20.0)
-    zoom = t >= begin
-    parts = [(np.ones(t.shape, bool), 0.0, *time_unit(t[-1])), (zoom, float(begin), *time_unit(t[-1] - begin))]
+    begin, stop, what = enlarged(result)
+    zoom = (t >= begin) & (t <= stop)
+    parts = [(np.ones(t.shape, bool), 0.0, *time_unit(t[-1])), (zoom, begin, *time_unit(stop - begin))]
     figure = Figure(figsize=(11, 11))
     axes = figure.subplots(len(rows), 2, sharex="col", gridspec_kw={"width_ratios": [2.2, 1]})
     figure.subplots_adjust(left=0.08, right=0.84, top=0.93, bottom=0.05, wspace=0.18, hspace=0.14)
@@ -169,12 +169,14 @@ def draw_run(result: Result) -> Figure:
                 text = name.removesuffix("_temperature").replace("_", " ")
                 times = (t[mask] - start) * factor if start else t[mask] * factor
                 draw_line(axis, times, values[mask], colour=COLOURS[k % len(COLOURS)], label=text)
+                axis.ticklabel_format(useOffset=False)
+            _open_up(axis, 1e-3 * max(float(np.ptp(_display(result, name)[0])) for name in names))
         pair[0].set_ylabel(f"{label} [{unit}]")
         if len(names) > 1:
             pair[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.align_ylabels(axes[:, 0])
     axes[0, 0].set_title("whole run", loc="left")
-    axes[0, 1].set_title("its end", loc="left")
+    axes[0, 1].set_title(what, loc="left")
     axes[-1, 0].set_xlabel(f"time [{parts[0][2]}]")
     axes[-1, 1].set_xlabel(f"time after {parts[1][1]:.6g} s [{parts[1][2]}]")
     figure.suptitle(scenario.title, fontsize=12)
@@ -327,6 +329,24 @@ def _display(result: Result, name: str) -> tuple[Any, str]:
     """(values, unit) as an axis shows them."""
     values, unit = result.display(name)
     return values, symbol(unit)
+
+
+def enlarged(result: Result) -> tuple[float, float, str]:
+    """(from s, to s, what it is) of the part of a run that is shown enlarged: its last jump, or its end."""
+    t, values = result.time, result.values[result.scenario.drive.command_name]
+    moved = np.flatnonzero(np.diff(values))
+    end, span = float(t[-1]), cycles(result)
+    if span is None and 0 < len(moved) < 0.05 * len(t):
+        jump = float(t[moved[-1]])
+        return max(jump - 0.02 * end, 0.0), min(jump + 0.2 * end, end), "its last jump"
+    return end - (span or end / 20.0), end, "its end"
+
+
+def _open_up(axis: Any, least: float) -> None:
+    """A span of at least `least` for y, so that rounding is not shown as if it were something."""
+    low, high = axis.get_ylim()
+    if high - low < least:
+        axis.set_ylim((low + high - least) / 2.0, (low + high + least) / 2.0)
 
 
 def cycles(result: Result) -> float | None:

@@ -1,6 +1,6 @@
 """What the valve's equations need at given temperatures, and the temperatures of the parts.
 
-Symbols (model.md sections 2 and 5)
+Symbols (docs/site/physics.md)
     L1..L7 heights in the torque motor, l_g1 upper and l_g2 lower air gap, A_g gap area, a armature arm
     M0 polarization magnetomotive force, R0 magnet reluctance, K_s spring tube, K_f feedback rod
     a_m a_c a_x a_f a_s a_p expansions, dT_k = T_k - 20 °C"""

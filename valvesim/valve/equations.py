@@ -1,6 +1,6 @@
-"""The valve's equations: torque motor, flapper, pilot chambers, spool and main stage (model.md sections 2 and 3).
+"""The valve's equations: torque motor, flapper, pilot chambers, spool and main stage (docs/site/physics.md).
 
-Symbols, as in model.md
+Symbols
     theta armature angle, p1 p2 nozzle pressures, x v spool position and velocity, i coil current, N = N_c i
     R1..R4 gap reluctances, Phi flux of a gap pair, T torques, F forces, q flows, r b arms, g1 g2 null gaps
 Signs
@@ -94,7 +94,7 @@ class VoltageDrive:
 
 
 def torque_constant(c: Coefficients):
-    """K_t = dT_d/di at theta = 0, i = 0 of a symmetric motor, N m/A: b0/(a0 i) of model.md section 2."""
+    """K_t = dT_d/di at theta = 0, i = 0 of a symmetric motor, N m/A: b0/(a0 i) of the closed form."""
     l1, l2 = (c.upper_air_gap_1 + c.upper_air_gap_2) / 2, (c.lower_air_gap_1 + c.lower_air_gap_2) / 2
     S = l1 + l2
     X = c.flux_share * S + MU_0 * c.air_gap_area * c.magnet_reluctance
@@ -192,7 +192,7 @@ class Model:
 
         Each component is a float, an array (components broadcast against each other) or a traced symbol.
         `inputs` are `Inputs`, `coefficients` flat. Valid for any armature angle and spool position: beyond the
-        clearances the stops carry. Source: model.md section 3.
+        clearances the stops carry. Source: docs/site/physics.md.
         """
         return self.evaluate(state, inputs, coefficients)[0]
 
@@ -296,7 +296,7 @@ def _situation(x: State, u: Inputs, current, current_rate, c: Coefficients) -> S
 
 
 def drive_torque(theta, N, c: Coefficients):
-    """T_d of the torque motor at angle theta and coil magnetomotive force N, N m (model.md section 2)."""
+    """T_d of the torque motor at angle theta and coil magnetomotive force N, N m, in closed form."""
     R1 = (c.upper_air_gap_1 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
     R2 = (c.upper_air_gap_2 + c.armature_arm * theta) / (MU_0 * c.air_gap_area)
     R3 = (c.lower_air_gap_2 - c.armature_arm * theta) / (MU_0 * c.air_gap_area)
@@ -357,7 +357,7 @@ def nozzle_flows(x_f, p1, p2, return_pressure, c: Coefficients) -> tuple[Any, An
 def main_stage(x_v, supply_pressure, load_pressure, c: Coefficients) -> tuple[Any, Any]:
     """(load flow, leakage past the lands), m^3/s, of four lands with port pressures (p_s +- p_L)/2.
 
-    Wide open this is model.md's Q_L = C_d w x sqrt((p_s - sign(x) p_L)/rho); the leakage is what passes the closing
+    Wide open this is Q_L = C_d w x sqrt((p_s - sign(x) p_L)/rho); the leakage is what passes the closing
     land of each port, for |p_L| <= p_s. The main return is at zero pressure, as in the paper. Every land opens once the
     spool has passed its overlap (negative: underlap).
     """

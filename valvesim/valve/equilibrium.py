@@ -1,6 +1,6 @@
 """The valve at rest: the balances of the equations solved directly, stops included, and the paper's TAD polynomial.
 
-Symbols (model.md section 4)
+Symbols (docs/site/physics.md)
     theta armature angle, a0 a2 a4 b0 b1 b2 torque, c0 c2 c4 d1 pilot pressure difference, D A1 A2 A3 balances, K0..K9
     z = r theta / x_f0, the angle as a share of the null gap: the polynomial is solved in z, where it is well scaled
 
@@ -49,7 +49,7 @@ class StaticSolution:
 def tad_polynomial(c: Coefficients, current, *, supply_pressure, return_pressure, load_pressure=0.0, friction=0.0):
     """Coefficients K_0..K_9 of sum K_k theta^k = 0, shape (..., 10), lowest power first.
 
-    Source: paper Eq. 35 and appendix with the misprints of model.md 6.4 and 6.5 corrected; equal sides are assumed.
+    Source: paper Eq. 35 and appendix with its misprints corrected (docs/site/physics.md); equal sides are assumed.
     """
     A1, A2, A3 = _balance_factors(c, supply_pressure, load_pressure, friction)
     l1, l2, a, gamma, M0 = c.upper_air_gap_1, c.lower_air_gap_1, c.armature_arm, c.flux_share, c.polarization_mmf

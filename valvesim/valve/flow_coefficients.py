@@ -49,9 +49,9 @@ def reynolds_number(temperature, hydraulic_diameter: float, *, viscosity: Callab
 
 
 def flow_coefficients_yan_2019(oil_temperature):
-    """(C_df, C_d0) of nozzle and fixed orifice: the paper's Eq. 19 read in °C (model.md 6.3), fitted -40..150 °C.
+    """(C_df, C_d0) of nozzle and fixed orifice: the paper's Eq. 19 read in °C, fitted -40..150 °C.
 
-    Below -20 °C it rests on one row of the paper's CFD that no smooth law meets (model.md 6.9), and below -40 °C the
+    Below -20 °C it rests on one row of the paper's CFD that no smooth law meets, and below -40 °C the
     formula soon turns negative and is held: one warning, with the law for the cold. Beyond 150 °C it is flat.
     """
     if is_number(oil_temperature):
@@ -98,8 +98,8 @@ class ReynoldsNumberLaw:
     pressure drop, viscosity, density and hydraulic diameter themselves; here stand the figures. Fixed orifice: D_h = d,
     k1 = 12 pi + 64 L/d (Sampson's hole and Poiseuille's wall in a row: no fit), k2 = 1/(0.827 - 0.0085 L/d)^2
     (Lichtarowicz, Duggins and Markland 1965, L/d 2 to 10). Curtain between nozzle and flapper: D_h = 2 x, k1 = 40.7
-    (Wuest's slit, from memory), k2 = 1/0.656^2, the limit of the paper's Table 3 (0.61 to 0.66 in print). Source:
-    oils.md 2.2; scatter among published laws ±12 % at lambda 300, ±5 % at 1000, ±3 % above 3000.
+    (Wuest 1954, slit), k2 = 1/0.656^2, the limit of the paper's Table 3 (0.61 to 0.66 in print). Source:
+    docs/oils.md; scatter among published laws ±12 % at lambda 300, ±5 % at 1000, ±3 % above 3000.
     """
 
     nozzle_limit: float = 0.656
@@ -146,7 +146,7 @@ def lichtarowicz(flow_number, slenderness):
     """C of a sharp-edged long orifice, Lichtarowicz, Duggins and Markland (1965): flow number 10..2e4, L/d 2..10.
 
     Their Reynolds number is lambda = (d/nu) sqrt(2 dp/rho), of the ideal velocity: with the true one the law would have
-    a flow that does not depend on the pressure drop in the creeping limit (oils.md 2.1).
+    a flow that does not depend on the pressure drop in the creeping limit (docs/oils.md).
     """
     swing = np.log10(0.00015 * np.asarray(flow_number, dtype=float))
     inverse = 1.0 / lichtarowicz_limit(slenderness) + 20.0 / flow_number * (1.0 + 2.25 * slenderness)

@@ -95,7 +95,7 @@ class LogLinear:
 
 
 def viscosity_yan_2019(temperature):
-    """The paper's Eq. 18 read in °C (model.md 6.3): 48.46 exp(-0.03 T) mm^2/s, in m^2/s. Unphysical above 150 °C."""
+    """The paper's Eq. 18 read in °C: 48.46 exp(-0.03 T) mm^2/s, in m^2/s. Unphysical above 150 °C."""
     return 48.46e-6 * np.exp(-0.03 * np.asarray(temperature))
 
 
@@ -118,26 +118,30 @@ class Oil:
     sources: tuple[tuple[str, str], ...] = field(default=(), compare=False)
     rated_low: float = quantity(-54.0, "degC", "lowest rated temperature", (-100.0, 20.0), "specification")
     rated_high: float = quantity(135.0, "degC", "highest rated temperature", (20.0, 400.0), "specification")
-    density_at_20: float = quantity(866.0, "kg/m^3", "density at 20 °C, 1 atm", (500.0, 2000.0), "field.md 3: SG 0.871")
-    thermal_expansion: float = quantity(8.3e-4, "1/K", "volume expansion at 20 °C", (0.0, 3e-3), "field.md 3")
+    density_at_20: float = quantity(
+        866.0, "kg/m^3", "density at 20 °C, 1 atm", (500.0, 2000.0), "Phillips 5606J sheet: SG 0.871"
+    )
+    thermal_expansion: float = quantity(8.3e-4, "1/K", "volume expansion at 20 °C", (0.0, 3e-3), "estimate")
     pressure_viscosity_at_40: float = quantity(
         17e-9, "1/Pa", "alpha_p at 40 °C, viscosity ~ exp(alpha_p p)", (0.0, 5e-8),
-        "estimate: mineral oils 13-20e-9 at 100..30 °C, Stachowiak Table 2.3 (oils.md 1.1)",
+        "estimate: mineral oils 13-20e-9 at 100..30 °C, Stachowiak Table 2.3 (docs/oils.md)",
     )  # fmt: skip
     pressure_viscosity_decay: float = quantity(
         6.5e-3, "1/K", "alpha_p falls as exp(-decay (T - 40))", (0.0, 0.02), "same table: 6 to 8e-3 at 30 to 100 °C"
     )  # fmt: skip
     bulk_modulus_at_20: float = quantity(
-        1.534e9, "Pa", "isothermal tangent bulk modulus at 20 °C, p = 0", (1e8, 1e10), "field.md 3: OpenHydraulics Tait"
+        1.534e9, "Pa", "isothermal tangent bulk modulus at 20 °C, p = 0", (1e8, 1e10), "OpenHydraulics, Tait"
     )
     bulk_modulus_decay: float = quantity(5.8e-3, "1/K", "K0 falls as exp(-decay dT)", (0.0, 0.02), "same")
     bulk_modulus_slope: float = quantity(10.9, "1", "dK/dp", (0.0, 30.0), "same")
-    vapour_pressure_at_100: float = quantity(1.9e3, "Pa", "vapour pressure at 100 °C", (0.0, 1e6), "field.md 3, memory")
+    vapour_pressure_at_100: float = quantity(1.9e3, "Pa", "vapour pressure at 100 °C", (0.0, 1e6), "estimate")
     vapour_temperature: float = quantity(
         5782.0, "K", "d ln(vapour pressure)/d(-1/T)", (0.0, 2e4), "fit to 0.4 kPa at 66 °C, 50 kPa at 200 °C"
     )
-    specific_heat_at_60: float = quantity(2010.0, "J/(kg*K)", "specific heat at 60 °C", (500.0, 5000.0), "field.md 3")
-    specific_heat_slope: float = quantity(3.7, "J/(kg*K^2)", "its rise per kelvin", (0.0, 20.0), "field.md 3, memory")
+    specific_heat_at_60: float = quantity(
+        2010.0, "J/(kg*K)", "specific heat at 60 °C", (500.0, 5000.0), "MSL MineralOil"
+    )
+    specific_heat_slope: float = quantity(3.7, "J/(kg*K^2)", "its rise per kelvin", (0.0, 20.0), "estimate")
 
     def __post_init__(self):
         check_bounds(self)
@@ -204,7 +208,7 @@ class Oil:
         return self.specific_heat_at_60 + self.specific_heat_slope * (np.asarray(temperature) - 60.0)
 
     def throttling_rise(self, temperature, pressure_drop):
-        """Temperature rise of the oil over a throttle, K: dp (1 - alpha T)/(rho cp), T in kelvin. field.md 2."""
+        """Temperature rise of the oil over a throttle, K: dp (1 - alpha T)/(rho cp), T in kelvin."""
         kelvin = np.asarray(temperature) + KELVIN
         capacity = self.density(temperature) * self.specific_heat(temperature)
         return pressure_drop * (1.0 - self.thermal_expansion * kelvin) / capacity
@@ -213,7 +217,7 @@ class Oil:
 def aerated_bulk_modulus(clean, pressure, air_fraction, exponent):
     """Bulk modulus of oil with entrained air, Pa: E = El (1 + a r)/(1 + a r El/(n p)), r = (p_atm/p)^(1/n).
 
-    Equals El without air. `pressure` is absolute and bounded below by 1 kPa. Source: Simscape form, field.md 3.
+    Equals El without air. `pressure` is absolute and bounded below by 1 kPa. Source: Simscape, isothermal liquid.
     """
     p = np.maximum(pressure, 1e3)
     share = air_fraction * np.exp(np.log(ATMOSPHERE / p) / exponent)
@@ -224,19 +228,19 @@ MIL_PRF_5606 = Oil(
     name="mil_prf_5606",
     title="MIL-PRF-5606, mineral aircraft oil with viscosity-index improver",
     viscosity_law=WaltherViscosity(((-54.0, 2450.0), (-40.0, 495.0), (40.0, 13.5), (100.0, 5.1))),
-    scatter="viscosity ±15 % warm, times or by 2.5 at -54 °C; density ±2.5 % between products (oils.md 1.2, 1.3)",
+    scatter="viscosity ±15 % warm, times or by 2.5 at -54 °C; density ±2.5 % between products (docs/oils.md)",
     sources=(
-        ("viscosity_law", "Phillips X/C 5606J data sheet (field.md 3)"),
-        ("rated_low", "5606 class, GJB 1177 (field.md 3)"),
-        ("rated_high", "5606 class, GJB 1177 (field.md 3)"),
-        ("bulk_modulus_at_20", "OpenHydraulics Tait law of a general oil (field.md 3); Lee: 1.79 GPa, kind not stated"),
-        ("specific_heat_at_60", "MSL MineralOil (field.md 3); Lee: 1968 J/(kg K) at 38 °C, 2 % more than this"),
+        ("viscosity_law", "Phillips X/C 5606J data sheet"),
+        ("rated_low", "5606 class, GJB 1177-91"),
+        ("rated_high", "5606 class, GJB 1177-91"),
+        ("bulk_modulus_at_20", "OpenHydraulics Tait law of a general oil; Lee: 1.79 GPa, kind not stated"),
+        ("specific_heat_at_60", "MSL (Modelica), MineralOil; Lee: 1968 J/(kg K) at 38 °C, 2 % more than this"),
     ),
 )
 YH12_PAPER = Oil(
     name="yh12_paper", title="YH-12 as the TAD paper computes it (Eq. 18)", viscosity_law=viscosity_yan_2019,
     rated_low=-40.0, rated_high=150.0, pressure_viscosity_at_40=0.0,
-    scatter="a law of print: unphysical above 150 °C (model.md 6.3); no table of YH-12 was found",
+    scatter="a law of print: unphysical above 150 °C; no table of YH-12 was found",
     sources=(
         ("viscosity_law", "paper, Eq. 18 read in °C"), ("pressure_viscosity_at_40", "the paper knows none"),
         ("rated_low", "range of the paper's figures"), ("rated_high", "range of the paper's figures"),

@@ -32,7 +32,7 @@ def orifice_flow(area, pressure_drop, density, transition_pressure, laminar_root
 
     `area` m^2 includes the flow coefficient of turbulent flow. Source: Merritt (1967), ch. 3.
     A `laminar_root` b > 0 (sqrt(Pa), see `laminar_root`) carries it over to laminar flow: with loss K = k1/Re + k2 the
-    flow is q = area sqrt(2/rho) dp/(sqrt(dp + b^2) + b), linear in dp where dp is far below b^2. Source: oils.md 2.2.
+    flow is q = area sqrt(2/rho) dp/(sqrt(dp + b^2) + b), linear in dp where dp is far below b^2. Source: docs/oils.md.
     """
     return area * np.sqrt(2.0 / density) * signed_root(pressure_drop, transition_pressure, laminar_root)
 
@@ -60,7 +60,8 @@ def land_opening(opening, null_opening):
     """Effective opening of a spool land, m: `opening` once open, falling as 1/overlap when closed.
 
     Smooth through zero: opening + null for opening >= 0, null^2/(null - opening) below.
-    Source: after Eryilmaz and Wilson, null leakage of a critical-centre spool (field.md section 5).
+    Source: after Eryilmaz and Wilson, Combining leakage and orifice flows in a
+    hydraulic servovalve model, ASME J. Dyn. Syst. Meas. Control 122 (2000).
     """
     overlap = np.maximum(-opening, 0.0)
     return np.maximum(opening, 0.0) + null_opening * null_opening / (null_opening + overlap)
@@ -69,7 +70,7 @@ def land_opening(opening, null_opening):
 def bridge_flux(mmf, coil_mmf, r1, r2, r3, r4, magnet_reluctance, flux_share):
     """Flux through the upper (and lower) pair of air gaps, Wb: phi1 + phi2 = phi3 + phi4.
 
-    The nine equations of model.md section 2 leave one unknown, for any four reluctances:
+    The nine equations of the circuit (Yan, Liu, Ma 2019, Eq. 11 restored) leave one unknown, for any four reluctances:
     Phi [2 R1 R2/(R1+R2) + 2 R3 R4/(R3+R4) + R0/gamma] = 2 M0 - N [(R1-R2)/(R1+R2) + (R3-R4)/(R3+R4)].
     """
     upper, lower = r1 + r2, r3 + r4

@@ -37,7 +37,7 @@ MIL_PRF_83282 = Oil(
     specific_heat_at_60=2174.0,
     scatter="Lee prints one curve for 7808 and 83282; fit of its chart 1.2 % rms; no product sheet was readable",
     sources=(
-        ("viscosity_law", _CHART), ("rated_low", "aircraftsystemstech.com"), ("rated_high", "from memory"),
+        ("viscosity_law", _CHART), ("rated_low", "aircraftsystemstech.com"), ("rated_high", "estimate"),
         ("density_at_20", "Lee-sg, one curve with 5606"), ("thermal_expansion", "Lee-sg"),
         ("pressure_viscosity_at_40", _ALPHA + "synthetic hydrocarbon, below mineral oil"),
         ("bulk_modulus_at_20", "Lee-B 2.07 GPa, " + _ADIABATIC), ("bulk_modulus_decay", _NONE + "the Tait law's"),
@@ -72,7 +72,7 @@ def _skydrol(name: str, title: str, viscosity: tuple, scatter: str, sources: dic
     """A phosphate ester: what all of them share in range, source and doubt."""
     shared = {
         "viscosity_law": "typical, D445, EASAF7870", "rated_low": "EASAF7870, coldest point",
-        "rated_high": "estimate, from memory: 225 °F of aircraft systems",
+        "rated_high": "estimate: 225 °F of aircraft systems",
         "pressure_viscosity_at_40": _NONE + "between mineral oil and synthetic hydrocarbon",
         "bulk_modulus_at_20": "EASAF7870, BMS 3-11; its state is not given, read as isothermal at 20 °C",
         "bulk_modulus_decay": _NONE + "the Tait law's", "bulk_modulus_slope": _NONE + "the Tait law's",
@@ -123,7 +123,7 @@ MIL_PRF_23699 = Oil(
     scatter="measured viscosities (IR8263) lie within 12 % of the Lee chart from 17 to 127 °C",
     sources=(
         ("viscosity_law", _CHART), ("rated_low", "estimate: the chart's coldest point is -38 °C"),
-        ("rated_high", "from memory: 400 °F"), ("density_at_20", "IR8263, measured 5..70 °C"),
+        ("rated_high", "estimate: 400 °F"), ("density_at_20", "IR8263, measured 5..70 °C"),
         ("thermal_expansion", "IR8263"), ("pressure_viscosity_at_40", _ALPHA + "polyol esters lie lowest"),
         ("bulk_modulus_at_20", _NONE + "near the Tait law's mineral oil"),
         ("bulk_modulus_decay", _NONE + "the Tait law's"), ("bulk_modulus_slope", _NONE + "the Tait law's"),
@@ -214,7 +214,7 @@ JET_A = Oil(
     specific_heat_slope=4.0,
     scatter="fit of the Lee chart 0.4 % rms; batches differ far more",
     sources=(
-        ("viscosity_law", _CHART), ("rated_low", "freezing point of Jet A, from memory"),
+        ("viscosity_law", _CHART), ("rated_low", "freezing point of Jet A, ASTM D1655"),
         ("rated_high", "estimate: deposits form above"), ("density_at_20", "Lee-sg"), ("thermal_expansion", "Lee-sg"),
         *_FUEL, ("specific_heat_at_60", "Lee-cp JP-4 2093 at 38 °C"), ("specific_heat_slope", _NONE + "RP-1's"),
         ("vapour_pressure_at_100", _NONE + "RP-1's"), ("vapour_temperature", _NONE + "RP-1's"),

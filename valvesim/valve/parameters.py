@@ -1,6 +1,6 @@
 """The valve: every dimension and property with unit, bounds and source.
 
-Symbols (model.md sections 2, 3 and 5)
+Symbols (docs/site/physics.md)
     L1..L7 heights in the torque motor, l_g1 upper and l_g2 lower air gap, A_g gap area, a armature arm
     gamma share of the magnet flux in the gaps, M0 polarization magnetomotive force, R0 magnet reluctance, N_c turns
     d_n nozzle, d_0 fixed orifice, x_f0 null gap, r nozzle arm, b arm from nozzle to ball
@@ -27,12 +27,13 @@ from valvesim.valve.flow_coefficients import FlowLaw, flow_coefficients_yan_2019
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
 
 _PAPER, _TEXTBOOK, _ESTIMATE = "paper", "textbook torque motor of this class", "estimate"
+_THAYER = "Thayer, Moog Technical Bulletin 103 (1958)"
 _NASA, _FITTED = "NASA TN D-5388", "identified: 2.82 N*m/A, magnetic spring 6.5 N*m/rad"
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Valve(Shown):
-    """A two-stage nozzle-flapper valve at 20 °C. Defaults are the reference valve of model.md section 5.
+    """A two-stage nozzle-flapper valve at 20 °C. Defaults are the reference valve; each has its source.
 
     Any quantity may also be an array: a batch of valves. Raises InputError for a value outside its bounds.
     """
@@ -82,7 +83,7 @@ class Valve(Shown):
     copper_resistance_slope: float = quantity(
         3.93e-3, "1/K", "of copper at 20 °C", (0.0, 0.02), "handbook", of_material=True
     )
-    rated_current: float = quantity(10e-3, "A", "rated current", (POSITIVE, 1.0), "model.md 5")
+    rated_current: float = quantity(10e-3, "A", "rated current", (POSITIVE, 1.0), _THAYER)
     armature_arm: float = quantity(14.5e-3, "m", "a, arm of the gap forces", (POSITIVE, 0.2), _TEXTBOOK, tolerance=0.02)
     armature_inertia: float = quantity(
         1.78e-7, "kg*m^2", "J, armature and flapper", (POSITIVE, 1e-3), _TEXTBOOK, tolerance=0.1,
@@ -144,7 +145,7 @@ class Valve(Shown):
     spool_damping: float = quantity(
         1.0, "N*s/m", "B_v, viscous damping of the spool", (0.0, 1e4), _ESTIMATE, tolerance=0.3
     )
-    spool_stroke: float = quantity(0.42e-3, "m", "half stroke to the end stop", (POSITIVE, 0.05), "model.md 5")
+    spool_stroke: float = quantity(0.42e-3, "m", "half stroke to the end stop", (POSITIVE, 0.05), _NASA + ", widened")
     spool_stop_stiffness: float = quantity(2e7, "N/m", "spool on end stop", (POSITIVE, 1e12), _ESTIMATE)
     stop_damping: float = quantity(1.0, "s/m", "damping of every stop per depth", (0.0, 100.0), _ESTIMATE)
     port_width: float = quantity(
@@ -160,7 +161,7 @@ class Valve(Shown):
         0.0, "m", "closed travel before a land opens", (-5e-5, 5e-5), "critical centre", tolerance=1e-6
     )
     radial_clearance: float = quantity(
-        3e-6, "m", "spool in sleeve", (POSITIVE, 1e-4), "field.md 4: 0.6-8 um", tolerance=0.2
+        3e-6, "m", "spool in sleeve", (POSITIVE, 1e-4), _ESTIMATE + ": in print 0.6 to 8 um", tolerance=0.2
     )
     land_length: float = quantity(1e-3, "m", "leakage length of a land", (POSITIVE, 0.1), _ESTIMATE, tolerance=0.2)
     spool_expansion: float = quantity(
@@ -170,9 +171,9 @@ class Valve(Shown):
         12e-6, "1/K", "sleeve steel", (0.0, 1e-4), _ESTIMATE, tolerance=0.05, of_material=True
     )
     # pressures
-    supply_pressure: float = quantity(21e6, "Pa", "p_s", (POSITIVE, 1e8), "model.md 5")
-    return_pressure: float = quantity(0.5e6, "Pa", "p_0 behind the nozzles", (0.0, 1e8), "model.md 5")
-    load_pressure: float = quantity(0.0, "Pa", "p_L across the load", (-1e8, 1e8), "model.md 5")
+    supply_pressure: float = quantity(21e6, "Pa", "p_s", (POSITIVE, 1e8), "class of 3000 psi")
+    return_pressure: float = quantity(0.5e6, "Pa", "p_0 behind the nozzles", (0.0, 1e8), _ESTIMATE)
+    load_pressure: float = quantity(0.0, "Pa", "p_L across the load", (-1e8, 1e8), "no load")
     flow_coefficients: FlowLaw = flow_coefficients_yan_2019
     name: str = field(default="", compare=False)  # of a valve that has one: pages and pictures are marked with it
 
@@ -227,5 +228,5 @@ def _refused(name: str, problem: str, *related: str) -> InputError:
 
 
 def reference_valve() -> Valve:
-    """The reference valve of model.md section 5."""
+    """The reference valve: parameters of print for one size of valve, the rest estimates (`valvesim parameters`)."""
     return Valve()

@@ -5,8 +5,8 @@ Symbols
     C_k T_k' = G_k,oil (T_oil - T_k) + sum_j G_kj (T_j - T_k) + G_k,amb (T_amb - T_k)
 
 The network is linear and nothing in it hears the valve's motion, so it is solved exactly (matrix exponential, oil
-temperature straight between knots) before the valve is. Its figures are estimates, good to about +-50 % (model.md 5,
-field.md 2): no measured valve-body transient is public.
+temperature straight between knots) before the valve is. Its figures are estimates, good to about +-50 %: no measured
+transient of a valve body is public.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SOURCES = ("oil", "ambient")
 
 
 def _estimate(value: float, unit: str, doc: str, *, floor: float = 0.0):
-    return quantity(value, unit, doc, (floor, 1e5), "estimate, field.md 2", tolerance=0.5)
+    return quantity(value, unit, doc, (floor, 1e5), "estimate", tolerance=0.5)
 
 
 def _capacity(value: float, doc: str):

@@ -150,7 +150,7 @@ def flow_figures(
     hysteresis: greatest current difference at equal output off null (5 % of i_R), share of i_R, less 2 tau r where the
     lag is stated. null_loop: the same within it, with the meter's dead zone. null_bias: mid-line at zero flow. lap:
     distance at zero flow between the two polarities' lines, positive for overlap. All over i_R (`rated_current`, else
-    the amplitude of the record). Source: ARP490, ISO 10770-1 (field.md 4).
+    the amplitude of the record). Source: ARP490, ISO 10770-1.
     """
     rated = c.amplitude if rated_current is None else rated_current
     bend = loop(c)

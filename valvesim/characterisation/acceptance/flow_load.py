@@ -22,7 +22,7 @@ def flow_load_figures(record: AcceptanceRecord, *, resolution: float | None = No
 
     flow_exponent: n of Q ~ p_v^n over the record (0.5 for turbulent orifices). rated_flow: flow at 70 bar valve drop by
     that law; absent where the record does not span it. Each level of a quantised flow counts with the mean of its
-    pressures. Source: ARP490, ISO 10770-1 (field.md 4).
+    pressures. Source: ARP490, ISO 10770-1.
     """
     p, q = record.channel("pressure_drop"), np.abs(record.channel("load_flow"))
     good = p > 0.0

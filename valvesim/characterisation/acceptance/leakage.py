@@ -23,7 +23,7 @@ def leakage_figures(c: Cycle, *, lag: float | None = None) -> FiguresOfMerit:
     and closed lands; absent where the curve still falls there. peak_current: middle between the peaks, A. half_split:
     half the current between the branches, by the shift that lays one upon the other over the null region. hysteresis:
     twice that, less 2 tau r; absent unless the lag is stated, since one record cannot part the two (see
-    `common_hysteresis`). Source: ARP490, ISO 10770-1 (field.md 4).
+    `common_hysteresis`). Source: ARP490, ISO 10770-1.
     """
     grid, up, down = branch_curves(c)
     shift, null, shift_error = half_split(c)

@@ -13,7 +13,7 @@ TEMPERATURE_DIFFERENCE, PRESSURE_CHANGE = 38.0, 0.2  # K; share of supply pressu
 
 
 def null_shift_figures(rig: Rig) -> FiguresOfMerit:
-    """Shift of null, share of i_R: over 38 K, over supply +-20 %, and over return up to 20 % of supply (field.md 4)."""
+    """Shift of null, share of i_R: over 38 K, over supply +-20 %, and over return up to 20 % of supply (ARP490)."""
     valve, at = rig.valve, rig.null()
     rated, p_s = float(valve.rated_current), float(valve.supply_pressure)
     conditions: tuple[tuple[str, str, tuple[tuple[str, float], ...]], ...] = (

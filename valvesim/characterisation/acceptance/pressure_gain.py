@@ -31,7 +31,7 @@ def pressure_gain_figures(c: Cycle, *, rated_current: float | None = None, lag: 
     supply_pressure: the plateau of the load pressure. pressure_gain: slope of the mid-line over +-40 % of it.
     pressure_gain_share: the same as share of supply per share of i_R. null_bias: mid-line at zero load pressure.
     hysteresis: greatest current difference at equal pressure within +-40 %, share of i_R. zero_rising, zero_falling:
-    current at zero load pressure. Source: ARP490, ISO 10770-1 (field.md 4).
+    current at zero load pressure. Source: ARP490, ISO 10770-1.
     """
     rated = c.amplitude if rated_current is None else rated_current
     bend = loop(c, bins=1000)

@@ -1,10 +1,10 @@
 """Believable valves of a size: what similarity gives for every dimension, and how far a valve may be from it.
 
-The anchor is NASA TN D-5388, the one size with a published set of internals (field.md, catalogue.md): the reference
+The anchor is NASA TN D-5388, the one size with a published set of internals: the reference
 valve's. Larger and smaller valves follow from the port area at full stroke, a length scale l = sqrt(area/anchor's):
 
     spool: lengths ~ l, areas ~ l^2, volumes and mass ~ l^3 (geometric similarity)
-    pilot: diameters and gap ~ l, so that its flow keeps its share of the rated one (2 to 4 %, field.md section 4)
+    pilot: diameters and gap ~ l, so that its flow keeps its share of the rated one (2 to 4 % in print)
     torque motor: lengths ~ m = l^(1/3), since series 30 to 35 weigh 5 times as much at 14 times the flow; its torques
     at rated current ~ m^2, and its inertia ~ m^2.5
     coils of one series: i^2 R and i^2 L constant
