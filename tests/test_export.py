@@ -13,6 +13,7 @@ from fmu_importer import Refused, fly, opened, output_names
 
 import valvesim as vs
 from valvesim.export import fmu
+from valvesim.export.c_model import FUNCTIONS, OF_C
 from valvesim.export.c_source import export_c, flown_scenario
 from valvesim.export.fmi_variables import model_identifier
 from valvesim.export.fmu import check_own, export_fmu, find_compiler
@@ -20,7 +21,7 @@ from valvesim.export.reference_results import channel_of, reference_values
 from valvesim.export.source import load_source
 from valvesim.export.traced_valve import trace_valve
 from valvesim.simulation import driver
-from valvesim.solver import rodas5p
+from valvesim.solver import rodas5p, straight_line
 from valvesim.valve.catalogue import CATALOGUE
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler is on the path")
@@ -412,3 +413,7 @@ def test_what_an_fmu_cannot_do_is_said(archives, tmp_path):
     for path, told in ((tmp_path / "no.fmu", "is no FMU that FMPy reads"), (tmp_path / "none.fmu", "no such file")):
         with pytest.raises(vs.InputError, match=told):
             vs.FmuValve(path=path)
+
+
+def test_all_that_printed_lines_may_call_is_there_in_c():
+    assert set(straight_line.FUNCTIONS) <= set(FUNCTIONS) | set(OF_C)

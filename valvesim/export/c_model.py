@@ -66,7 +66,8 @@ def _header(valve: TracedValve, digest: str) -> str:
         "STATES": len(valve.states), "OUTPUTS": len(valve.outputs), "COEFFICIENTS": len(valve.coefficient_names),
         "PREPARED": valve.equations.coefficients,
         "FIRST_TEMPERATURE": valve.coefficient_names.index(f"{PART_NAMES[0]}_temperature"),
-        "CLEARANCES": len(valve.clearances), "NODES": len(node_names()), "LAGGED_PARTS": int(valve.lagged_parts), "USES_RATE": int(valve.uses_rate),
+        "CLEARANCES": len(valve.clearances), "NODES": len(node_names()), "LAGGED_PARTS": int(valve.lagged_parts),
+        "USES_RATE": int(valve.uses_rate),
         "SETTLES": int(valve.settles),
     }  # fmt: skip
     lines = [
@@ -147,7 +148,11 @@ def _code(valve: TracedValve) -> str:
         "",
         "#include <math.h>",
         "",
-        *_HELPERS,
+        *(
+            line
+            for name, (arguments, value) in FUNCTIONS.items()
+            for line in (f"static inline double {name}({arguments})", "{", f"    return {value};", "}", "")
+        ),
     ]
     tables = {
         "parameter": valve.parameters, "input": valve.inputs, "state": valve.states, "output": valve.outputs,
@@ -256,10 +261,11 @@ def _function(name: str, function: Any, targets: Sequence[str]) -> list[str]:
     return [_signature(name), "{", *declared, *untouched, *lines]
 
 
-_HELPERS = [
-    line
+FUNCTIONS = {
+    name: (arguments, value)
     for name, arguments, value in (
         ("sign", "double a", "(a > 0.0) ? 1.0 : ((a < 0.0) ? -1.0 : 0.0)"),
+        ("inverse_fourth_root", "double a", "1.0 / sqrt(sqrt(a))"),
         ("maximum", "double a, double b", "(a < b) ? b : a"),
         ("minimum", "double a, double b", "(b < a) ? b : a"),
         ("power", "double a, double b", "pow(a, b)"),
@@ -270,8 +276,9 @@ _HELPERS = [
         ("logical_and", "double a, double b", "((a != 0.0) && (b != 0.0)) ? 1.0 : 0.0"),
         ("logical_or", "double a, double b", "((a != 0.0) || (b != 0.0)) ? 1.0 : 0.0"),
     )
-    for line in (f"static inline double {name}({arguments})", "{", f"    return {value};", "}", "")
-]
+}
+"""What printed lines call (`solver.straight_line`) beside the functions of C: arguments and value in C."""
+OF_C = ("sqrt", "exp", "log", "tanh", "sin", "cos", "fabs", "pow")
 
 
 @functools.cache

@@ -37,7 +37,8 @@ from valvesim.version import package_version
 C_FOLDER = Path(__file__).parent / "c"
 MODEL_FILES = ("valve.c", "valve_solver.c", "valve_thermal.c", "valve_rest.c", "valve_text.c")
 VERSIONS = ("3.0", "2.0")
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-DNDEBUG")
+CHECKED = ("-Werror=implicit-function-declaration",)  # a call of nothing would fail in the importer alone
+FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-DNDEBUG", *CHECKED)
 PLATFORMS = {  # (system, machine) -> folder of FMI 2.0, of FMI 3.0
     ("Linux", "x86_64"): ("linux64", "x86_64-linux"),
     ("Linux", "aarch64"): ("", "aarch64-linux"),
