@@ -290,7 +290,11 @@ COMMANDS: dict[str, list[str]] = {
     "records": ["records", "session/a.csv"],
     "study": ["study", "study.toml", "--workers", "2"],
     "study, alone": ["study", "study.toml", "--workers", "0"],
+    "export fmu": ["export", "fmu", "small.toml"],
+    "export c": ["export", "c", "small.toml"],
+    "open": ["open", "session/a.csv", "--no-browser"],
 }
+ONE_FILE = {"identify": "valve.toml", "export fmu": "valve.fmu", "open": "page.html"}
 
 
 def kills(cases: int, seed: int, keep: Path | None) -> collections.Counter[str]:
@@ -304,11 +308,11 @@ def kills(cases: int, seed: int, keep: Path | None) -> collections.Counter[str]:
             what = list(COMMANDS)[k % len(COMMANDS)]
             if rng.random() < 0.3:
                 shutil.rmtree(place / "cache", ignore_errors=True)
-            found = killed_once(rng, what, place, environment)
+            found, told = killed_once(rng, what, place, environment)
             for each in found or ["ok"]:
                 counts[each] += 1
             if found:
-                print(f"{k} {what}: {', '.join(found)}", flush=True)
+                print(f"{k} {what}: {', '.join(found)}: {told}", flush=True)
     return counts
 
 
@@ -323,23 +327,23 @@ def inputs_of_kills(place: Path) -> None:
         (place / name).write_text(text, encoding="utf-8")
 
 
-def killed_once(rng: random.Random, what: str, place: Path, environment: dict[str, str]) -> list[str]:
-    """What is wrong after one signal at a random moment of a command."""
+def killed_once(rng: random.Random, what: str, place: Path, environment: dict[str, str]) -> tuple[list[str], str]:
+    """(what is wrong, what happened) after one signal at a random moment of a command."""
     number, wait = rng.choice(interrupted.SIGNALS), rng.uniform(0.05, interrupted.LONGEST)
     out = place / "out"
     shutil.rmtree(out, ignore_errors=True)
-    one_file = what == "identify"
+    one_file = what in ONE_FILE
     resumed = what.startswith("study")  # a study goes on where it was: its store stays
-    earlier = not resumed and rng.random() < 0.5
+    earlier = not resumed and not one_file and rng.random() < 0.5
     if earlier:
         out.mkdir()
         results = {"earlier.txt": b"earlier"}
-        command = COMMANDS[what][0]
+        command = COMMANDS[what][1 if what.startswith("export") else 0]
         listed = {name: interrupted.hash_of(data) for name, data in results.items()}
         for name, data in {**results, "manifest.json": json.dumps({"commands": {command: listed}}).encode()}.items():
             (out / name).write_bytes(data)
     before = interrupted.state(out)
-    target = str(out / "valve.toml") if one_file else str(out)
+    target = str(out / ONE_FILE[what]) if one_file else str(out)
     end = interrupted.killed([*COMMANDS[what], "-o", target], number, wait, environment, place)
     found = interrupted.judged(*end, number)
     after = interrupted.state(out)
@@ -352,9 +356,7 @@ def killed_once(rng: random.Random, what: str, place: Path, environment: dict[st
             found.append("left")
     for path in [*place.glob(".valvesim-*"), *place.glob("cache/compiled/.new-*")]:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    if found:
-        found.append(f"{interrupted.signal.Signals(number).name} after {wait:.2f} s: {end}"[:600])
-    return found
+    return found, f"{interrupted.signal.Signals(number).name} after {wait:.2f} s: {end}"[:600]
 
 
 # ---------------------------------------------------------------- caches

@@ -16,7 +16,7 @@ from valvesim.temporary_files import remove_all, temporary_folder, temporary_pat
 LINE = "error: interrupted; nothing half-written is left\n"
 # Stands at a point that is given, with a temporary folder and a worker process, and tells the parent so.
 PROGRAM = """
-import os, signal, sys, time
+import os, signal, subprocess, sys, time
 from pathlib import Path
 from multiprocessing import get_context
 from valvesim.cli.interrupts import SIGNALS, end_with_parent, ended_by_signals, hidden_from_children
@@ -43,9 +43,11 @@ if __name__ == "__main__":
         signal.signal(number, signal.SIG_DFL)
     with ended_by_signals(), temporary_folder(Path(sys.argv[1]), ".new-") as folder:
         (folder / "half").write_text("half")
-        process = get_context("spawn").Process(target=work)
+        process = get_context("spawn").Process(target=work, daemon=True)
         with hidden_from_children():
             process.start()
+        if sys.argv[2] == "program":
+            subprocess.Popen(["sh", "-c", "sleep 600 & sleep 600"], cwd=sys.argv[1])
         stand = compiled() if sys.argv[2] == "compiled" else process.join
         print("ready", flush=True)
         stand()
@@ -77,10 +79,19 @@ def _alive(pid):
         return False
 
 
+def _of_session(pid, session):
+    """Whether a process belongs to a session; a zombie does not."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return False
+    return fields[0] != "Z" and int(fields[3]) == session
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 @pytest.mark.parametrize(
     "where, number, group",
-    [("waiting", signal.SIGINT, True), ("waiting", signal.SIGTERM, False), ("compiled", signal.SIGINT, True)],
+    [("waiting", signal.SIGINT, True), ("program", signal.SIGTERM, False), ("compiled", signal.SIGINT, True)],
 )
 def test_a_signal_ends_process_worker_and_temporary_files(program, tmp_path, where, number, group):
     process, worker = program(where)
@@ -88,6 +99,7 @@ def test_a_signal_ends_process_worker_and_temporary_files(program, tmp_path, whe
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (128 + number, LINE)
     assert not _alive(worker) and os.listdir(tmp_path / "place") == []
+    assert not any(_of_session(pid, process.pid) for pid in os.listdir("/proc") if pid.isdigit())
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")

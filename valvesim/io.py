@@ -21,7 +21,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from valvesim.errors import InputError, nearest, unknown_name
-from valvesim.temporary_files import temporary_path
+from valvesim.temporary_files import made_folder, temporary_path
 from valvesim.units import convert
 
 MOST_BYTES = 256_000_000  # of a file of columns
@@ -348,8 +348,10 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> Path:
     if "\0" in str(path):
         raise InputError("cannot be written (embedded null byte)", file=path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_path(path.parent, f".{path.stem[:100]}-", path.suffix) as temporary:
+        with (
+            made_folder(path.parent),
+            temporary_path(path.parent, f".{path.stem[:100]}-", path.suffix) as temporary,
+        ):
             temporary.touch()
             write(temporary)
             to_disc(temporary)
@@ -374,7 +376,10 @@ def check_own(path: Path) -> None:
 
 def is_inside(path: Path, folder: Path) -> bool:
     """Whether a path leads to a place below a folder, once its links are followed."""
-    return path.resolve().is_relative_to(folder.resolve())
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):  # a name that is too long, links in a circle
+        return False
 
 
 def to_disc(path: Path) -> None:

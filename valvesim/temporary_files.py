@@ -11,7 +11,7 @@ import secrets
 import shutil
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ABANDONED = 86_400.0  # s; no block lasts for longer
@@ -20,6 +20,20 @@ MOVING = threading.RLock()
 """Held while finished files are moved to their places: an interrupt waits for it, so that all of them are there."""
 
 _present: set[Path] = set()
+_made: set[Path] = set()
+
+
+@contextlib.contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """A folder, made with those above it where they are missing; what was made and is empty in the end goes again."""
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    _made.update(missing)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        _remove_empty(missing)
+        _made.difference_update(missing)
 
 
 @contextlib.contextmanager
@@ -52,6 +66,7 @@ def remove_all() -> None:
         for path in tuple(_present):
             _remove(path)
         if not any(path.exists() for path in tuple(_present)):
+            _remove_empty(tuple(_made))
             return
         time.sleep(0.01)
 
@@ -62,6 +77,12 @@ def _remove(path: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for folder in sorted(folders, key=lambda each: len(each.parts), reverse=True):  # what lies deepest first
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def _remove_abandoned(parent: Path, prefix: str, age: float) -> None:

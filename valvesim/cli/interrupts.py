@@ -16,6 +16,7 @@ import socket
 import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 from valvesim.temporary_files import MOVING, remove_all
 
@@ -73,6 +74,30 @@ def hidden_from_children() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, kept)
 
 
+def _kill_programs() -> None:
+    """Kill the programs that this process has started, such as a compiler with its own, where the system lists them."""
+    from multiprocessing import resource_tracker
+
+    tracker = getattr(resource_tracker._resource_tracker, "_pid", None)  # ends with this process, and cleans up
+    parents = _parents()
+    waiting = [os.getpid()]
+    while waiting:
+        above = waiting.pop()
+        for pid in [pid for pid, parent in parents.items() if parent == above and pid != tracker]:
+            waiting.append(pid)
+            with contextlib.suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+
+
+def _parents() -> dict[int, int]:
+    """The parent of every process, where the system tells."""
+    found = {}
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError, ValueError, IndexError):  # it is gone by now
+            found[int(status.parent.name)] = int(status.read_text().rpartition(")")[2].split()[1])
+    return found
+
+
 def end_with_parent() -> None:
     """In a worker process: end it as soon as the process that started it is gone, killed as that may be."""
     parent = multiprocessing.parent_process()
@@ -99,6 +124,7 @@ def _end(number: int) -> None:
         workers = multiprocessing.active_children()
         for worker in workers:
             worker.kill()
+        _kill_programs()
         for worker in workers:
             worker.join(PATIENCE)
         remove_all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,15 @@ from typing import Any
 import click
 
 from valvesim.cli.display import print_written
-from valvesim.cli.options import columns_option
+from valvesim.cli.options import columns_option, output_file_option
+from valvesim.cli.output_folder import check_free_file
 
 PAGES = ("run.html", "report.html", "datasheet.html", "response.html", "study.html")  # of a folder, the first of these
 
 
 @click.command()
 @click.argument("places", nargs=-1, required=True, metavar="DIR|FILE...", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the page of measured files here [aside].")
+@output_file_option(None, "Write the page of measured files here [aside].")
 @columns_option
 @click.option("--browser/--no-browser", default=True, help="Show the page in the browser, or name it only.")
 def open(places: tuple[Path, ...], output: Path | None, columns: Path | None, browser: bool) -> None:
@@ -32,6 +34,8 @@ def open(places: tuple[Path, ...], output: Path | None, columns: Path | None, br
     if pages and len(pages) < len(places):
         raise InputError("give folders and pages, or measured files, not both")
     if not pages:
+        if output is not None:
+            check_free_file(output)
         pages = [_page_of_files(places, output, columns)]
         print_written(pages)
     elif output is not None:
@@ -45,13 +49,13 @@ def _page_of(place: Path) -> Path | None:
     """The page of a folder, or a page itself; None for another file. InputError where there is neither."""
     from valvesim.errors import InputError
 
-    if place.is_dir():
+    if os.path.isdir(place):
         named = [place / name for name in PAGES if (place / name).is_file()]
         found = [*named, *sorted(place.glob("*.html")), *sorted(place.glob("*.nc"))]
         if not found:
             raise InputError("holds no page and no result.nc", file=place)
         return found[0] if found[0].suffix == ".html" else None
-    if not place.is_file():
+    if not os.path.isfile(place):
         raise InputError("no such file or folder", file=place)
     return place if place.suffix.lower() in (".html", ".htm", ".pdf", ".png") else None
 

@@ -19,7 +19,7 @@ import click
 
 from valvesim.cli.options import may_overwrite
 from valvesim.errors import InputError
-from valvesim.temporary_files import MOVING, temporary_folder
+from valvesim.temporary_files import MOVING, made_folder, temporary_folder
 
 MANIFEST = "manifest.json"
 PREFIX = ".valvesim-"  # of the folder in which results are written until they are complete
@@ -42,10 +42,8 @@ def all_or_nothing(folder: Path) -> Iterator[Path]:
             new = stack.enter_context(temporary_folder(above, PREFIX)) / "results"
             new.mkdir()
         yield new
-        with _written(folder), MOVING:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            with _alone(place.parent):
-                _publish(folder, place, new)
+        with _written(folder), MOVING, made_folder(place.parent), _alone(place.parent):
+            _publish(folder, place, new)
 
 
 def check_place(folder: Path) -> None:

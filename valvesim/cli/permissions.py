@@ -9,13 +9,17 @@ from pathlib import Path
 
 import click
 
-READ = {"scenario", "session", "valve"}
+READ = {"scenario", "session", "source", "study", "valve"}
 """Parameters of a command that name files in which other files may be named."""
 
 
 def with_permissions(command: click.Command) -> click.Command:
     """A command with the two options, where it reads files that may name code or files elsewhere."""
-    if READ & {parameter.name for parameter in command.params} and not {"trust"} & {p.name for p in command.params}:
+    if isinstance(command, click.Group):
+        for own in command.commands.values():
+            with_permissions(own)
+    names = {parameter.name for parameter in command.params}
+    if READ & names and "trust" not in names:
         command.params += [
             click.Option(
                 ["--trust"], is_flag=True, expose_value=False, callback=_permit_code,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +33,7 @@ def load_source(
 
 def _load(source: str | Path, settings: Sequence[str], valve: str | None) -> Scenario:
     path = Path(source)
-    if not path.exists() and str(source) in PRESETS:
+    if not os.path.exists(path) and str(source) in PRESETS:
         is_valve = True
     else:
         _, table = read_toml(scenario_file(source))

@@ -8,6 +8,7 @@ and `Session.notes` says so in words.
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -249,7 +250,7 @@ def _files(folder: Path, entry: dict[str, Any], where: str, have: Sequence[str])
     for file in files:
         if not isinstance(file, str):
             raise InputError(f"expected the name of a CSV file, got {file!r}", key=f"{where}.{key}")
-        if not (folder / file).is_file():
+        if not os.path.isfile(folder / file):  # not of a path: it raises for a name that is too long
             raise InputError(f"{file!r} is not in the folder{nearest(file, have)}", key=f"{where}.{key}")
         _inside(file, folder, f"{where}.{key}")
     if not files or len(set(files)) < len(files):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from valvesim.errors import InputError, nearest
@@ -22,7 +23,7 @@ def scenario_file(given: str | Path) -> Path:
     Raises InputError where there is neither, with the nearest name.
     """
     path, known = Path(given), bundled_scenarios()
-    if path.exists() or path.name != str(given) or path.suffix not in ("", ".toml"):
+    if os.path.exists(path) or path.name != str(given) or path.suffix not in ("", ".toml"):
         return path
     if path.stem in known:
         return known[path.stem]
