@@ -519,3 +519,21 @@ def test_a_session_takes_columns_and_several_files_of_a_record(tmp_path):
     assert np.flatnonzero(record.usable["load_flow"]).tolist() == list(range(0, COUNT, 10))
     assert np.flatnonzero(~record.usable["spool_position"]).tolist() == [50]
     assert any("load_flow was read at 100 Hz, the record's clock has 1000 Hz" in note for note in session.notes)
+
+
+@pytest.mark.parametrize(
+    "content, message",
+    [
+        ("time [s],current [mA]\n0,1\n1,2\n2,\r3\n", "line 4: a carriage return in the middle of a line"),
+        ("time [s],current [mA]\r\r\n0,1\r\r\n1,2\r\r\n", "line 1: a carriage return in the middle of a line"),
+        ('time [s],current [mA]\n"0,1\n1,2\n2,3\n', "0 rows were read of 2: it is no plain table of columns"),
+    ],
+)
+def test_line_ends_and_quotes_that_others_read_otherwise_are_refused(tmp_path, content, message):
+    assert message in refused(tmp_path, content)
+
+
+def test_readings_that_no_axis_can_show_are_not_drawn(tmp_path, call):
+    path = tmp_path / "a.csv"
+    path.write_text(table(TIME, 1e305 * SPOOL, SPOOL))
+    assert call("records", path, "-o", tmp_path / "out")[0] == 0

@@ -47,7 +47,8 @@ def read_csv(path: Path, choice: Choice, stated: Dialect) -> tuple[MeasuredTable
         layout = layout_of(path, _sample(path, raw, encoding), encoding, stated)
         if len(layout.kinds) > MOST_COLUMNS:
             raise InputError(f"{len(layout.kinds)} columns are more than {MOST_COLUMNS}", file=path)
-        rows, notes = _count_rows(path, raw, layout)
+        rows, end, notes = _count_rows(path, raw, layout)
+        raw = raw[:end]
         try:
             wanted = sorted(choice(layout.headings))
         except InputError as error:
@@ -111,17 +112,19 @@ def _line_end(raw: np.ndarray) -> int:
     return _NEWLINE if (np.asarray(raw[:_CHUNK_BYTES]) == _NEWLINE).any() else _RETURN
 
 
-def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, tuple[str, ...]]:
-    """(rows of data, notes); InputError for a row of other than all columns, and for more than `MOST_SAMPLES`.
+def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, int, tuple[str, ...]]:
+    """(rows of data, bytes that hold them, notes); InputError for a row of other than all columns, and for too many rows.
 
     A last line without an end may have been cut off: it is left out where cells are missing, and told in any case.
     """
-    count, line, rows, cut = len(layout.kinds), 1, 0, False
+    count, line, rows, used = len(layout.kinds), 1, 0, len(raw)
     notes: list[str] = []
     end = _line_end(raw)
     for block in _lines(raw):
         if (block == 0).any():
             raise InputError("holds zero bytes: it is no text", file=path)
+        if end == _NEWLINE:
+            _check_returns(path, block, line)
         stops = np.flatnonzero(block == end)
         last = not len(stops) or stops[-1] != len(block) - 1
         if last:
@@ -134,10 +137,11 @@ def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, tuple
         data = (numbers >= layout.data_line) & (cells > 0)
         if last and data[-1]:
             notes.append("the file ends without an end of its last line, which may be cut off")
-            begun = block[starts[-1] : stops[-1]].tobytes().decode(layout.encoding, errors="replace")
+            begun_bytes = block[starts[-1] : stops[-1]].tobytes()
+            begun = begun_bytes.decode(layout.encoding, errors="replace")
             if 0 < cells[-1] < count and is_begun(cells_of(begun, layout.separator)[0], layout.decimal):
                 notes[-1] += ": its row is left out"
-                data[-1], cut = False, True
+                data[-1], used = False, len(raw) - len(begun_bytes)
         wrong = np.flatnonzero(data & (cells != count)) if layout.separator != " " else np.array([], dtype=int)
         if len(wrong):
             k = int(wrong[0])
@@ -149,7 +153,16 @@ def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, tuple
             raise InputError(f"more than {MOST_SAMPLES} rows", file=path)
     if rows == 0:
         raise InputError("holds no data (a header line and rows of numbers are expected)", file=path)
-    return rows, tuple(notes) if not cut or rows else ()
+    return rows, used, tuple(notes)
+
+
+def _check_returns(path: Path, block: np.ndarray, line: int) -> None:
+    """InputError for a carriage return within a line, which some take for its end; `line` is the block's first."""
+    returns = np.flatnonzero(block == _RETURN)
+    within = returns[(returns + 1 < len(block)) & (block[np.minimum(returns + 1, len(block) - 1)] != _NEWLINE)]
+    if len(within):
+        number = line + int(np.count_nonzero(block[: within[0]] == _NEWLINE))
+        raise InputError("a carriage return in the middle of a line", file=path, line=number)
 
 
 def _cells(block: np.ndarray, starts: np.ndarray, stops: np.ndarray, separator: str) -> np.ndarray:
@@ -170,7 +183,8 @@ def _columns(
     start = None
     for k in wanted:
         if layout.kinds[k] == "clock":
-            texts = np.concatenate([chunk[k].to_numpy() for chunk in _chunks(raw, layout, [k], str, rows)])
+            texts = np.concatenate([chunk[k].to_numpy() for chunk in _chunks(raw, layout, [k], str)])
+            _check_count(path, len(texts), rows, whole=True)
             values[k], start = clock_seconds(texts, path, lambda row: _line_of(raw, layout, row))
     headings = layout.headings
     return tuple(
@@ -186,22 +200,29 @@ def _numbers(path: Path, raw: np.ndarray, layout: Layout, wanted: Sequence[int],
         return values
     at = 0
     try:
-        for chunk in _chunks(raw, layout, wanted, float, rows):
+        for chunk in _chunks(raw, layout, wanted, float):
+            _check_count(path, at + len(chunk), rows, whole=False)
             for k, column in values.items():
                 column[at : at + len(chunk)] = chunk[k].to_numpy()
             at += len(chunk)
     except ValueError:  # text among the numbers
         at = 0
-        for chunk in _chunks(raw, layout, wanted, str, rows):
+        for chunk in _chunks(raw, layout, wanted, str):
+            _check_count(path, at + len(chunk), rows, whole=False)
             for k, column in values.items():
                 for j, cell in enumerate(chunk[k].tolist(), start=at):
                     column[j] = _number(path, raw, layout, cell, k, j)
             at += len(chunk)
-    if at != rows:
-        raise InputError(f"{at} rows were read of {rows}: it is no plain table of columns", file=path)
+    _check_count(path, at, rows, whole=True)
     for column in values.values():
         column[np.isinf(column)] = np.nan
     return values
+
+
+def _check_count(path: Path, found: int, rows: int, *, whole: bool) -> None:
+    """InputError where the parser finds other rows than there are lines: quotes that go over lines."""
+    if found > rows or (whole and found < rows):
+        raise InputError(f"{found} rows were read of {rows}: it is no plain table of columns", file=path)
 
 
 def _number(path: Path, raw: np.ndarray, layout: Layout, cell: str, k: int, row: int) -> float:
@@ -215,7 +236,7 @@ def _number(path: Path, raw: np.ndarray, layout: Layout, cell: str, k: int, row:
     raise InputError(told, file=path, line=_line_of(raw, layout, row))
 
 
-def _chunks(raw: np.ndarray, layout: Layout, wanted: Sequence[int], kind: type, rows: int) -> Iterator[Any]:
+def _chunks(raw: np.ndarray, layout: Layout, wanted: Sequence[int], kind: type) -> Iterator[Any]:
     """Data frames of the rows of data, a part at a time."""
     import pandas
 
@@ -228,7 +249,8 @@ def _chunks(raw: np.ndarray, layout: Layout, wanted: Sequence[int], kind: type, 
     with _no_table(pandas.errors.ParserError), pandas.read_csv(
         file, sep=r"\s+" if spaced else layout.separator, decimal=layout.decimal, header=None,
         names=None if spaced else range(len(layout.kinds)), usecols=None if spaced else list(wanted),
-        skiprows=layout.data_line - 1, nrows=rows, encoding=layout.encoding, skip_blank_lines=True,
+        skiprows=layout.data_line - 1,
+        encoding=layout.encoding, skip_blank_lines=True,
         skipinitialspace=not spaced and layout.separator != "\t", index_col=False, engine="c", chunksize=_CHUNK_ROWS,
         **options,
     ) as chunks:  # fmt: skip

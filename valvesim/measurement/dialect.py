@@ -151,8 +151,8 @@ class _Reading:
 
 def layout_of(path: Path, text: str, encoding: str, stated: Dialect) -> Layout:
     """The layout of a file by the `text` of its beginning. Raises InputError where there is none, or more than one."""
-    every = enumerate(re.split(r"\r\n|\n|\r", text), start=1)
-    lines = [(n, _COMMENT.sub("", line)) for n, line in every if line.strip()][:_SAMPLE_LINES]
+    every = enumerate(text.split("\n" if "\n" in text else "\r"), start=1)
+    lines = [(n, _COMMENT.sub("", line.rstrip("\r"))) for n, line in every if line.strip()][:_SAMPLE_LINES]
     expected = "a header line and rows of numbers are expected"
     if not lines:
         raise InputError(f"holds no data ({expected})", file=path)

@@ -76,7 +76,7 @@ def read_recording(
     _check_stated(paths, tables, stated)
     for path, table, chosen in tables:
         used = {s.column for s in chosen.values()}
-        left_out += [h.name for h in table.headings if h.name not in used]
+        left_out += [h.name for h in table.headings if h.name and h.name not in used]
         channels = {name: statement for name, statement in chosen.items() if name != "time"}
         if not channels:
             continue

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from valvesim.measurement.recording import Recording
 
 ROW_HEIGHT = 1.25  # inch
+LARGEST = 1e30  # of a reading that an axis can show
 MOST_GAPS = 200  # that are shaded one by one
 
 
@@ -73,7 +74,10 @@ def _draw_channel(axis: Any, recording: Recording, one: ChannelQuality, factor: 
     time = recording.time * factor
     step = max(round((len(time) - 1) / float(recording.time[-1]) / one.rate), 1)
     apart = np.flatnonzero(np.diff(there) > 1.5 * step)[:MOST_GAPS]
-    for piece in np.split(there, apart + 1):
+    drawable = len(there) and float(np.max(np.abs(values[there]))) < LARGEST
+    if not drawable:
+        axis.text(0.5, 0.5, "no reading that can be drawn", transform=axis.transAxes, ha="center", va="center")
+    for piece in np.split(there, apart + 1) if drawable else ():
         if len(piece):
             draw_line(axis, time[piece], values[piece], colour=colour, label=one.channel)
     for k in apart:
