@@ -18,23 +18,28 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("specification", type=click.Path(path_type=Path))
 @output_file_option("valve.toml")
+@click.option(
+    "--records", type=click.Path(path_type=Path), help="A folder with acceptance.toml: records of the valve itself."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the starts that are drawn.")
 @format_option("table", "json", "csv")
-def identify(specification: Path, output: Path, seed: int, form: str) -> None:
+def identify(specification: Path, output: Path, records: Path | None, seed: int, form: str) -> None:
     """A valve from the figures of a SPECIFICATION: catalogue page, acceptance test, or both.
 
     Writes a valve file for --valve: what the figures determine, with intervals and correlations, and the rest as
     similarity to a published valve has it, said to be assumed.
     """
+    from valvesim.characterisation.measured_valve import load_measured_valve
     from valvesim.characterisation.specification import load_specification
     from valvesim.identification.from_figures.identify import identify as find
     from valvesim.valve.valve_file import save_valve
 
     check_free_file(output)
     read = load_specification(specification)
+    measured = None if records is None else load_measured_valve(records)
     with progress_bar() as bar:
         stage = bar.add_task("identifying", total=1.0)
-        found = find(read, seed=seed, progress=lambda share: bar.update(stage, completed=share))
+        found = find(read, measured=measured, seed=seed, progress=lambda share: bar.update(stage, completed=share))
     written = save_valve(found.valve, output)
     if form == "table":
         _print(found)

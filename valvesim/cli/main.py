@@ -25,8 +25,8 @@ from valvesim.cli.streams import CLOSED_PIPE, drop_output, prepare_streams
 from valvesim.errors import InputError, SolveError, ValidityWarning, nearest, one_line
 
 COMMANDS = (
-    "bench", "datasheet", "diagnose", "effects", "export", "identify", "oils", "open", "parameters", "plan",
-    "records", "reproduce", "response", "run", "scenarios", "static", "study",
+    "acceptance", "bench", "datasheet", "diagnose", "effects", "export", "identify", "oils", "open", "parameters",
+    "plan", "records", "reproduce", "response", "run", "scenarios", "static", "study",
 )  # fmt: skip
 
 

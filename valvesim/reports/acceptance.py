@@ -146,14 +146,7 @@ def draw_measured(measured: MeasuredTest) -> Figure:
     figure = Figure(figsize=(12, 5.6))
     axis, sheet = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
     figure.subplots_adjust(left=0.06, right=0.99, top=0.88, bottom=0.1, wspace=0.05)
-    if test == "flow":
-        _flow(axis, cycle(record, "load_flow"), merits)
-    elif test == "pressure-gain":
-        _pressure_gain(axis, cycle(record, "load_pressure"), merits)
-    elif test == "leakage":
-        _leakage(axis, cycle(record, "internal_leakage"), merits)
-    else:
-        _flow_load(axis, record, merits)
+    draw_test(axis, record, test, merits)
     sheet.axis("off")
     lines = []
     for name, value, error, unit, meaning in table(measured.figures):
@@ -162,6 +155,18 @@ def draw_measured(measured: MeasuredTest) -> Figure:
     sheet.text(0.02, 1.0, "\n".join(lines), va="top", family="monospace", fontsize=8, linespacing=1.7)
     figure.suptitle(f"{record.source}: {test}", fontsize=12)
     return figure
+
+
+def draw_test(axis: Any, record: AcceptanceRecord, test: str, merits: dict[str, Any]) -> None:
+    """A measured test over its abscissa, with the lines of its figures of merit, by name without the test's."""
+    if test == "flow":
+        _flow(axis, cycle(record, "load_flow"), merits)
+    elif test == "pressure-gain":
+        _pressure_gain(axis, cycle(record, "load_pressure"), merits)
+    elif test == "leakage":
+        _leakage(axis, cycle(record, "internal_leakage"), merits)
+    else:
+        _flow_load(axis, record, merits)
 
 
 def _of(merits: dict[str, Any], test: str) -> dict[str, Any]:

@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from valvesim.characterisation.measured_valve import MeasuredValve
 from valvesim.characterisation.specification import COMMON, Limit, Specification
 from valvesim.errors import InputError
 from valvesim.identification.from_figures.conflicts import Conflict, conflicts_of
+from valvesim.identification.from_figures.measured_figures import with_measurements
 from valvesim.identification.from_figures.next_figure import NextFigure, next_figures
 from valvesim.identification.from_figures.posterior import STEP, Posterior, fit
 from valvesim.identification.from_figures.prediction import FITTED, Asked, FigurePredictor, asked_of
@@ -80,13 +82,18 @@ class Identification:
 
 
 def identify(
-    specification: Specification, *, seed: int = 0, workers: int = 1, progress: Callable[[float], None] | None = None
+    specification: Specification, *, measured: MeasuredValve | None = None, seed: int = 0, workers: int = 1,
+    progress: Callable[[float], None] | None = None,
 ) -> Identification:  # fmt: skip
-    """Identify a valve. `workers` threads simulate; `progress` is told the share that is done.
+    """Identify a valve, of a `measured` one also from the figures of its records.
+
+    `workers` threads simulate; `progress` is told the share that is done.
 
     Raises InputError where rated flow or rated current is missing or of another kind of valve, and SolveError where no
     valve near similarity runs.
     """
+    if measured is not None:
+        specification = with_measurements(specification, measured)
     tell = progress if progress is not None else lambda share: None
     flow, current = (_needed(specification, name) for name in ("rated_flow", "rated_current"))
     conditions = {**CONDITIONS, **specification.conditions}
@@ -164,7 +171,7 @@ def _described(specification: Specification, posterior: Posterior) -> tuple[Valv
         f"valve.{p.name}": "identified from its figures" if p.identified else f"assumed: {ANCHOR}" for p in parameters
     }
     sources |= {f"valve.{name}": f"assumed: {ANCHOR}" for name in SCALED}
-    sources["valve.spool_stroke"] = "assumed: 1.15 of the stroke at rated current"
+    sources["valve.spool_stroke"] = "assumed: 1.3 of the stroke at rated current"
     sources["valve.rated_current"] = _needed(specification, "rated_current").source or "specification"
     return ValveFile(
         title=specification.title, valve=single, oil=specification.oil, effects=_in_service(specification, single),

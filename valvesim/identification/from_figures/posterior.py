@@ -20,8 +20,9 @@ from valvesim.identification.from_figures.prediction import Asked, FigurePredict
 from valvesim.identification.from_figures.similarity import UNKNOWNS, SimilarValves
 
 STEP = 0.05  # prior deviations of a difference
+FORWARD = 0.005  # of one to one side alone, on the way
 FARTHEST = 4.0  # prior deviations from similarity: no believable valve is beyond
-EVALUATIONS = 12  # of the fit, each with a Jacobian
+EVALUATIONS = 25  # of the fit, each with a Jacobian
 ENOUGH = 1e-3  # `ftol` of the penalised chi-square
 RESTARTS = 2  # from drawn points, where a fit leaves a figure out of its limits
 NO_VALVE = 1e3  # deviations: the misfit of a point at which there is no valve
@@ -80,46 +81,65 @@ def descend(
     from scipy.optimize import least_squares
 
     n, asked = len(start), predictor.asked
-    done: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
+    done: dict[bytes, _Local] = {}
 
-    def at(point: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """(figures (q,), their slopes (q, n), ampere-turns' deviation, its slopes (n,)) by central differences."""
+    def at(point: np.ndarray) -> _Local:
         key = point.tobytes()
         if key not in done:
-            moves = STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
-            points = point + moves
-            valves = similar.valves(points)
-            figures, turns = predictor.predict(valves, len(points)), similar.ampere_turns(valves)
-            if not np.all(np.isfinite(figures)):
-                raise SolveError("identification: a figure cannot be told of the valve at this point")
-            slopes = (figures[1 : n + 1] - figures[n + 1 :]).T / (2.0 * STEP)
-            done[key] = figures[0], slopes, turns[0], (turns[1 : n + 1] - turns[n + 1 :]) / (2.0 * STEP)
+            done[key] = _local(similar, predictor, point, FORWARD * np.eye(n))
             if progress is not None:
                 progress(min(len(done) / EVALUATIONS, 1.0))
         return done[key]
 
     def misfit(point: np.ndarray) -> np.ndarray:
         try:
-            figures, _, turns, _ = at(point)
+            local = at(point)
         except (SolveError, InputError):
             if not done:
                 raise
             return np.full(len(asked) + n + 1, NO_VALVE)
-        return np.concatenate([[a.misfit(v) for a, v in zip(asked, figures, strict=True)], [turns], point])
+        misfits = [a.misfit(float(v)) for a, v in zip(asked, local.figures, strict=True)]
+        return np.concatenate([misfits, [local.turns], point])
 
     def jacobian(point: np.ndarray) -> np.ndarray:
-        figures, slopes, _, turns = at(point)
-        return np.vstack([_whitened(asked, figures, slopes, turns), np.eye(n)])
+        local = at(point)
+        return np.vstack([_whitened(asked, local.figures, local.slopes, local.turns_slopes), np.eye(n)])
 
     found = least_squares(
         misfit, start, jac=jacobian, bounds=(-FARTHEST, FARTHEST), method="trf", x_scale=1.0, ftol=ENOUGH, xtol=1e-4,
         gtol=1e-6, max_nfev=evaluations,
     )  # fmt: skip
-    figures, slopes, _, turns_slopes = at(found.x)
-    return Posterior(similar, asked, found.x, figures, slopes, turns_slopes, float(2.0 * found.cost))
+    end = _local(similar, predictor, found.x, STEP * np.vstack([np.eye(n), -np.eye(n)]))
+    return Posterior(
+        similar, asked, found.x, end.figures, end.slopes, end.turns_slopes, float(2.0 * found.cost)
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Local:
+    """Figures (q,) at a point with their slopes (q, n); the ampere-turns' deviation with its own (n,)."""
+
+    figures: np.ndarray
+    slopes: np.ndarray
+    turns: float
+    turns_slopes: np.ndarray
+
+
+def _local(similar: SimilarValves, predictor: FigurePredictor, point: np.ndarray, moves: np.ndarray) -> _Local:
+    """The figures about a point, from a batch of valves moved from it: to one side (n, n), or to both (2 n, n)."""
+    n = len(point)
+    points = point + np.vstack([np.zeros(n), moves])
+    valves = similar.valves(points)
+    figures, turns = predictor.predict(valves, len(points)), similar.ampere_turns(valves)
+    if not np.all(np.isfinite(figures)):
+        raise SolveError("identification: a figure cannot be told of the valve at this point")
+    table = np.column_stack([figures, turns])
+    back = table[n + 1 :] if len(moves) > n else table[0]
+    slopes = (table[1 : n + 1] - back).T / (np.max(moves) * (len(moves) // n))
+    return _Local(figures[0], slopes[:-1], float(turns[0]), slopes[-1])
 
 
 def _whitened(asked: Sequence[Asked], figures: np.ndarray, slopes: np.ndarray, turns: np.ndarray) -> np.ndarray:
     """The Jacobian (q + 1, n) of the misfits, that of the ampere-turns last."""
-    shares = [a.holds(v) / a.deviation for a, v in zip(asked, figures, strict=True)]
+    shares = [a.weight(float(v)) for a, v in zip(asked, figures, strict=True)]
     return np.vstack([slopes * np.reshape(shares, (-1, 1)), turns])

@@ -20,6 +20,7 @@ from valvesim.valve.parameters import Valve
 
 SINES = ("frequency_minus_3_db", "frequency_minus_90_deg", "amplitude_ratio", "phase_lag")
 STEPS = ("time_to_90_percent", "rise_time", "overshoot")
+POSITIVE_UNITS = ("ohm", "H", "m^3/s", "m^3/s/A", "Pa/A", "-", "Hz", "s")
 STEP_TIME = 5e-3  # s, expected of a step of which the overshoot alone is asked
 OF_THE_COIL = ("coil_resistance", "coil_inductance")
 STATIC = (
@@ -47,17 +48,30 @@ class Asked:
         known = (self.value, self.limit.high, self.limit.low)
         return next(value for value in known if math.isfinite(value))
 
-    def misfit(self, predicted: np.ndarray) -> np.ndarray:
-        """Deviations (any shape) from the value; of a limit alone, by how much it is not kept with one to spare."""
-        if math.isfinite(self.value):
-            return (predicted - self.value) / self.deviation
-        above = np.maximum((predicted - self.limit.high) / self.deviation + 1.0, 0.0)
-        below = np.maximum((self.limit.low - predicted) / self.deviation + 1.0, 0.0)
-        return above - below
+    def misfit(self, predicted: float) -> float:
+        """Deviations from the value; of a limit alone, by how much it is not kept with one to spare.
 
-    def holds(self, predicted: float) -> bool:
-        """Whether it holds the valve: always with a value, and as a limit where it is hardly kept."""
-        return math.isfinite(self.value) or bool(self.misfit(np.asarray(predicted)) != 0.0)
+        Of figures that are positive their logarithm counts: those of valves differ by factors.
+        """
+        if math.isfinite(self.value):
+            return self._off(predicted, self.value)
+        above, below = self._off(predicted, self.limit.high) + 1.0, 1.0 - self._off(predicted, self.limit.low)
+        return max(above, 0.0) - max(below, 0.0)
+
+    def weight(self, predicted: float) -> float:
+        """The slope of the misfit over the figure, 1/SI; zero of a limit that is kept."""
+        if math.isnan(self.value) and self.misfit(predicted) == 0.0:
+            return 0.0
+        return self.expected / (predicted * self.deviation) if self._by_factors else 1.0 / self.deviation
+
+    def _off(self, predicted: float, wanted: float) -> float:
+        if not self._by_factors or math.isinf(wanted):
+            return (predicted - wanted) / self.deviation
+        return math.log(predicted / wanted) * wanted / self.deviation
+
+    @property
+    def _by_factors(self) -> bool:
+        return FIGURES[self.limit.figure].unit in POSITIVE_UNITS and self.limit.figure not in CENTRED
 
     def reached(self, predicted: float) -> bool:
         """Whether a prediction keeps the limits, or without any is within two deviations of the value."""

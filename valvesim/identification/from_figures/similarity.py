@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.errors import InputError, ValidityWarning
-from valvesim.identification.from_figures.static_figures import rest_curve
+from valvesim.identification.from_figures.static_figures import rest_curve, static_figures
 from valvesim.valve.coefficients import PartTemperatures
 from valvesim.valve.equations import drive_torque, flapper_torques
 from valvesim.valve.fluid import Oil
@@ -36,7 +36,7 @@ from valvesim.valve.parameters import Valve
 ANCHOR = "similarity to NASA TN D-5388"
 FLOWS = (0.5 / 6e4, 400.0 / 6e4)  # m^3/s at 70 bar: nozzle-flapper valves of two stages are made from 1 to 250 L/min
 CURRENTS = (1e-3, 1.0)  # A, rated
-STOP = 1.15  # spool stroke over full stroke at rated current
+STOP = 1.3  # spool stroke over full stroke at rated current
 COIL_POWER = 0.1  # W, i^2 R at rated current: 40 mA at 80 ohm, 30 mA at 85 ohm, 10 mA at 1000 ohm
 ANCHOR_STIFFNESS = 3.68  # N m/rad, net of tube, magnets and jets: 93 in-lb/in
 NULL_OPENING = 5e-6  # m: 3 of the reference valve, 7 of the measured valve 5329
@@ -179,10 +179,26 @@ def similar_valves(
         "coil_resistance": COIL_POWER / rated_current**2,
         "coil_inductance": COIL_POWER / rated_current**2 * anchor.coil_inductance / anchor.coil_resistance,
     }  # fmt: skip
-    medians = [own[u.name] * scale ** u.powers[0] * motor ** u.powers[1] for u in UNKNOWNS]
+    medians = np.array([own[u.name] * scale ** u.powers[0] * motor ** u.powers[1] for u in UNKNOWNS])
     base = replace(
         anchor, rated_current=rated_current, supply_pressure=conditions["supply_pressure"],
         return_pressure=conditions["return_pressure"],
         air_gap_area=anchor.air_gap_area * motor**2, magnet_reluctance=anchor.magnet_reluctance / motor**2,
     )  # fmt: skip
-    return SimilarValves(base, oil, conditions, np.array(medians), scale, motor)
+    similar = SimilarValves(base, oil, conditions, medians, scale, motor)
+    return _passing(similar, rated_flow, {**conditions, "pressure_drop": pressure_drop})
+
+
+def _passing(similar: SimilarValves, rated_flow: float, conditions: Mapping[str, float]) -> SimilarValves:
+    """The same with stroke and port width such that the median valve passes the rated flow: the flow force differs
+    between the rated flow's load and none, more so the larger the valve.
+    """
+    names = [unknown.name for unknown in UNKNOWNS]
+    width_and_stroke = [names.index("port_width"), names.index("full_stroke")]
+    for _ in range(4):
+        median = similar.valves(np.zeros((1, len(UNKNOWNS))))
+        flow = float(static_figures(median, {"rated_flow"}, conditions, similar.oil)["rated_flow"][0])
+        medians = similar.medians.copy()
+        medians[width_and_stroke] *= np.sqrt(rated_flow / flow)
+        similar = replace(similar, medians=medians)
+    return similar

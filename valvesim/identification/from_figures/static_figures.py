@@ -27,7 +27,8 @@ from valvesim.valve.equilibrium import balances_at_rest, chamber_pressure, nozzl
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
 
-NODES = 161  # angles of a characteristic, dense about null
+NODES, DENSITY = 81, 3.5  # angles of a characteristic, and how dense they are about null
+FALSE_POSITIONS = 7  # steps from two angles to the one in between
 CURRENTS = np.linspace(*LINE, 16)  # shares of rated current of a flow gain
 LOADS = np.linspace(-1.0, 1.0, 31) * 0.93  # shares of supply pressure of the leakage at blocked ports
 PRESSURES = np.linspace(-NULL_SHARE, NULL_SHARE, 21)  # shares of supply pressure of a pressure gain
@@ -49,31 +50,74 @@ def rows(at: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RestCurve:
-    """Valves (k,) at rest at given pressures over angles (k, m): the chambers' pressures and the pilot's flow."""
+    """Valves (k,) at rest at given pressures, over angles (k, m): the chambers' pressures there.
+
+    What is asked between the angles is solved for there, so that it is smooth in every figure of a valve.
+    """
 
     c: Coefficients
     supply: float
     back: float
     angle: np.ndarray
     pressures: tuple[np.ndarray, np.ndarray]
-    pilot_flow: np.ndarray
 
-    def under(self, load) -> tuple[np.ndarray, np.ndarray]:
-        """(current, spool position), each (k, m), at a load pressure (Pa)."""
-        return self._balanced(self.angle, *self.pressures, load)
+    def pressures_at(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pressures of the chambers at angles (k, n), exactly."""
+        return _chambers(self.c, self.supply, self.back, angle)
+
+    def pilot_flow(self, pressures: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """What both fixed orifices pass (k, n), m^3/s."""
+        orifices = (self.c.fixed_orifice_diameter_1, self.c.fixed_orifice_diameter_2)
+        first, second = (
+            fixed_orifice_flow(d, self.supply - p, self.c) for d, p in zip(orifices, pressures, strict=True)
+        )
+        return first + second
+
+    def at_current(self, current, load) -> tuple[np.ndarray, np.ndarray]:
+        """(spool position, pilot flow), each (k, n), at currents (k, n) against a load pressure (Pa)."""
+
+        def currents(angle, pressures):
+            return self._balanced(angle, *pressures, load)[0]
+
+        angle, pressures = self._angle(current, currents)
+        return self._balanced(angle, *pressures, load)[1], self.pilot_flow(pressures)
 
     def holding(self, x, load) -> tuple[np.ndarray, np.ndarray]:
         """(current, pilot flow), each (k, n), that hold the spool at x (k, n) against load pressures (n,).
 
         The spool's force decides on the angle, since it is smooth where the flow force bends.
         """
-        c, (p1, p2) = self.c, self.pressures
-        arm = c.nozzle_arm + c.feedback_arm
-        force = c.spool_area * (p1 - p2) - c.feedback_rod_stiffness * arm * self.angle
+        c = self.c
+
+        def force(angle, pressures):
+            rod = c.feedback_rod_stiffness * (c.nozzle_arm + c.feedback_arm) * angle
+            return c.spool_area * (pressures[0] - pressures[1]) - rod
+
         flow_force = FLOW_FORCE_FACTOR * c.port_width * (self.supply * x - load * np.abs(x))
-        angle = rows(c.feedback_rod_stiffness * x + flow_force, force, self.angle)
-        at1, at2, flow = (rows(angle, self.angle, values) for values in (p1, p2, self.pilot_flow))
-        return self._balanced(angle, at1, at2, load)[0], flow
+        angle, pressures = self._angle(c.feedback_rod_stiffness * x + flow_force, force)
+        return self._balanced(angle, *pressures, load)[0], self.pilot_flow(pressures)
+
+    def _angle(self, wanted, function: Callable) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """(angle, chambers' pressures), each (k, n), at which a function of them, which rises with it, is as wanted.
+
+        From the angles on either side, by false position (Illinois): the function bends where the spool meets its stop.
+        """
+        values = np.maximum.accumulate(function(self.angle, self.pressures), axis=-1)
+        wanted = np.broadcast_to(wanted, (len(values), np.shape(wanted)[-1]))
+        upper = np.stack([np.searchsorted(v, w) for v, w in zip(values, wanted, strict=True)])
+        upper = np.clip(upper, 1, values.shape[1] - 1)
+        low, high = (np.take_along_axis(self.angle, upper - step, axis=-1) for step in (1, 0))
+        below, above = (np.take_along_axis(values, upper - step, axis=-1) - wanted for step in (1, 0))
+        angle, pressures = low, self.pressures
+        for _ in range(FALSE_POSITIONS):
+            share = np.where(above > below, -below / np.where(above > below, above - below, 1.0), 0.5)
+            angle = low + np.clip(share, 0.0, 1.0) * (high - low)
+            pressures = self.pressures_at(angle)
+            miss = function(angle, pressures) - wanted
+            under = miss < 0.0
+            below, above = np.where(under, miss, below / 2.0), np.where(under, above / 2.0, miss)
+            low, high = np.where(under, angle, low), np.where(under, high, angle)
+        return angle, pressures
 
     def _balanced(self, angle, p1, p2, load) -> tuple[np.ndarray, np.ndarray]:
         """(current, spool position) at angles and chambers' pressures; the torque is quadratic in the current."""
@@ -95,29 +139,26 @@ def rest_curve(valve: Valve, conditions: Mapping[str, float], oil: Oil) -> RestC
         warnings.simplefilter("ignore", ValidityWarning)
         own = replace(valve, supply_pressure=supply, return_pressure=back, load_pressure=0.0)
         c = columns_of(own.at(PartTemperatures.uniform(temperature), oil=oil))
-    nodes = np.sinh(np.linspace(-4.5, 4.5, NODES)) / np.sinh(4.5)
+    nodes = np.sinh(np.linspace(-DENSITY, DENSITY, NODES)) / np.sinh(DENSITY)
     angle = nodes * 0.98 * np.minimum(c.null_gap_1, c.null_gap_2) / c.nozzle_arm
-    guesses = nozzle_pressures(angle, c, supply, back)
-    sides = (
-        (c.fixed_orifice_diameter_1, c.nozzle_diameter_1, c.null_gap_1 - c.nozzle_arm * angle, guesses[0]),
-        (c.fixed_orifice_diameter_2, c.nozzle_diameter_2, c.null_gap_2 + c.nozzle_arm * angle, guesses[1]),
-    )
-    p1, p2 = (chamber_pressure(d0, dn, gap, c, supply, back, guess) for d0, dn, gap, guess in sides)
-    flow = sum(
-        fixed_orifice_flow(side[0], supply - p, c) for side, p in zip(sides, (p1, p2), strict=True)
+    return RestCurve(c, supply, back, angle, _chambers(c, supply, back, angle))
+
+
+def _chambers(c: Coefficients, supply: float, back: float, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    x_f, (guess_1, guess_2) = c.nozzle_arm * angle, nozzle_pressures(angle, c, supply, back)
+    return (
+        chamber_pressure(
+            c.fixed_orifice_diameter_1, c.nozzle_diameter_1, c.null_gap_1 - x_f, c, supply, back, guess_1
+        ),
+        chamber_pressure(
+            c.fixed_orifice_diameter_2, c.nozzle_diameter_2, c.null_gap_2 + x_f, c, supply, back, guess_2
+        ),
     )  # fmt: skip
-    return RestCurve(c, supply, back, angle, (p1, p2), flow)
 
 
 def spool_at(curve: RestCurve, current, load=0.0) -> np.ndarray:
-    """Spool position (k, n) at currents (k, n) or (n,), A."""
-    i, x = curve.under(load)
-    return rows(current, *rising(i, x))
-
-
-def rising(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Curves with abscissae that never fall."""
-    return np.maximum.accumulate(x, axis=-1), y
+    """Spool position (k, n) at currents (k, n), A."""
+    return curve.at_current(current, load)[0]
 
 
 def blocked_position(c: Coefficients, supply: float, load) -> np.ndarray:
@@ -215,11 +256,7 @@ def _leakage(valve: Valve, curve: RestCurve) -> dict[str, np.ndarray]:
     peak = _peak(total)
     ends = []
     for sign in (-1.0, 1.0):
-        i = sign * OUTER * _rated(valve)
-        against = sign * 0.995 * curve.supply
-        x = spool_at(curve, i, against)
-        currents, _ = curve.under(against)
-        pilot = rows(i, *rising(currents, curve.pilot_flow))
+        x, pilot = curve.at_current(sign * OUTER * _rated(valve), sign * 0.995 * curve.supply)
         load_pressure = blocked_pressure(curve.c, curve.supply, x)
         ends.append((pilot + main_stage(x, curve.supply, load_pressure, curve.c)[1]).mean(axis=-1))
     return {"null_leakage": peak, "tare_leakage": (ends[0] + ends[1]) / 2.0}

@@ -1,0 +1,313 @@
+"""How well a valve is identified from its acceptance figures: hidden valves of six sizes, and the pages of catalogues.
+
+    python benchmarks/identify.py --cases 60 -o results/identify.json     # half an hour of one core
+    python benchmarks/identify.py --pages                                 # minutes
+
+A hidden valve is drawn from what similarity allows at its size (normal, cut at 2.5 deviations) and tested by the plant
+of the tests (`tests/hidden_plant.py`: classical Runge-Kutta, an amplifier, a supply line and a second mode of the
+armature of its own). Its figures are told with the noise of instruments (ISO 10770-1); with `--records` its flow
+curve, blocked ports, chirp and step are written as files and reduced as measured ones instead. The answer's intervals
+are held against the truth, and its Bode at 25 % of rated current, which nobody had told, against the plant's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+import hidden_plant as plant  # noqa: E402
+
+import valvesim as vs  # noqa: E402
+from valvesim.characterisation.specification import FIGURES, Limit, Specification, load_specification  # noqa: E402
+from valvesim.identification.from_figures.dynamic_figures import Bench, Sines  # noqa: E402
+from valvesim.identification.from_figures.identify import Identification, identify  # noqa: E402
+from valvesim.identification.from_figures.similarity import UNKNOWNS, similar_valves  # noqa: E402
+from valvesim.identification.from_figures.static_figures import static_figures  # noqa: E402
+from valvesim.units import quantities  # noqa: E402
+from valvesim.valve.coefficients import PartTemperatures  # noqa: E402
+
+SIZES = ((4.0, 40e-3), (10.0, 10e-3), (19.0, 40e-3), (38.0, 40e-3), (75.0, 30e-3), (150.0, 15e-3))  # L/min, A
+CONDITIONS = {"supply_pressure": 21e6, "return_pressure": 0.5e6, "oil_temperature": 40.0}
+OIL = vs.MIL_PRF_5606
+NOISE = {
+    "coil_resistance": 0.01, "coil_inductance": 0.025, "rated_flow": 0.0125, "flow_gain": 0.0125, "pressure_gain": 0.03,
+    "null_leakage": 0.0125, "tare_leakage": 0.0125, "frequency_minus_3_db": 0.02, "frequency_minus_90_deg": 0.02,
+    "time_to_90_percent": 0.02,
+}  # fmt: skip
+"""One standard deviation of each figure as a share."""
+TOLD, HIDDEN = (0.4, 1.0), 0.25  # amplitudes, shares of rated current
+
+
+@dataclass(frozen=True)
+class HiddenValve:
+    """A valve under test by the plant; `step` s of its Runge-Kutta, `cycle` s of a slow cycle of its current."""
+
+    valve: vs.Valve
+    step: float
+    line: float
+    cycle: float = 0.6
+
+    def run(self, command: np.ndarray, rate: float, load: float = 0.0) -> dict[str, np.ndarray]:
+        """`time`, `spool_position`, `load_flow`, `internal_leakage` under a command (n,), A, after it has settled."""
+        c = self.valve.at(PartTemperatures.uniform(CONDITIONS["oil_temperature"]), oil=OIL)._asdict()
+        c["pinch_force"] = 0.0
+        table = np.array([[float(c[name]) for name in plant.FIGURES]])
+        now, knobs = (np.zeros(1, dtype=[(n, float) for n in names]) for names in (plant.FIGURES, plant.KNOBS))
+        for name in plant.KNOBS:
+            knobs[name] = {**plant.OFF, "line_resistance": self.line}[name]
+        each = max(int(np.ceil(1.0 / rate / self.step)), 1)
+        y = np.zeros(plant.STATES)
+        y[2] = y[3] = CONDITIONS["supply_pressure"] / 2.0
+        settled = np.concatenate([np.full(int(0.05 * rate) + 2, command[0]), command, command[-1:]])
+        out = np.empty((len(settled) - 1, len(plant.RECORDED)))
+        plant._integrate(
+            y, settled, rate, CONDITIONS["supply_pressure"], (0.0, 0.0, 0.0), CONDITIONS["return_pressure"], load, table,
+            now, now.view(float), knobs, each, each, out,
+        )  # fmt: skip
+        out = out[len(settled) - len(command) - 1 :][: len(command)]
+        named = dict(zip(plant.RECORDED, out.T, strict=True))
+        return {"time": np.arange(len(command)) / rate, "current": command} | {
+            name: named[name] for name in ("spool_position", "load_flow", "internal_leakage")
+        }
+
+    def gain(self, amplitude: float, frequency: float) -> complex:
+        """Complex gain, spool over current."""
+        rate, top = 64.0 * frequency, amplitude * self.valve.rated_current
+        t = np.arange(int(np.ceil(0.03 * frequency) + 3) * 64) / rate
+        x = self.run(top * np.sin(2 * np.pi * frequency * t), rate)["spool_position"][-64:]
+        return np.mean((x - x.mean()) * np.exp(-2j * np.pi * frequency * t[-64:])) * 2j / top
+
+
+def hide(flow: float, current: float, dice: np.random.Generator) -> HiddenValve:
+    """A valve of a size."""
+    similar = similar_valves(
+        rated_flow=flow / 6e4, pressure_drop=7e6, rated_current=current, conditions=CONDITIONS, oil=OIL
+    )
+    points = dice.normal(size=(400, len(UNKNOWNS)))
+    points = points[np.abs(points).max(axis=1) < 2.8]
+    drawn = similar.valves(points)
+    rated = static_figures(drawn, {"rated_flow"}, {**CONDITIONS, "pressure_drop": 7e6}, OIL)["rated_flow"]
+    first = int(np.argmax(np.abs(np.log(rated / (flow / 6e4))) < 0.05))  # of this size, as its maker would name it
+    batch = similar.valves(points[first : first + 1])
+    valve = replace(similar.base, **{n: float(np.ravel(getattr(batch, n))[0]) for n in quantities(batch)})
+    c = valve.at(PartTemperatures.uniform(40.0), oil=OIL)
+    fastest = np.sqrt(2.0 * c.spool_area**2 * c.bulk_modulus_at_zero * 1.2 / (c.chamber_volume * c.spool_mass))
+    stops = np.sqrt(valve.flapper_stop_stiffness * valve.nozzle_arm**2 / valve.armature_inertia)
+    return HiddenValve(valve, min(1e-5, 0.5 / fastest, 0.5 / stops), 1.5e7 * 15.0 / flow)
+
+
+# --------------------------------------------------------------------------- its acceptance figures
+
+
+RATE = 4e3  # Hz, of slow cycles
+
+
+def slow(hidden: HiddenValve) -> np.ndarray:
+    """A slow full cycle of the current, slowest about null."""
+    top = hidden.valve.rated_current
+    t = np.arange(int(hidden.cycle * RATE)) / RATE / hidden.cycle
+    s = np.interp(t, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+    return top * s * np.abs(s)
+
+
+def middle(run: dict[str, np.ndarray], name: str, at: np.ndarray) -> np.ndarray:
+    """The mean of both branches at currents."""
+    i, y = run["current"], run[name]
+    up, down = np.diff(i, prepend=i[0]) >= 0.0, np.diff(i, prepend=i[0]) < 0.0
+    values = []
+    for mask in (up, down):
+        k = np.flatnonzero(mask)
+        k = k[np.argsort(i[k], kind="stable")]
+        values.append(np.interp(at, i[k], y[k]))
+    return (values[0] + values[1]) / 2.0
+
+
+def blocked(hidden: HiddenValve) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(current, load pressure, leakage) at blocked ports, from cycles at many load pressures."""
+    rated, supply = hidden.valve.rated_current, CONDITIONS["supply_pressure"]
+    at = rated * np.sinh(np.linspace(-7.0, 7.0, 401)) / np.sinh(7.0)
+    loads = supply * np.concatenate([[-0.995], np.linspace(-0.96, 0.96, 25), [0.995]])
+    runs = [hidden.run(slow(hidden), RATE, float(load)) for load in loads]
+    flow = np.array([middle(run, "load_flow", at) for run in runs])  # (loads, currents)
+    leakage = np.array([middle(run, "internal_leakage", at) for run in runs])
+    pressure, leak = np.empty(len(at)), np.empty(len(at))
+    for k in range(len(at)):
+        q = np.maximum.accumulate(-flow[:, k])
+        pressure[k] = np.interp(0.0, q, loads)
+        leak[k] = np.interp(pressure[k], loads, leakage[:, k])
+    return at, pressure, leak
+
+
+def true_figures(hidden: HiddenValve) -> dict[tuple[str, float], float]:
+    """Figures (name, amplitude or 0) of a hidden valve, as the plant has them."""
+    from valvesim.characterisation.acceptance.metrics import weighted_line
+
+    valve, supply = hidden.valve, CONDITIONS["supply_pressure"]
+    rated = valve.rated_current
+    found: dict[tuple[str, float], float] = {
+        ("coil_resistance", 0.0): valve.coil_resistance, ("coil_inductance", 0.0): valve.coil_inductance
+    }  # fmt: skip
+    low = abs(hidden.gain(TOLD[0], 2.0))
+    f = 2.0
+    while abs(hidden.gain(TOLD[0], f)) > 0.7 * low:
+        f *= 1.5
+    hidden = replace(hidden, cycle=max(0.6, 40.0 / f))
+    ends = [hidden.run(np.full(200, s * rated), 4e3, s * (supply - 7e6))["load_flow"][-1] for s in (-1.0, 1.0)]
+    found["rated_flow", 0.0] = (ends[1] - ends[0]) / 2.0
+    cycle = hidden.run(slow(hidden), RATE)
+    i = np.linspace(0.05, 0.8, 40) * rated
+    gains = [weighted_line(s * i, middle(cycle, "load_flow", s * i))[0] for s in (-1.0, 1.0)]
+    found["flow_gain", 0.0] = float(np.mean(gains))
+    at, pressure, leak = blocked(hidden)
+    y = np.linspace(-0.4, 0.4, 41) * supply
+    found["pressure_gain", 0.0] = weighted_line(np.interp(y, np.maximum.accumulate(pressure), at), y)[0]
+    found["null_leakage", 0.0] = float(leak.max())
+    found["tare_leakage", 0.0] = float(np.interp([-0.975 * rated, 0.975 * rated], at, leak).mean())
+    for amplitude in (*TOLD, HIDDEN):
+        f = np.geomspace(5.0, 1200.0, 26)
+        gain = np.array([hidden.gain(amplitude, one) for one in f])
+        ratio = 20 * np.log10(np.abs(gain / gain[0]))
+        lag = -np.rad2deg(np.unwrap(np.angle(gain)))
+        for name, fall, level in (("frequency_minus_3_db", -ratio, 3.0), ("frequency_minus_90_deg", lag, 90.0)):
+            k = int(np.argmax(fall >= level))
+            share = (level - fall[k - 1]) / (fall[k] - fall[k - 1])
+            found[name, amplitude] = float(np.exp(np.log(f[k - 1]) + share * np.log(f[k] / f[k - 1])))
+    expected = 0.35 / found["frequency_minus_3_db", 1.0]
+    rate = 400.0 / expected
+    command = np.where(np.arange(int(10 * expected * rate)) / rate < 0.5 * expected, 0.0, rated)
+    step = hidden.run(command, rate)
+    x = step["spool_position"] / step["spool_position"][-50:].mean()
+    k = int(np.argmax(x >= 0.9))
+    start = float(step["time"][np.argmax(command > 0.0)])
+    found["time_to_90_percent", 1.0] = float(
+        step["time"][k - 1] + (0.9 - x[k - 1]) / (x[k] - x[k - 1]) / rate - start
+    )  # fmt: skip
+    return found
+
+
+def specification(hidden: HiddenValve, figures: dict[tuple[str, float], float], dice) -> Specification:
+    """What is told of a hidden valve: its figures with noise, and the spread of that noise as tolerance."""
+    limits = [Limit(figure="rated_current", value=hidden.valve.rated_current)]
+    for (name, amplitude), value in figures.items():
+        if amplitude == HIDDEN:
+            continue
+        told = value * (1.0 + NOISE[name] * dice.normal())
+        width = 2.0 * NOISE[name] * abs(told)
+        at = {**{k: v for k, v in FIGURES[name].conditions.items() if v > 0.0}, **CONDITIONS}
+        at |= {"amplitude": amplitude} if amplitude else {}
+        limits.append(Limit(figure=name, value=told, low=told - width, high=told + width, conditions=at))
+    return Specification(title="hidden", limits=tuple(limits), conditions=CONDITIONS, oil=OIL)
+
+
+# --------------------------------------------------------------------------- cases
+
+
+def bode_misfit(hidden: HiddenValve, answer: Identification, top: float) -> tuple[float, float]:
+    """Greatest difference (dB, degrees) of the Bode at the amplitude that was not told, to its -90 degrees."""
+    f = np.geomspace(max(top / 20.0, 2.0), top, 7)
+    true = np.array([hidden.gain(HIDDEN, one) for one in f])
+    sines = Sines(Bench(answer.valve.valve, CONDITIONS, OIL))
+    own = np.array([complex(sines.gain(HIDDEN, float(one))[0]) for one in f])
+    ratio = 20 * np.log10(np.abs(own / own[0]) / np.abs(true / true[0]))
+    return float(np.abs(ratio).max()), float(np.abs(np.rad2deg(np.angle(own / true))).max())
+
+
+def run_case(number: int) -> dict:
+    """One hidden valve: what of the truth is inside the intervals, and how far its Bode is off."""
+    dice = np.random.default_rng([27, number])
+    flow, current = SIZES[number % len(SIZES)]
+    hidden = hide(flow, current, dice)
+    figures = true_figures(hidden)
+    begin, used = time.perf_counter(), time.process_time()
+    answer = identify(specification(hidden, figures, dice), seed=number)
+    seconds, processor = time.perf_counter() - begin, time.process_time() - used
+    parameters = {
+        p.name: (getattr(hidden.valve, p.name), p.value, p.low, p.high, p.identified) for p in answer.parameters
+    }
+    told = {}
+    for f in answer.figures:
+        key = (f.asked.limit.figure, f.asked.limit.conditions.get("amplitude", 0.0))
+        told[f"{key[0]}@{key[1]:g}"] = (figures[key], f.value, f.deviation)
+    inside = [low <= true <= high for true, _, low, high, _ in parameters.values()]
+    figures_inside = [abs(value - true) <= 1.96 * sd for true, value, sd in told.values()]
+    top = figures["frequency_minus_90_deg", HIDDEN]
+    decibel, degrees = bode_misfit(hidden, answer, top)
+    return {
+        "case": number, "flow": flow, "seconds": seconds, "processor": processor, "parameters": parameters,
+        "figures": told, "inside": float(np.mean(inside)), "figures_inside": float(np.mean(figures_inside)),
+        "bode_dB": decibel, "bode_degrees": degrees, "conflicts": [c.figure.limit.figure for c in answer.conflicts],
+    }  # fmt: skip
+
+
+def summary(cases: list[dict]) -> str:
+    """The cases in words."""
+    parameters = [(t, lo, hi, told) for c in cases for t, _, lo, hi, told in c["parameters"].values()]
+    inside = np.array([lo <= t <= hi for t, lo, hi, _ in parameters])
+    told = np.array([told for *_, told in parameters])
+    figures = np.array([abs(v - t) <= 1.96 * s for c in cases for t, v, s in c["figures"].values()])
+    dB, deg = (np.array([c[k] for c in cases]) for k in ("bode_dB", "bode_degrees"))
+    ratios = [v / t for c in cases for n, (t, v, *_) in c["parameters"].items() if t > 0 and "difference" not in n]
+    return (
+        f"{len(cases)} cases: parameters inside their 95 % intervals {100 * inside.mean():.1f} % of {len(inside)} "
+        f"(identified ones {100 * inside[told].mean():.1f} % of {told.sum()}), figures {100 * figures.mean():.1f} % of "
+        f"{len(figures)}; Bode at 25 % within 1 dB in {100 * np.mean(dB <= 1.0):.0f} %, within 10 degrees in "
+        f"{100 * np.mean(deg <= 10.0):.0f} % of cases (worst {dB.max():.2f} dB, {deg.max():.1f} degrees); parameters "
+        f"within a factor of two of the truth {100 * np.mean(np.abs(np.log(np.abs(ratios))) < np.log(2)):.1f} %; "
+        f"{np.median([c['processor'] for c in cases]):.1f} s of processor (most {max(c['processor'] for c in cases):.1f})"
+    )
+
+
+def pages(folder: Path) -> None:
+    """Every catalogue page: asked and reached."""
+    for path in sorted(folder.glob("*.toml")):
+        begin, used = time.perf_counter(), time.process_time()
+        answer = identify(load_specification(path))
+        seconds, processor = time.perf_counter() - begin, time.process_time() - used
+        reached = sum(f.reached for f in answer.figures)
+        ratios = {p.name: p.value / p.similar for p in answer.parameters if p.similar}
+        far = max(ratios, key=lambda name: abs(np.log(ratios[name])))
+        print(
+            f"| {path.stem} | {reached} of {len(answer.figures)} | {far} {ratios[far]:.2f} | "
+            f"{seconds:.1f} s ({processor:.1f} s of processor) | "
+            f"{'; '.join(c.figure.limit.figure for c in answer.conflicts) or 'none'} |"
+        )
+        for f in answer.figures:
+            asked = f.asked.value if np.isfinite(f.asked.value) else (f.asked.limit.low, f.asked.limit.high)
+            print(f"    {f.asked.limit.figure} {dict(f.asked.limit.conditions).get('amplitude', '')}: {asked} -> {f.value:.5g}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--pages", action="store_true")
+    parser.add_argument("-o", "--output", type=Path, default=Path("results/identify.json"))
+    options = parser.parse_args()
+    if options.pages:
+        pages(ROOT / "examples" / "specifications")
+        return
+    cases = []
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    for number in range(options.first, options.first + options.cases):
+        cases.append(run_case(number))
+        one = cases[-1]
+        print(
+            f"case {number}: {one['flow']:g} L/min, inside {one['inside']:.2f}, figures {one['figures_inside']:.2f}, Bode "
+            f"{one['bode_dB']:.2f} dB {one['bode_degrees']:.1f} degrees, {one['processor']:.1f} s, {one['conflicts']}",
+            flush=True,
+        )
+        options.output.write_text(json.dumps(cases, indent=1), encoding="utf-8")
+    print(summary(cases))
+
+
+if __name__ == "__main__":
+    main()
