@@ -7,15 +7,16 @@ from pathlib import Path
 
 import click
 
-from valvesim.cli.display import console, print_table, print_written, progress_bar
-from valvesim.cli.options import output_option
+from valvesim.cli.display import console, print_rows, print_table, print_written, progress_bar
+from valvesim.cli.options import format_option, output_option
 from valvesim.cli.output_folder import all_or_nothing
 
 
 @click.command()
 @click.argument("plan", type=click.Path(path_type=Path))
 @output_option("results/plan")
-def plan(plan: Path, output: Path) -> None:
+@format_option("table", "json", "csv")
+def plan(plan: Path, output: Path, form: str) -> None:
     """Which tests of the bench in a PLAN file to run, and what they will show, before anything is measured.
 
     PLAN is TOML: the valve as in session.toml, [sensors] with their noise, [added_sensors] with noise and cost that
@@ -27,7 +28,7 @@ def plan(plan: Path, output: Path) -> None:
         from valvesim.io import read_toml
         from valvesim.planning.plan import plan_tests
         from valvesim.planning.session_folder import write_session_folder
-        from valvesim.reports.plan import plan_report
+        from valvesim.reports.plan import CAUSE_HEADINGS, cause_row, plan_report
         from valvesim.reports.title_block import valve_name
 
         found = plan_tests(plan, progress=lambda text, share: bar.update(stage, description=text, completed=share))
@@ -37,6 +38,9 @@ def plan(plan: Path, output: Path) -> None:
         valve = valve_name(found.bench.session.valve)
         written += plan_report(found, folder, valve=valve, date=date.today())
         names = [path.relative_to(folder) for path in written]
+    if form != "table":
+        print_rows([dict(zip(CAUSE_HEADINGS, cause_row(one), strict=True)) for one in found.outlook.causes], form)
+        return
     _print_plan(found)
     print_written([output / name for name in names])
 
