@@ -8,10 +8,11 @@ compiled functions are scaled by the channels' scales.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -142,8 +143,26 @@ def _short_name(model: Model, absent: frozenset[str], lanes: int) -> list[str] |
     return [type(model.drive).__name__, *(e.name for e in model.effects), "", *sorted(absent), str(lanes)]
 
 
+@contextlib.contextmanager
+def _second_level() -> Iterator[None]:
+    """LLVM's second level of optimisation: the third takes a tenth longer and makes nothing faster."""
+    from numba.core import config as numba_config
+
+    config: Any = numba_config
+    kept, config.OPT = config.OPT, type(config.OPT)(min(config.OPT, 2))
+    try:
+        yield
+    finally:
+        config.OPT = kept
+
+
 def _call_once(module: ModuleType, model: Model, lanes: int) -> None:
     """Each function called to nowhere, so that it is compiled here and not in somebody's first run."""
+    with _second_level():
+        _call(module, model, lanes)
+
+
+def _call(module: ModuleType, model: Model, lanes: int) -> None:
     n, n_u, n_c = len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names)
     module.run(
         np.zeros((n, lanes)), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, n_u - 1, 3)), np.zeros(1),
@@ -169,7 +188,8 @@ def source(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -
     factor = ["def factor(J, diagonal, W, pivots):", *(f"    {line}" for line in factor)]
     lines = [*equations.lines, *factor, *rodas5p.print_step(n, solve)]
     columns = dict.fromkeys(("J", "W", "K", "bent"), n) | {"u": n_u, "c": n_c}
-    functions = [_integrator_source(n, lanes, n_c)]
+    rated = any("u[1]" in line for line in equations.lines)
+    functions = [_integrator_source(n, lanes, n_c, rated)]
     if lanes == 1:
         functions += [text.format(n_c=n_c) for text in (_DERIVATIVE, _JACOBIAN, _JACOBIANS)]
     return "\n".join(
@@ -275,12 +295,14 @@ _DERIVATIVE = """def derivative(y, u, c, out):
 """
 
 _JACOBIAN = """def jacobian(y, u, c, out):
-    prepared, none, f, f_t = np.empty({n_c}), np.zeros({n_c}), np.empty(y.shape[0]), np.empty(y.shape[0])
+    prepared, still, f, f_t = np.empty({n_c}), np.empty({n_c} + u.shape[0]), np.empty(y.shape[0]), np.empty(y.shape[0])
     prepare(c, prepared)
+    for k in range(still.shape[0]):
+        still[k] = 0.0
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = 0.0
-    linearise(y, u, np.zeros(u.shape[0]), prepared, none, f, out, f_t)
+    linearise(y, u, still, prepared, still, f, out, f_t)
 """
 
 _JACOBIANS = """def jacobians(y, u, c, out):
@@ -297,7 +319,7 @@ _CALLED = (
 """The plain functions that `integrate` calls."""
 
 
-def _integrator_source(n: int, lanes: int, n_c: int) -> str:
+def _integrator_source(n: int, lanes: int, n_c: int, rated: bool) -> str:
     """`rodas5p.integrate` as `run`, which finds the model's functions in its own module, and has its sizes in figures.
 
     Printed rather than called with them as arguments: numba keeps no compiled code of a function that takes functions,
@@ -308,6 +330,7 @@ def _integrator_source(n: int, lanes: int, n_c: int) -> str:
         ("def integrate(", "def run("),
         ("prepare, linearise, factor, step, error, bend, within, n_c, ", ""),
         ("n, lanes = y.shape", f"n, lanes, n_c = {n}, {lanes}, {n_c}"),
+        ("rated = True", f"rated = {rated}"),
     ):
         if plain not in text:
             raise RuntimeError(f"rodas5p.integrate has no {plain!r}")

@@ -129,14 +129,14 @@ def set_inputs(rows, interval, t, u, u_t):
         u[k + 1], u_t[k + 1], _ = piece_motion(rows[interval, k], t)
 
 
-def set_inputs_of_step(rows, interval, t, h, u):
-    """Inputs at the nodes of a step from t on: (nodes, inputs)."""
+def set_inputs_of_step(rows, interval, t, h, u, rated):
+    """Inputs at the nodes of a step from t on: (nodes, inputs); the rate of the command where the model is `rated`."""
     for k in range(rows.shape[1]):
         row = rows[interval, k]
         at = k + 1 if k else 0
         for node in range(5):
             u[node, at], rate, _ = piece_motion(row, t + NODES[node + 1] * h)
-            if k == 0:
+            if rated and k == 0:
                 u[node, 1] = rate
 
 
@@ -172,13 +172,20 @@ def integrate(
     count: [accepted, rejected] steps, added to. A step crosses neither a break nor a knot.
     """
     n, lanes = y.shape
+    rated = True  # whether the rate of the command is felt
     u, u_t, u_late = np.empty(rows.shape[1] + 1), np.empty(rows.shape[1] + 1), np.empty((5, rows.shape[1] + 1))
     c, c_knot, c_next = np.empty((n_c, lanes)), np.empty((n_c, lanes)), np.empty((n_c, lanes))
-    c_t, c_late = np.zeros((n_c, lanes)), np.empty((5, n_c, lanes))
-    f, f_t, J = np.empty((n, lanes)), np.empty((n, lanes)), np.zeros((n, n, lanes))
+    c_t, c_late = np.empty((n_c, lanes)), np.empty((5, n_c, lanes))
+    f, f_t, J = np.empty((n, lanes)), np.empty((n, lanes)), np.empty((n, n, lanes))
     W, pivots, K = np.empty((n, n, lanes)), np.empty((1, lanes)), np.empty((STAGES, n, lanes))
     new, rate = np.empty((n, lanes)), np.empty((n, lanes))
     e, bent = np.empty((2, lanes)), np.empty((3, n, lanes))
+    for lane in range(lanes):
+        for k in range(n_c):
+            c_t[k, lane] = 0.0
+        for i in range(n):
+            for j in range(n):
+                J[i, j, lane] = 0.0  # where no entry is, none will be written
     t, h, at_out = clock[0], clock[1], int(clock[2])
     interval, at, prepared, fresh, moving = 0, 0, -1, False, False
     while interval + 1 < starts.shape[0] and starts[interval + 1] <= t:
@@ -237,7 +244,7 @@ def integrate(
                 if h < 1e-14 * max(abs(t), 1.0) and h < limit - t:
                     status = STEP_TOO_SMALL
                     break
-                set_inputs_of_step(rows, interval, t, h, u_late)
+                set_inputs_of_step(rows, interval, t, h, u_late, rated)
                 if moving:
                     set_coefficients_of_step(c_knot, c_t, t - knot_times[at], h, c_late)
                 factor(J, 1.0 / (GAMMA * h), W, pivots)
