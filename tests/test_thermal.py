@@ -305,3 +305,8 @@ def test_the_matrix_exponential_is_that_of_scipy(size):
         A = rng.uniform(0.0, 1.0, (6, 6))
         A -= np.diag(A.sum(axis=1))  # a network: what flows out of one part flows into others
         assert exponential(size * A) == pytest.approx(expm(size * A), rel=1e-12, abs=1e-13)
+
+
+def test_one_knot_is_the_start_alone():
+    path = temperature_path(Constant(value=50.0), 6.0, network=NETWORK, initial=0.0, knots=np.zeros(1))
+    assert path.parts.oil.tolist() == [50.0] and path.parts.body.tolist() == [0.0]

@@ -127,10 +127,12 @@ def temperature_path(
     T[0] = [getattr(start, name) for name in NODES]
     steps = np.diff(times)
     _, first, which = np.unique([f"{step:.9g}" for step in steps], return_index=True, return_inverse=True)
-    E, F, G = (np.array(matrices) for matrices in zip(*(_propagator(M, N, step) for step in steps[first]), strict=True))
-    driven = F[which, :, 0] * oil[:-1, None] + F[which, :, 1] * ambient + G[which, :, 0] * np.diff(oil)[:, None]
-    for k, one in enumerate(which):
-        T[k + 1] = E[one] @ T[k] + driven[k]
+    propagators = [_propagator(M, N, step) for step in steps[first]]  # of steps that differ by more than rounding
+    if propagators:
+        E, F, G = (np.array(matrices) for matrices in zip(*propagators, strict=True))
+        driven = F[which, :, 0] * oil[:-1, None] + F[which, :, 1] * ambient + G[which, :, 0] * np.diff(oil)[:, None]
+        for k, one in enumerate(which):
+            T[k + 1] = E[one] @ T[k] + driven[k]
     parts = PartTemperatures(oil=oil, **{name: T[:, k] for k, name in enumerate(NODES)})
     return TemperaturePath(times=times, parts=parts)
 
