@@ -10,13 +10,15 @@ from valvesim.diagnosis.experiments import experiment_values
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, SelectionOptions
 from valvesim.diagnosis.power import asked_difference, detected_amplitude, separated_share, separation_power
 from valvesim.errors import InputError
+from valvesim.identification.session import Sensor
 from valvesim.identification.session_toml import load_session
 from valvesim.io import read_toml
 from valvesim.measurement.recording import read_recording
+from valvesim.planning.bench import AddedSensor
 from valvesim.planning.outlook import Judgement, cause_groups, level_of, outlook, parameter_outlooks
 from valvesim.planning.plan import plan_tests
 from valvesim.planning.plan_toml import load_plan, read_plan
-from valvesim.planning.selection import ASKED, Chooser, Goal
+from valvesim.planning.selection import ASKED, Chooser, Goal, SensorAdvice, _cheapest
 from valvesim.planning.sensitivities import planned_sensitivities
 from valvesim.planning.session_folder import write_session_folder
 from valvesim.planning.structure import StructuralModel, isolability, overdetermined, structural_model
@@ -80,8 +82,8 @@ def test_a_plan_names_the_tests_the_causes_and_what_is_missed(found):
     assert lap.limit is None and lap.power < 0.01  # the spool's position does not tell where its lands are
     missed = {(goal.kind, goal.of) for goal in found.selection.missed}
     assert ("detect", "spool_lap") in missed and ("detect", "spool_coulomb_friction") not in missed
-    assert found.selection.added == "load_flow"
     (advice,) = found.selection.advice
+    assert found.selection.added == advice and advice.channels == ("load_flow",)
     assert advice.cost == 2.0 and Goal(kind="detect", of="spool_lap") in advice.reached
     assert found.with_added.causes[2].power > ASKED
 
@@ -193,14 +195,14 @@ def test_more_sensors_isolate_no_less_in_structure():
 def test_the_command_plans(plan_file, tmp_path, call, found):
     code, out, err = call("plan", plan_file, "-o", tmp_path / "out")
     assert code == 0, err
-    assert "feedback_ball_backlash" in out and "one more sensor, load_flow" in out
+    assert "feedback_ball_backlash" in out and "goals more with the sensor load flow (cost 2)" in out
     folder = tmp_path / "out"
     assert {"plan.html", "plan.json", "isolability.png", "session"} <= {path.name for path in folder.iterdir()}
 
 
 def test_the_session_folder_is_a_session_once_its_records_are_there(plan_file, tmp_path, found):
     told = json.loads(found.to_json(tmp_path / "plan.json").read_text())
-    assert told["duration"] == found.selection.duration and told["added"] == "load_flow"
+    assert told["duration"] == found.selection.duration and told["added"]["channels"] == ["load_flow"]
     folder = tmp_path
     write_session_folder(found, read_toml(plan_file)[1], folder)
     rng = np.random.default_rng(0)
@@ -268,3 +270,20 @@ def test_every_cause_of_the_catalogue_is_sought_where_none_is_named(bench, plann
     aim = replace(bench.aim, causes=(), parameters={})
     labels = [one.label for one in outlook(planned, aim, [1] * len(planned.experiments), ("spool_position",)).causes]
     assert set(labels) <= set(cause_groups(planned.candidates)) and "nozzle_erosion[side=1]" in labels
+
+
+def test_the_cheapest_sensors_together_are_found():
+    costs = {"a": 1.0, "b": 2.0, "c": 2.5, "d": 6.0}
+    sensors = [AddedSensor(sensor=Sensor(name, "m"), cost=cost) for name, cost in costs.items()]
+    goals = {name: Goal(kind="detect", of=name) for name in "xyz"}
+    shown = {"a": "x", "b": "xy", "c": "z", "d": "xy"}
+
+    def brings(some):
+        names = tuple(one.sensor.channel for one in some)
+        reached = tuple(goals[g] for g in sorted(set("".join(shown[name] for name in names))))
+        return SensorAdvice(channels=names, cost=sum(one.cost for one in some), reached=reached)
+
+    added = _cheapest(sensors, [brings((one,)) for one in sensors], brings)
+    assert added.channels == ("b", "c") and added.cost == 4.5 and len(added.reached) == 3
+    assert _cheapest(sensors[:2], [brings((one,)) for one in sensors[:2]], brings).channels == ("b",)
+    assert _cheapest([], [], brings) is None

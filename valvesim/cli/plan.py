@@ -48,7 +48,7 @@ def plan(plan: Path, output: Path, form: str) -> None:
 def _print_plan(found: object) -> None:
     """The tests, what they would detect, and what is missed."""
     from valvesim.planning.plan import Plan
-    from valvesim.reports.plan import CAUSE_HEADINGS, cause_row, missed_words, test_rows
+    from valvesim.reports.plan import CAUSE_HEADINGS, added_words, cause_row, missed_words, test_rows
 
     assert isinstance(found, Plan)  # noqa: S101 - the caller's own
     chosen = found.selection
@@ -59,10 +59,7 @@ def _print_plan(found: object) -> None:
     screen.print(f"{len(chosen.reached)} of {goals} goals are reached", markup=False)
     for words in missed_words(found):
         screen.print(f"missed: {words}", markup=False)
-    for advice in chosen.advice:
-        screen.print(
-            f"one more sensor, {advice.channel} (cost {advice.cost:g}), brings {len(advice.reached)} goals more",
-            markup=False,
-        )
+    if added := added_words(found):
+        screen.print(added, markup=False)
     for note in found.notes:
         screen.print(note, markup=False)

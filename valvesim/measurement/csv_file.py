@@ -113,7 +113,7 @@ def _line_end(raw: np.ndarray) -> int:
 
 
 def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, int, tuple[str, ...]]:
-    """(rows of data, bytes that hold them, notes); InputError for a row of other than all columns, and for too many rows.
+    """(rows of data, bytes that hold them, notes); InputError for a row of other than all columns, and for too many.
 
     A last line without an end may have been cut off: it is left out where cells are missing, and told in any case.
     """

@@ -17,7 +17,7 @@ from valvesim.io import write_atomically
 from valvesim.planning.bench import BenchPlan
 from valvesim.planning.outlook import Outlook, cause_groups, outlook, sought_causes
 from valvesim.planning.plan_toml import load_plan
-from valvesim.planning.selection import Goal, Selection, select_tests
+from valvesim.planning.selection import Goal, Selection, SensorAdvice, select_tests
 from valvesim.planning.sensitivities import PlannedSensitivities, planned_sensitivities
 from valvesim.planning.structure import isolability, structural_model
 
@@ -36,7 +36,7 @@ class Plan:
     """What to run and what it will show.
 
     `tests` are the chosen ones; `outlook` is what they show on the sensors of the bench, `with_added` what all tests do
-    with the advised sensor beside them (None where none is advised). `structural` (k, k) is True where the equations'
+    with the advised sensors beside them (None where none is advised). `structural` (k, k) is True where the equations'
     structure lets cause k of the outlook (row) be told from another (column), and on the diagonal be detected.
     `validation` is a further test to hold out, None where the bench can do no other. `notes` say what was left out.
     """
@@ -82,9 +82,9 @@ def plan_tests(
     seed = bench.session.seed
     chosen = outlook(planned, bench.aim, selection.repeats, channels, options=options, seed=seed)
     with_added = None
-    if selection.added:
+    if selection.added is not None:
         every = [options.design.replicates[-1]] * len(planned.experiments)
-        more = (*channels, selection.added)
+        more = (*channels, *selection.added.channels)
         with_added = outlook(planned, bench.aim, every, more, options=options, seed=seed)
     tests = tuple(
         PlannedTest(experiment=one, repeats=n, duration=n * (float(one.time[-1]) + bench.setup))
@@ -126,6 +126,9 @@ def _plain(plan: Plan) -> dict[str, Any]:
         return {"alarm_level": one.level, "causes": [asdict(cause) for cause in one.causes], "isolability": powers,
                 "parameters": [asdict(parameter) for parameter in one.parameters]}  # fmt: skip
 
+    def advised(one: SensorAdvice) -> dict[str, Any]:
+        return {"channels": list(one.channels), "cost": one.cost, "reached": [goal_text(g) for g in one.reached]}
+
     chosen = plan.selection
     return {
         "title": plan.bench.session.title,
@@ -135,9 +138,8 @@ def _plain(plan: Plan) -> dict[str, Any]:
         "reached": [goal_text(goal) for goal in chosen.reached],
         "missed": [goal_text(goal) for goal in chosen.missed],
         "sensors": [sensor.channel for sensor in plan.bench.sensors],
-        "advice": [{"channel": a.channel, "cost": a.cost, "reached": [goal_text(g) for g in a.reached]}
-                   for a in chosen.advice],
-        "added": chosen.added,
+        "advice": [advised(one) for one in chosen.advice],
+        "added": advised(chosen.added) if chosen.added is not None else None,
         "outlook": shown(plan.outlook),
         "with_added": shown(plan.with_added) if plan.with_added is not None else None,
         "structural": plan.structural.tolist(),

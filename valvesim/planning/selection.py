@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.identification.projection import inverse_of, project
-from valvesim.planning.bench import BenchPlan
+from valvesim.planning.bench import AddedSensor, BenchPlan
 from valvesim.planning.outlook import Judgement, cause_groups, cause_size, level_of, sought_causes
 from valvesim.planning.sensitivities import PlannedSensitivities
 
@@ -30,9 +30,9 @@ class Goal:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorAdvice:
-    """What one more sensor would bring: the goals that all tests then reach and did not before, and its cost."""
+    """What added sensors would bring together: the goals that all tests then reach and did not before, and the cost."""
 
-    channel: str
+    channels: tuple[str, ...]
     cost: float
     reached: tuple[Goal, ...]
 
@@ -41,8 +41,8 @@ class SensorAdvice:
 class Selection:
     """The chosen tests: `repeats[k]` of test k; goals `reached` and `missed`; `duration` s with what comes before each.
 
-    `advice` are added sensors, the one that brings the most for its cost first; `added` the cheapest that brings
-    all that any of them does, "" where none does or none is needed.
+    `advice` are single added sensors, the one that brings the most for its cost first; `added` the cheapest sensors
+    that together bring all that any do, None where none does or none is needed.
     """
 
     repeats: tuple[int, ...]
@@ -50,7 +50,7 @@ class Selection:
     missed: tuple[Goal, ...]
     duration: float
     advice: tuple[SensorAdvice, ...]
-    added: str
+    added: SensorAdvice | None
 
 
 class Chooser:
@@ -161,20 +161,39 @@ def select_tests(
     advice = []
     if missed:
         every = [options.design.replicates[-1]] * len(repeats)
-        for one in plan.added:
-            brought = chooser.reached(every, chooser.channels(one.sensor.channel))
-            new = tuple(goal for goal in missed if goal in brought)
-            advice.append(SensorAdvice(channel=one.sensor.channel, cost=one.cost, reached=new))
+
+        def brings(sensors: Sequence[AddedSensor]) -> SensorAdvice:
+            names = tuple(one.sensor.channel for one in sensors)
+            found = chooser.reached(every, chooser.channels(*names))
+            new = tuple(goal for goal in missed if goal in found)
+            return SensorAdvice(channels=names, cost=sum(one.cost for one in sensors), reached=new)
+
+        advice = [brings((one,)) for one in plan.added]
+        added = _cheapest(plan.added, advice, brings)
     advice.sort(key=lambda one: (-len(one.reached) / one.cost, one.cost))
-    most = max((len(one.reached) for one in advice), default=0)
-    best = min(
-        (one for one in advice if one.reached and len(one.reached) == most), key=lambda one: one.cost, default=None
-    )
     return Selection(
         repeats=tuple(int(n) for n in repeats),
         reached=tuple(goal for goal in goals if goal in reached),
         missed=tuple(missed),
         duration=float(np.dot(repeats, chooser.durations)),
         advice=tuple(advice),
-        added=best.channel if best is not None else "",
+        added=added if missed else None,
     )
+
+
+def _cheapest(
+    sensors: Sequence[AddedSensor], single: Sequence[SensorAdvice], brings: Callable[..., SensorAdvice]
+) -> SensorAdvice | None:
+    """The cheapest sensors that together bring all that any do; None where none brings anything."""
+    most = brings(sensors).reached if sensors else ()
+    if not most:
+        return None
+    for one in sorted(single, key=lambda one: one.cost):
+        if len(one.reached) == len(most):
+            return one
+    subsets = [some for count in range(2, len(sensors) + 1) for some in combinations(sensors, count)]
+    for some in sorted(subsets, key=lambda some: sum(one.cost for one in some)):
+        found = brings(some)
+        if len(found.reached) == len(most):
+            return found
+    return None

@@ -52,9 +52,8 @@ def _sections(plan: Plan, pictures: dict[str, bytes]) -> list[Section]:
     chosen = plan.selection
     tests = Table(("test", "repeats", "s in all"), test_rows(plan), (1, 2))
     told = [Text(f"{len(chosen.reached)} of {len(chosen.reached) + len(chosen.missed)} goals are reached.")]
-    if chosen.added:
-        advice = next(one for one in chosen.advice if one.channel == chosen.added)
-        told.append(Text(f"A sensor of {chosen.added} (cost {advice.cost:g}) brings {len(advice.reached)} more."))
+    if chosen.added is not None:
+        told.append(Text(added_words(plan)))
     missed = missed_words(plan)
     parts = [
         section("Tests to run", tests, *told, Bullets(plan.notes)),
@@ -66,7 +65,7 @@ def _sections(plan: Plan, pictures: dict[str, bytes]) -> list[Section]:
                 Table(PARAMETER_HEADINGS, [parameter_row(one) for one in plan.outlook.parameters], (1, 2, 3))),
     ]  # fmt: skip
     if chosen.advice:
-        rows = [(a.channel.replace("_", " "), f"{a.cost:g}", str(len(a.reached))) for a in chosen.advice]
+        rows = [(_names(a.channels), f"{a.cost:g}", str(len(a.reached))) for a in chosen.advice]
         parts.append(section("One more sensor", Table(("sensor", "cost", "goals more"), rows, (1, 2))))
     terms = [(sensor.channel.replace("_", " "), _amount(float(sensor.noise or 0.0), sensor.unit))
              for sensor in plan.bench.sensors]  # fmt: skip
@@ -101,6 +100,19 @@ def parameter_row(one: ParameterOutlook) -> tuple[str, ...]:
     how = VERDICTS[one.verdict] + (f": {', '.join(one.partners)}" if one.partners else "")
     figures = (_amount(value, one.unit) for value in (one.nominal, one.prior, one.posterior))
     return one.name, *figures, how
+
+
+def added_words(plan: Plan) -> str:
+    """What the cheapest added sensors bring; "" where none is advised."""
+    added = plan.selection.added
+    if added is None:
+        return ""
+    sensors = "sensor" if len(added.channels) == 1 else "sensors"
+    return f"{len(added.reached)} goals more with the {sensors} {_names(added.channels)} (cost {added.cost:g})"
+
+
+def _names(channels: Sequence[str]) -> str:
+    return " and ".join(name.replace("_", " ") for name in channels)
 
 
 def missed_words(plan: Plan) -> list[str]:
