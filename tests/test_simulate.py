@@ -501,6 +501,29 @@ def test_valves_that_take_their_steps_together_give_what_each_gives_alone(member
         assert apart(member, alone) < scenario.tolerance
 
 
+def test_a_batch_in_parts_is_the_batch(monkeypatch):
+    oil = vs.Ramp(start_value=20.0, end_value=60.0, rate=1000.0)
+    scenario = many_gaps(26, oil_temperature=oil, thermal=vs.Thermal())
+    whole = vs.simulate_batch(scenario)
+    module = import_module("valvesim.simulation.batch")
+    sizes = []
+    monkeypatch.setattr(module, "prepare", lambda *a, **k: sizes.append(MODULE.prepare(*a, **k)) or sizes[-1])
+    monkeypatch.setattr(module, "KNOT_BYTES", 1.0)
+    parts = vs.simulate_batch(scenario)
+    assert [len(problem.knots) for problem in sizes] == [8, 8, 8, 2]
+    assert all(np.array_equal(whole[name], parts[name]) for name in whole)
+
+
+def test_a_valve_that_fails_in_a_later_part_is_named_by_its_number_in_the_batch(monkeypatch):
+    monkeypatch.setattr(import_module("valvesim.simulation.batch"), "KNOT_BYTES", 1.0)
+    problems = import_module("valvesim.simulation.batch")._problems(many_gaps(17))
+    next(problems)
+    problem = next(problems)
+    problem.initial[3] = np.nan
+    with pytest.raises(SolveError, match="the integration of member 11 failed"):
+        import_module("valvesim.simulation.batch")._states(problem, np.arange(8))
+
+
 def test_a_valve_that_fails_leaves_its_neighbours_alone(monkeypatch):
     problem = MODULE.prepare(many_gaps(9))
     problem.initial[4] = np.nan

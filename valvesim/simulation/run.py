@@ -42,6 +42,7 @@ class Problem:
     rows: np.ndarray
     times: np.ndarray
     initial: np.ndarray
+    first_member: int = 0  # what messages call the first of them
 
 
 def simulate(
@@ -72,10 +73,11 @@ def simulate(
     return Result(scenario, problem.times, channels, values, statistics)
 
 
-def prepare(scenario: Scenario, *, knot_times: np.ndarray | None = None) -> Problem:
+def prepare(scenario: Scenario, *, knot_times: np.ndarray | None = None, first_member: int = 0) -> Problem:
     """Temperatures, coefficients, commands, compiled equations and the state at rest of every member.
 
-    `knot_times` (m,) are those of the temperatures, where it is known which will do.
+    `knot_times` (m,) are those of the temperatures, where it is known which will do. Messages count members from
+    `first_member` on.
     """
     scenario.warn_of_large_command()
     model, end = scenario.model, scenario.duration
@@ -91,8 +93,9 @@ def prepare(scenario: Scenario, *, knot_times: np.ndarray | None = None) -> Prob
         starts, rows = _soften_jumps(starts, rows)
     compiled = compile_model(model, absent_coefficients(model, knots))
     first, *pressures = (evaluate(command, 0.0) for command in commands)
-    initial = state_at_rest(compiled, np.array([first, 0.0, *pressures], dtype=float), knots[:, 0])
-    return Problem(scenario, compiled, path, knots, starts, rows, output_times(scenario), initial)
+    held = np.array([first, 0.0, *pressures], dtype=float)
+    initial = state_at_rest(compiled, held, knots[:, 0], first_member=first_member)
+    return Problem(scenario, compiled, path, knots, starts, rows, output_times(scenario), initial, first_member)
 
 
 def output_times(scenario: Scenario) -> np.ndarray:
@@ -124,7 +127,8 @@ def _soften_jumps(starts: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.
 
 def integrate(problem: Problem, member: int, progress: Callable[[float], None] | None) -> tuple[np.ndarray, Any]:
     """States (n_t, states) in SI of one member, and the counts of accepted and rejected steps."""
-    batch = f" of member {member}" if len(problem.knots) > 1 else ""
+    number = problem.first_member + member
+    batch = f" of member {number}" if number or len(problem.knots) > 1 else ""
     return driver.integrate(
         _of_member(problem, member),
         slices=int(np.clip(problem.scenario.duration, 1, SLICES)),

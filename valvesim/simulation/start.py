@@ -12,12 +12,13 @@ from valvesim.valve.equilibrium import settle
 
 
 def state_at_rest(
-    compiled: CompiledModel, inputs: np.ndarray, flat: np.ndarray, *, held: np.ndarray | None = None, where: str = ""
-) -> np.ndarray:
+    compiled: CompiledModel, inputs: np.ndarray, flat: np.ndarray, *, held: np.ndarray | None = None, where: str = "",
+    first_member: int = 0,
+) -> np.ndarray:  # fmt: skip
     """The scaled states at rest (members, n) under constant inputs, for flat coefficients (members, n_c).
 
     States in `held` (n,) keep what the static solution has. Raises SolveError, beginning with `where`, where no state
-    is at rest.
+    is at rest; it counts members from `first_member` on.
     """
     model = compiled.model
     columns = model.rest(tuple(inputs), model.valve_coefficients(tuple(flat.T)))
@@ -26,7 +27,7 @@ def state_at_rest(
     if not any(effect.balance for effect in model.effects):
         return y
     for k in range(len(y)):
-        member = f"member {k}: " if len(y) > 1 else ""
+        member = f"member {first_member + k}: " if first_member or len(y) > 1 else ""
         y[k] = settle(
             functools.partial(_into, compiled.derivative, inputs, flat[k]),
             functools.partial(_into, compiled.jacobian, inputs, flat[k]),
