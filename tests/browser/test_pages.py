@@ -27,6 +27,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), "")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
          "--disable-component-update", "--disable-sync"]  # fmt: skip
+PAGES = ("run", "responses", "diagnosis", "records", "lines")
 READY = "document.documentElement.dataset.ready === 'yes'"
 PICTURES = Path(os.environ.get("VALVESIM_SCREENSHOTS", "")) if os.environ.get("VALVESIM_SCREENSHOTS") else None
 
@@ -108,6 +109,29 @@ def lines(folder):
     return write_html(folder / "lines.html", block, parts)
 
 
+@pytest.fixture(scope="module")
+def diagnosis(folder):
+    """The page of a diagnosis that has everything."""
+    from test_report_diagnosis import ambiguous, write_report
+
+    return write_report(ambiguous(), folder / "diagnosis")[-1]
+
+
+@pytest.fixture(scope="module")
+def records(folder):
+    """Two records side by side, one with a gap."""
+    from valvesim.measurement.survey import all_channels
+    from valvesim.reports.records import page_recordings
+
+    rng, recordings = np.random.default_rng(1), []
+    for name, n in (("first", 2000), ("second <b>", 3000)):
+        rows = [f"{k / 1000},{5 * np.sin(k / 100):.6g},{0.1 * np.sin(k / 100) + 1e-3 * rng.normal():.6g}\n"
+                for k in range(n) if name == "first" or not 1000 < k < 1200]  # fmt: skip
+        (folder / f"{name}.csv").write_text("time [s],current [mA],spool_position [mm]\n" + "".join(rows))
+        recordings.append(all_channels([folder / f"{name}.csv"]).recording)
+    return page_recordings(recordings, DAY, folder / "records.html")
+
+
 def scale(page, chart):
     return page.evaluate(f"(() => {{ const s = valvesimCharts[{chart}].plot.scales.x; return [s.min, s.max]; }})()")
 
@@ -177,7 +201,7 @@ def test_buttons_zoom_and_a_channel_is_switched_off_by_keyboard(visit, lines):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["run", "responses", "lines"])
+@pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_accessible_in_light_and_dark(visit, request, name, scheme):
     page = visit(request.getfixturevalue(name), scheme=scheme)
     accessible(page)
@@ -187,7 +211,7 @@ def test_a_page_is_accessible_in_light_and_dark(visit, request, name, scheme):
         page.screenshot(path=PICTURES / f"{name}_{scheme}.png", full_page=True)
 
 
-@pytest.mark.parametrize("name", ["run", "responses", "lines"])
+@pytest.mark.parametrize("name", PAGES)
 def test_a_page_fits_a_telephone_and_charts_follow_the_window(visit, request, name):
     page = visit(request.getfixturevalue(name), width=390)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
@@ -217,6 +241,13 @@ def test_a_page_says_what_it_is_of_and_made_by_what(visit, run):
     for link in page.locator("nav a").all():
         assert page.locator(link.get_attribute("href")).count() == 1
     assert page.locator("figure.chart").count() == 6 + 2 + 3
+
+
+def test_records_side_by_side_move_together(visit, records):
+    page = visit(records)
+    assert page.locator(".charts.beside figure.chart").count() == 4
+    page.get_by_role("button", name="Zoom in: current, first.csv").click()
+    assert scale(page, 0) == scale(page, 1) == scale(page, 3) and scale(page, 0)[1] < 1.9
 
 
 def test_the_charts_draw_something_in_each_colour(visit, lines):

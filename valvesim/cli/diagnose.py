@@ -44,7 +44,7 @@ def diagnose(
             progress=lambda text, share: bar.update(stage, description=text, completed=share),
         )
         bar.update(stage, description="drawing", total=None)
-        names = [path.name for path in _write_diagnosis(found, read.valve, folder)]
+        names = [path.name for path in _write_diagnosis(found, read, folder)]
     remember_files(output / name for name in found.extended_effects)
     if form != "table":
         _print_rows(found, form)
@@ -53,7 +53,7 @@ def diagnose(
     print_written([output / name for name in names])
 
 
-def _write_diagnosis(found: Any, valve: Any, folder: Path) -> list[Path]:
+def _write_diagnosis(found: Any, session: Any, folder: Path) -> list[Path]:
     from valvesim.reports.diagnosis.page import write_report
     from valvesim.reports.title_block import valve_name
 
@@ -63,7 +63,9 @@ def _write_diagnosis(found: Any, valve: Any, folder: Path) -> list[Path]:
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     written = [found.to_json(folder / "diagnosis.json"), *(folder / name for name in texts)]
-    return [*written, *write_report(found, folder, valve=valve_name(valve), date=date.today())]
+    facts = (("Session", session.title), ("Oil", session.oil.name), ("Seed", str(session.seed)))
+    named = valve_name(session.valve)
+    return [*written, *write_report(found, folder, valve=named, date=date.today(), facts=facts)]
 
 
 def _columns_text(columns: dict[str, Any]) -> str:

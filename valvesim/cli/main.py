@@ -24,10 +24,14 @@ from valvesim.cli.permissions import with_permissions
 from valvesim.cli.streams import CLOSED_PIPE, drop_output, prepare_streams
 from valvesim.errors import InputError, SolveError, ValidityWarning, nearest, one_line
 
-COMMANDS = (
-    "acceptance", "bench", "datasheet", "diagnose", "effects", "export", "identify", "oils", "open", "parameters",
-    "plan", "records", "reproduce", "response", "run", "scenarios", "static", "study",
-)  # fmt: skip
+SECTIONS = {  # of the help, each with its commands
+    "Simulate": ("run", "scenarios", "static", "study", "open"),
+    "Characterise": ("bench", "response", "datasheet", "identify", "reproduce"),
+    "Measured records": ("records", "acceptance", "plan", "diagnose"),
+    "Look up": ("parameters", "effects", "oils"),
+    "Hand on": ("export",),
+}
+COMMANDS = tuple(sorted(name for names in SECTIONS.values() for name in names))
 
 
 class ClosedPipe(Exception):
@@ -58,13 +62,14 @@ class _Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Each with the first sentence of its help, in full."""
-        rows = []
-        for name in COMMANDS:
-            command = self.get_command(ctx, name)
-            text = " ".join(((command.help if command else None) or "").split("\n\n")[0].split())
-            rows.append((name, text.partition(". ")[0].rstrip(".")))
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+        for heading, names in SECTIONS.items():
+            rows = []
+            for name in names:
+                command = self.get_command(ctx, name)
+                text = " ".join(((command.help if command else None) or "").split("\n\n")[0].split())
+                rows.append((name, text.partition(". ")[0].rstrip(".")))
+            with formatter.section(heading):
+                formatter.write_dl(rows, col_max=14)
 
 
 @click.group(

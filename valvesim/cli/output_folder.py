@@ -1,8 +1,9 @@
 """A folder of results: all that a command writes appears in it together, or nothing; what else stands there is kept.
 
-`manifest.json` in the folder tells what each command wrote, with hashes. By it a command knows its own earlier results,
-which the new ones replace. A folder without it that holds anything, a file of ours that was changed since, and a file
-of somebody else where a result is to stand are left as they are, unless the command line says `--overwrite`.
+`manifest.json` in the folder tells what each command wrote, with hashes, and by which version, when and by which words it
+did. By it a command knows its own earlier results, which the new ones replace. A folder without it that holds anything,
+a file of ours that was changed since, and a file of somebody else where a result is to stand are left as they are,
+unless the command line says `--overwrite`.
 """
 
 from __future__ import annotations
@@ -11,15 +12,18 @@ import contextlib
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Iterator
+from datetime import date
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import click
 
 from valvesim.cli.options import may_overwrite
-from valvesim.errors import InputError
+from valvesim.errors import InputError, one_line
 from valvesim.temporary_files import MOVING, made_folder, temporary_folder
+from valvesim.version import package_version
 
 MANIFEST = "manifest.json"
 PREFIX = ".valvesim-"  # of the folder in which results are written until they are complete
@@ -105,7 +109,11 @@ def _publish(folder: Path, place: Path, new: Path) -> None:
             raise InputError(f"{problem}; name another folder, or give --overwrite", file=folder)
     commands = {other: {k: v for k, v in own.items() if k not in files} for other, own in commands.items()}
     commands[_command()] = {name: _hash(path) for name, path in files.items()}
-    told = json.dumps({"written_by": "valvesim", "commands": commands}, indent=1)
+    made = {name: one for name, one in _made(place).items() if name in commands}
+    made[_command()] = {
+        "version": package_version(), "date": date.today().isoformat(), "words": [*map(one_line, sys.argv[1:])]
+    }  # fmt: skip
+    told = json.dumps({"written_by": "valvesim", "made": made, "commands": commands}, indent=1)
     (new / MANIFEST).write_text(told + "\n", encoding="utf-8")
     for path in (*files.values(), new / MANIFEST):
         to_disc(path)
@@ -149,6 +157,15 @@ def _manifest(place: Path) -> dict[str, dict[str, str]] | None:
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
     return dict(commands)
+
+
+def _made(place: Path) -> dict[str, Any]:
+    """By which version, when and by which words each command wrote; nothing where no manifest says so."""
+    try:
+        made = json.loads((place / MANIFEST).read_bytes())["made"]
+        return dict(made)
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return {}
 
 
 def _hash(path: Path) -> str:

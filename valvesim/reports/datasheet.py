@@ -54,7 +54,8 @@ def datasheet_report(
     Raises InputError for a folder that cannot be written.
     """
     check_folder(folder)
-    block = TitleBlock(title=TITLE, valve=valve_name(sheet.valve), date=date)
+    facts = (("Oil", sheet.oil.name),)
+    block = TitleBlock(title=TITLE, valve=valve_name(sheet.valve), date=date, facts=facts)
     parts = _parts(sheet, block)
     if judged:
         verdicts = (HEADINGS, *judgement_rows(judged))

@@ -44,13 +44,15 @@ def page_recordings(recordings: Sequence[Recording], date: datetime.date, path: 
             if channel in recording.values:
                 unit, factor = DISPLAY.get(UNITS[channel], (UNITS[channel], 1.0))
                 text, values = channel.replace("_", " "), recording.values[channel] * factor
-                line = Series(text, symbol(unit), values, joined=bool(np.isnan(values).any()))
+                apart = np.diff(np.flatnonzero(np.isfinite(values)))  # more than one: a slower channel, not a gap
+                line = Series(text, symbol(unit), values, joined=len(apart) > 0 and float(np.median(apart)) > 1.0)
                 label = f"{text} [{symbol(unit)}]"
                 charts.append(Chart(f"{text}, {name}", recording.time, [line], y_label=label, group="records"))
         heading = channel.replace("_", " ").capitalize()
         sections.append(section(heading, Charts(charts, beside=len(recordings) > 1)))
     named = list(zip(names, recordings, strict=True))
-    notes = [f"{name}: {note}" for name, one in named for note in (*one.forms, *one.notes)]
+    notes = [note if note.startswith(name) else f"{name}: {note}"
+             for name, one in named for note in (*one.forms, *one.notes)]  # fmt: skip
     left_out = [f"{name}: no channel {', '.join(one.left_out)}" for name, one in named if one.left_out]
     return write_html(path, block, (*sections, section("Notes", Bullets([*notes, *left_out]))))
 

@@ -41,7 +41,9 @@ def response_report(
     """
     folder = Path(folder)
     check_folder(folder)
-    block = TitleBlock(title="Step and frequency response", valve=valve, date=date)
+    at = ", ".join(f"{one.oil_temperature:g} °C" for one in sets)
+    facts = (("Oil at", at),)
+    block = TitleBlock(title="Step and frequency response", valve=valve, date=date, facts=facts)
     pictures = {name: png(figure, block) for name, figure in draw_responses(sets).items()}
     paths = [write_bytes(data, folder / f"{name}.png") for name, data in pictures.items()]
     charts = section("Responses", Charts(response_charts(sets), beside=True))

@@ -25,7 +25,7 @@ from valvesim.reports.plotting import (
 )
 from valvesim.reports.response import frequency_charts
 from valvesim.reports.run_table import RUN_HEADINGS, run_rows
-from valvesim.reports.title_block import TitleBlock, package_version, valve_name
+from valvesim.reports.title_block import TitleBlock, valve_name
 from valvesim.units import symbol
 from valvesim.valve.coefficients import PART_NAMES
 
@@ -49,13 +49,11 @@ TEMPERATURES = tuple(f"{name}_temperature" for name in PART_NAMES)
 def title_block(scenario: Scenario, date: datetime.date) -> TitleBlock:
     """The marks of a run's page and pictures."""
     facts = (
-        ("Valve", valve_name(scenario.valve)), ("Oil", scenario.oil.name), ("Duration", f"{scenario.duration:g} s"),
+        ("Oil", scenario.oil.name), ("Duration", f"{scenario.duration:g} s"),
         ("Relative tolerance of the integration", f"{scenario.tolerance:g}"),
         ("Effects", ", ".join(active.in_words() for active in scenario.effects)),
-        ("Version", f"valvesim {package_version()}"), ("Date", date.isoformat()),
     )  # fmt: skip
-    told = tuple(fact for fact in facts if fact[1])
-    return TitleBlock(title=scenario.title, valve=valve_name(scenario.valve), date=date, facts=told)
+    return TitleBlock(title=scenario.title, valve=valve_name(scenario.valve), date=date, facts=facts)
 
 
 def picture_run(result: Result, date: datetime.date, path: Path) -> Path:

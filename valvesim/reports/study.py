@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from valvesim.characterisation.figure_of_merit import unit_shown
+from valvesim.reports.chart import Chart, Charts, Series
 from valvesim.reports.html_page import Banner, Picture, Table, Terms, Text, section, write_html
 from valvesim.reports.plotting import COLOURS, Figure, png, styled, write_bytes
 from valvesim.reports.title_block import TitleBlock
@@ -40,7 +41,7 @@ HOW_TIGHTENED = (
 def study_report(findings: Findings, folder: Path, *, valve: str, date: datetime.date) -> list[Path]:
     """Write the pictures and study.html of a study into a folder; their paths."""
     result, study = findings.result, findings.result.study
-    block = TitleBlock(title=study.title, valve=valve, date=date)
+    block = TitleBlock(title=study.title, valve=valve, date=date, facts=(("Seed", str(study.design.seed)),))
     pictures: list[tuple[str, str, Figure]] = [
         (
             "figures",
@@ -69,7 +70,7 @@ def study_report(findings: Findings, folder: Path, *, valve: str, date: datetime
                 Text(_unjudged(result.unjudged))),
         section("Figures of merit", drawn["figures"], Table(FIGURES, summary.figure_rows(result), tuple(range(2, 12))),
                 Text("valvesim study STUDY --member NUMBER prints a member's scenario, which runs as any other.")),
-        section("Over time", drawn.get("percentiles", nothing)),
+        section("Over time", Charts(percentile_charts(findings)), drawn.get("percentiles", nothing)),
         section("Sensitivity", drawn.get("sensitivity", nothing), *_index_blocks(findings)),
         section("Which tolerance to tighten", drawn.get("tightening", nothing),
                 Text(summary.plan_words(findings), strong=True),
@@ -149,6 +150,27 @@ def draw_figures(findings: Findings) -> Figure:
     for axis in axes[len(shown) :]:
         axis.set_axis_off()
     return figure
+
+
+def percentile_charts(findings: Findings) -> list[Chart]:
+    """A line each percentile, and the nominal run, of each channel over time."""
+    data = findings.result.dataset
+    charts: list[Chart] = []
+    if findings.result.study.percentiles is None:
+        return charts
+    for name in map(str, data["channel"].values):
+        unit, factor = unit_shown(str(data["channel_unit"].sel(channel=name).values))
+        lines = data["percentile"].sel(channel=name).values * factor
+        known = 1e-4 * float(np.ptp(lines))
+        series = [Series(f"{level:g} %", unit, line, known, colour=k % 7)
+                  for k, (level, line) in enumerate(zip(data["level"].values, lines, strict=True))]  # fmt: skip
+        nominal = np.asarray(data["nominal_run"].sel(channel=name).values) * factor
+        series.append(Series("nominal", unit, nominal, known, colour=7, dashed=True))
+        text = name.replace("_", " ")
+        charts.append(
+            Chart(text.capitalize(), data["sample_time"].values, series, y_label=f"{text} [{unit}]", group="study")
+        )
+    return charts
 
 
 @styled

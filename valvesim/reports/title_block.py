@@ -18,9 +18,15 @@ class TitleBlock:
     valve: str
     date: datetime.date
     version: str = field(default_factory=package_version)
-    facts: Sequence[tuple[str, str]] = ()  # what else it was made with: scenario, oil, tolerance, seed
+    facts: Sequence[tuple[str, str]] = ()  # what else it was made with: oil, tolerance, seed
 
     @property
     def origin(self) -> str:
         """All but the title, on one line."""
         return f"{self.valve} · valvesim {self.version} · {self.date.isoformat()}"
+
+    @property
+    def made_by(self) -> list[tuple[str, str]]:
+        """All that the page was made of and with, as terms and texts."""
+        made = (("Valve", self.valve), *self.facts, ("Version", f"valvesim {self.version}"), ("Date", str(self.date)))
+        return [(term, text) for term, text in made if text]

@@ -69,7 +69,9 @@ PICTURES: dict[str, Callable[[Diagnosis], Figure | None]] = {
 }  # fmt: skip
 
 
-def write_report(diagnosis: Diagnosis, folder: Path, *, valve: str, date: datetime.date) -> list[Path]:
+def write_report(
+    diagnosis: Diagnosis, folder: Path, *, valve: str, date: datetime.date, facts: Sequence[tuple[str, str]] = ()
+) -> list[Path]:  # fmt: skip
     """Write `report.html` (pictures inside) into `folder`, and each picture as a PNG beside it; their paths, page last.
 
     `errors.png`, `traces.png`, `scores.png`, `gain.png` and `term.png`, each only where the diagnosis has something for
@@ -80,7 +82,7 @@ def write_report(diagnosis: Diagnosis, folder: Path, *, valve: str, date: dateti
     if diagnosis.verdict not in VERDICTS:
         raise unknown_name("verdict", diagnosis.verdict, VERDICTS, "diagnosis")
     check_folder(folder)
-    block = TitleBlock(title=f"Diagnosis: {diagnosis.title}", valve=valve, date=date)
+    block = TitleBlock(title=f"Diagnosis: {diagnosis.title}", valve=valve, date=date, facts=facts)
     pictures = {name: png(figure, block, dpi=DPI) for name, figure in draw(diagnosis).items()}
     files = {f"{name}.png": data for name, data in pictures.items()}
     text = page(block, _sections(diagnosis, pictures), banner=banner(diagnosis))
