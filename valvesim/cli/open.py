@@ -22,7 +22,7 @@ PAGES = ("run.html", "report.html", "datasheet.html", "response.html", "study.ht
 @columns_option
 @click.option("--browser/--no-browser", default=True, help="Show the page in the browser, or name it only.")
 def open(places: tuple[Path, ...], output: Path | None, columns: Path | None, browser: bool) -> None:
-    """Show the page of a results folder, or result.nc and measured files (CSV, MAT, TDMS, ...) as one, side by side.
+    """Show the page of a results folder, or result.nc and measured files (CSV, MAT, TDMS and others) as one, side by side.
 
     Pages need no network and no server: any browser shows them, also from a mail.
     """
