@@ -189,9 +189,8 @@ def _in_service(specification: Specification, valve: Valve) -> tuple[ActiveEffec
     if not stated or stated[0] <= 0.0:
         return ()
     rated = float(valve.rated_current)
-    return (
-        effect("magnetic_hysteresis")(coercive_current=stated[0] * rated / 2.0, turning_current=TURNING_SHARE * rated),
-    )
+    half, turning = (float(f"{value:.6g}") for value in (stated[0] * rated / 2.0, TURNING_SHARE * rated))
+    return (effect("magnetic_hysteresis")(coercive_current=half, turning_current=turning),)
 
 
 def _notes(specification: Specification, conditions: dict[str, float]) -> tuple[str, ...]:
