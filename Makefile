@@ -3,11 +3,13 @@ VENV ?= .venv
 
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check
 STAMP := $(VENV)/.valvesim-installed
+AUDIT := .venv-audit
+LOCKED = $(shell sed -n 's/^\([A-Za-z0-9._-]*\)==.*/\1/p' requirements.lock)
 
 # Neighbours in a file stay on one worker, which has compiled their models and made what they share.
 PYTEST := $(VENV)/bin/python -m pytest -q -n auto --dist worksteal
 
-.PHONY: launch test test-all test-browser docs coverage lint lock clean
+.PHONY: launch test test-all test-browser docs coverage lint lock audit sbom licences clean
 
 launch: $(STAMP)
 	$(VENV)/bin/valvesim run scenarios/launch_shock.toml -o results/launch_shock
@@ -51,6 +53,29 @@ lock: | $(VENV)/bin/pip-compile
 		--output-file requirements.lock pyproject.toml
 	@sed -i '/^ *#.*http/Id' requirements.lock
 	@! grep -i http requirements.lock || { echo "error: requirements.lock names a host, see the lines above" >&2; exit 1; }
+
+# Known weaknesses of the locked packages. Needs the network: a package that the service does not know fails it too.
+audit: sbom | $(AUDIT)/bin/pip-audit
+	$(AUDIT)/bin/pip-audit --strict --disable-pip --require-hashes --progress-spinner off -r requirements.lock
+
+# The software bill of materials (CycloneDX) of what the lock has installed, to go with a release.
+sbom: $(STAMP) | $(AUDIT)/bin/pip-audit
+	@mkdir -p dist
+	$(AUDIT)/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible -o dist/valvesim.cdx.json \
+		$(VENV)/bin/python
+
+# The licences of the locked packages, as their metadata have them.
+licences: $(STAMP) | $(AUDIT)/bin/pip-audit
+	@sed '/^| Name/,$$d' docs/licences.md > docs/licences.md.new
+	@$(AUDIT)/bin/pip-licenses --python=$(VENV)/bin/python --packages $(LOCKED) --from=mixed --format=markdown \
+		>> docs/licences.md.new
+	@mv docs/licences.md.new docs/licences.md
+
+# A venv of its own, so that what looks is not part of what is looked at.
+$(AUDIT)/bin/pip-audit: | $(VENV)/bin/python
+	@echo "valvesim: installing pip-audit, cyclonedx-bom and pip-licenses into $(AUDIT)"
+	@$(VENV)/bin/python -m venv $(AUDIT)
+	@$(AUDIT)/bin/python -m pip --disable-pip-version-check install -qq pip-audit cyclonedx-bom pip-licenses
 
 # Leaves the venv and results/ alone.
 clean:

@@ -105,7 +105,9 @@ def killed(words: list[str], number: int, wait: float, environment: dict[str, st
 def judged(code: int | None, lines: list[str], seconds: float, left: list[int], number: int) -> list[str]:
     """What is wrong with the end of a process."""
     found = []
-    right = {None, 0, 128 + number, -number if number == signal.SIGKILL else 128 + number}
+    right = {None, 0, 128 + number} | (
+        {-number} if number == signal.SIGKILL or not lines else set()
+    )  # at its very ends
     if code not in right or len(lines) > 1:
         found.append("traceback")
     if seconds > LATE:

@@ -10,6 +10,7 @@ import valvesim as vs
 from valvesim.errors import LONGEST_MESSAGE, InputError, one_line
 from valvesim.identification.session import UNITS
 from valvesim.inputs import MOST_PIECES, Pulse, Scaled, Staircase, Step, Sum, Table, evaluate, read_table
+from valvesim.identification.session_toml import load_session
 from valvesim.io import DEEPEST, MOST_TEXT, check_file, read_columns, split_heading
 from valvesim.measurement.recording import read_recording
 from valvesim.simulation.scenario import MOST_OIL_PIECES
@@ -173,6 +174,28 @@ def test_a_record_with_quotes_where_none_belong_is_refused(tmp_path, text):
     (tmp_path / "a.csv").write_bytes(text.encode())
     with pytest.raises(InputError, match=r"a\.csv"):
         read_recording([tmp_path / "a.csv"], UNITS)
+
+
+def test_a_file_that_claims_more_memory_than_there_is_is_refused(tmp_path, monkeypatch):
+    def claim(*arguments, **options):
+        raise MemoryError
+
+    monkeypatch.setattr("scipy.io.loadmat", claim)
+    (tmp_path / "a.mat").write_bytes(b"MATLAB 5.0".ljust(2000))
+    with pytest.raises(InputError, match=r"a\.mat: is no MATLAB file that can be read .it asks for more memory"):
+        read_recording([tmp_path / "a.mat"], UNITS)
+
+
+def test_a_name_that_no_system_can_hold_is_refused(tmp_path):
+    (tmp_path / "session.toml").write_text(f"[[records]]\nfile = '{'x' * 5000}'\n")
+    with pytest.raises(InputError, match=r"line 2: records\.1\.file: .* is not in the folder"):
+        load_session(tmp_path)
+    with pytest.raises(InputError, match="no such file"):
+        load_scenario("x" * 5000)
+    (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
+    (tmp_path / "session.toml").write_text("[[records]]\nfile = 'loop.csv'\n")
+    with pytest.raises(InputError, match="is not in the folder"):
+        load_session(tmp_path)
 
 
 # --- what is no file -------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from valvesim.cli import display, interrupts
 from valvesim.cli.streams import CLOSED_PIPE
 from valvesim.temporary_files import remove_all, temporary_folder, temporary_path
 
+FULL = b"error: standard output or a temporary file: cannot be read or written (No space left on device)\n"
 LINE = "error: interrupted; nothing half-written is left\n"
 # Stands at a point that is given, with a temporary folder and a worker process, and tells the parent so.
 PROGRAM = """
@@ -171,7 +172,7 @@ def test_a_full_disc_under_standard_output_is_one_line():
     with open("/dev/full", "wb") as full:
         done = _command("oils", "--format", "csv", stdout=full)
     assert done.returncode == 1 and done.stderr.count(b"\n") == 1
-    assert done.stderr == b"error: standard output: cannot be read or written (No space left on device)\n"
+    assert done.stderr == FULL
 
 
 def test_a_terminal_of_ascii_gets_plain_characters():

@@ -149,7 +149,7 @@ def _refused_by_the_system(error: OSError) -> tuple[str, int]:
         return "", CLOSED_PIPE
     from valvesim.io import reason
 
-    what = "" if error.filename else "standard output: "
+    what = "" if error.filename else "standard output or a temporary file: "
     return one_line(f"{what}cannot be read or written ({reason(error)})"), 1
 
 

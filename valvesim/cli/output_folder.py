@@ -45,7 +45,12 @@ def all_or_nothing(folder: Path) -> Iterator[Path]:
             above = next(each for each in (place, *place.parents) if each.is_dir())
             new = stack.enter_context(temporary_folder(above, PREFIX)) / "results"
             new.mkdir()
-        yield new
+        try:
+            yield new
+        except InputError as error:  # where it would have stood
+            raise (
+                error.at(file=folder / Path(error.file).relative_to(new)) if _is_in(error.file, new) else error
+            ) from None
         with _written(folder), MOVING, made_folder(place.parent), _alone(place.parent):
             _publish(folder, place, new)
 
@@ -66,6 +71,10 @@ def check_free_file(*files: Path) -> None:
     for file in files:
         if os.path.lexists(file) and not may_overwrite():
             raise InputError("stands there already; name another file, or give --overwrite", file=file)
+
+
+def _is_in(file: str, folder: Path) -> bool:
+    return bool(file) and Path(file).is_relative_to(folder)
 
 
 @contextlib.contextmanager

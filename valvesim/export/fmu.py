@@ -32,6 +32,7 @@ from valvesim.export.traced_valve import TracedValve, trace_valve
 from valvesim.export.variable_page import variable_page
 from valvesim.io import write_atomically
 from valvesim.simulation.scenario import Scenario
+from valvesim.temporary_files import temporary_folder
 from valvesim.version import package_version
 
 C_FOLDER = Path(__file__).parent / "c"
@@ -148,8 +149,7 @@ def compile_c(compiler: str, folder: Path, sources: Sequence[str], output: Path)
 
 
 def _binary(compiler: str, files: dict[str, bytes], names: Sequence[str]) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="valvesim-") as name:
-        folder = Path(name)
+    with temporary_folder(Path(tempfile.gettempdir()), "valvesim-fmu-") as folder:
         for path, text in files.items():
             (folder / Path(path).name).write_bytes(text)
         compile_c(compiler, folder, names, folder / "model.binary")

@@ -84,8 +84,8 @@ def _read(path: Path, form: Format, choice: Choice) -> tuple[tuple[MeasuredTable
             return form.read(path, choice), None
         except InputError as error:
             return (), error if error.file else error.at(file=path)
-        except MemoryError:
-            raise
+        except MemoryError:  # what is broken may claim any size
+            told = "it asks for more memory than there is"
         except Exception as error:  # libraries raise errors of many kinds on a broken file
             told = " ".join(str(error).split())[:200] or type(error).__name__
         gc.collect()  # what is half made complains as it goes: now

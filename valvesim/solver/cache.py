@@ -25,7 +25,7 @@ from types import ModuleType
 from typing import Any
 
 from valvesim.errors import warn_once
-from valvesim.io import UnsafeFile, check_own
+from valvesim.io import UnsafeFile, check_own, reason
 from valvesim.temporary_files import temporary_folder, temporary_path
 
 SOURCE = "model.py"
@@ -52,7 +52,7 @@ def load(
         return _kept(folder, short_name, printed, _surroundings(called), call_once)
     except (OSError, UnsafeFile) as error:
         warn_once(
-            f"compiled equations are not kept, so that each start takes seconds longer: {error}; "
+            f"compiled equations are not kept, so that each start takes seconds longer: {reason(error)}; "
             "VALVESIM_CACHE_DIR names another folder",
             about="compiled equations are not kept",
         )

@@ -8,7 +8,6 @@ fixed length has no settled form in format 3.
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from valvesim.studies.channel_histogram import BINS
 from valvesim.studies.members import LONGEST_REASON, BlockResult, Plan
 from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.versions import difference, versions
+from valvesim.temporary_files import made_folder, temporary_path
 
 NAME = "study.zarr"  # the store in the folder of a study
 FORMAT = 1  # of what stands in it
@@ -105,21 +105,18 @@ def _create(path: Path, study: ParameterStudy, plan: Plan) -> None:
     """Write the template beside its place and move it there whole, so that a kill leaves none or all of it."""
     import zarr
 
-    new = path.with_name(f".{path.name}.new")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(new, ignore_errors=True)
-        group: Any = zarr.open_group(new, mode="w", zarr_format=2)
-        group.attrs.update(attributes_of(study, plan))
-        _add_arrays(group, study, plan)
-        draws = study.draws()
-        for start in range(0, study.members, study.block_size):
-            group[DRAWS][start : start + study.block_size] = draws[start : start + study.block_size]
-        if len(plan.times):
-            group[TIME][:] = plan.times
-        new.rename(path)
+        with made_folder(path.parent), temporary_path(path.parent, f".{path.name}-") as new:
+            group: Any = zarr.open_group(new, mode="w", zarr_format=2)
+            group.attrs.update(attributes_of(study, plan))
+            _add_arrays(group, study, plan)
+            draws = study.draws()
+            for start in range(0, study.members, study.block_size):
+                group[DRAWS][start : start + study.block_size] = draws[start : start + study.block_size]
+            if len(plan.times):
+                group[TIME][:] = plan.times
+            new.rename(path)
     except OSError as error:
-        shutil.rmtree(new, ignore_errors=True)
         raise InputError(f"cannot be written ({reason(error)})", file=path) from None
 
 
