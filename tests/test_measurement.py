@@ -96,6 +96,8 @@ def test_a_degree_sign_of_an_old_encoding_is_a_degree(tmp_path):
         ("time [s];current [mA]\n0;1\n1;2.5\n2;1.000,5\n3;4\n", "line 4: '1.000,5' in column 'current' is not"),
         ("time [s];current [mA]\n0;1,5\n1;2.5\n2;1,5\n3;4,5\n", "line 3: '2.5' in column 'current' is not a number"),
         ("time [s],current [mA]\n0,1\n1,x\n2,3\n4,5\n5,6\n", "line 3: 'x' in column 'current' is not a number"),
+        ("time [s],current [mA]\n0,x\n1,2\n2,3\n4,5\n5,6\n", "line 2: 'x' in column 'current' is not a number"),
+        ("time [s],current [mA]\n0,1,2\n1,2\n2,3\n4,5\n", "line 2: 3 cells under 2 columns"),
         ("time [s],current [mA]\n0,1\n1,True\n2,3\n", "line 3: 'True' in column 'current' is not a number"),
         ("time [s],current [mA]\n0,1\n1\n2,3\n", "line 3: 1 cells under 2 columns"),
         ("time [s],current [mA]\n0,1\n1,\0\n2,3\n", "zero bytes"),
@@ -537,3 +539,9 @@ def test_readings_that_no_axis_can_show_are_not_drawn(tmp_path, call):
     path = tmp_path / "a.csv"
     path.write_text(table(TIME, 1e305 * SPOOL, SPOOL))
     assert call("records", path, "-o", tmp_path / "out")[0] == 0
+
+
+def test_a_wrong_first_row_is_told_where_the_names_stand_by_statement_too(tmp_path):
+    columns = {"time": {"column": 1, "unit": "s"}, "current": {"column": 2, "unit": "mA"}}
+    stated = statements_of(columns, {"header_line": 0, "separator": ",", "decimal": "."})
+    assert "line 1: 'x' in column '2'" in refused(tmp_path, "0,x\n1,2\n2,3\n3,4\n", stated=stated)

@@ -61,7 +61,6 @@ class Layout:
     data_line: int
     headings: tuple[Heading, ...]
     kinds: tuple[str, ...]
-    trailing: bool  # every row of data ends with a separator
 
     @property
     def in_words(self) -> str:
@@ -137,7 +136,6 @@ class _Reading:
     rows: tuple[list[str], ...]
     kinds: tuple[str, ...]
     header: tuple[int, ...]  # indices of the lines of names and, where there is one, units
-    trailing: bool
 
     @property
     def rank(self) -> tuple[bool, float, int, float]:
@@ -188,7 +186,7 @@ def layout_of(path: Path, text: str, encoding: str, stated: Dialect) -> Layout:
     return Layout(
         separator=best.separator, decimal=best.decimal, encoding=encoding,
         header_line=lines[best.header[0]][0] if best.header else None, data_line=lines[best.first][0],
-        headings=headings, kinds=best.kinds, trailing=best.trailing,
+        headings=headings, kinds=best.kinds,
     )  # fmt: skip
 
 
@@ -245,11 +243,11 @@ def _reading(
     if sum(map(is_data, range(first, len(lines)))) < 0.5 * len(rows):
         return None
     header = _header(split, numeric, first, count, [n for n, _ in lines], header_line)
-    trailing = count > 1 and all(len(row) == count and not row[-1].strip() for row in rows[:-1] or rows)
-    if trailing and header and len(split[header[0]]) == count and split[header[0]][-1].strip():
-        trailing = False
+    if header or header_line is not None:  # a row below the names that holds numbers is data, even where it is wrong
+        below = header[-1] + 1 if header else start
+        first = next(k for k in range(below, first + 1) if k == first or any(numeric[k]))
     whole = tuple(row for row in rows if len(row) == count)
-    return _Reading(separator, decimal, first, whole, kinds, header, trailing)
+    return _Reading(separator, decimal, first, whole, kinds, header)
 
 
 def _kind(cells: Sequence[str], numeric: Sequence[bool], clock: Sequence[bool]) -> str:
