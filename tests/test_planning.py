@@ -56,18 +56,18 @@ def plan_file(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def bench(plan_file):
-    return load_plan(plan_file)
-
-
-@pytest.fixture(scope="module")
-def planned(bench):
-    return planned_sensitivities(bench)
-
-
-@pytest.fixture(scope="module")
 def found(plan_file):
     return plan_tests(plan_file)
+
+
+@pytest.fixture(scope="module")
+def bench(found):
+    return found.bench
+
+
+@pytest.fixture(scope="module")
+def planned(found):
+    return found.planned
 
 
 # ---------------------------------------------------------------- the plan
