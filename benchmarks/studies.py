@@ -1,6 +1,7 @@
 """Measures the studies: throughput, kill and resume, a real scheduler with a killed worker, a million members.
 
     python benchmarks/studies.py throughput     one process, two, a loop of scipy, CasADi's map: processor time a member
+    python benchmarks/studies.py launch         a member of the launch shock beside the solver's time of a single run
     python benchmarks/studies.py kill           killed at random moments, started again, compared byte for byte
     python benchmarks/studies.py scheduler      dask scheduler and two workers as processes, one of them killed
     python benchmarks/studies.py sobol          Ishigami by the whole path against its closed form and SALib alone
@@ -29,7 +30,7 @@ import numpy as np
 
 import valvesim as vs
 from valvesim.inputs import evaluate
-from valvesim.simulation.run import prepare
+from valvesim.simulation.run import integrate, prepare
 from valvesim.studies.designs import Design, saltelli_problem
 from valvesim.studies.distributions import Distribution
 from valvesim.studies.members import make_plan, run_block
@@ -170,6 +171,30 @@ def _casadi(own: ParameterStudy, draws: np.ndarray, rtol: float, name: str) -> t
     last = np.array(maps[1](x0=first[:, :, -1], p=driven[1])["xf"]).reshape(len(compiled.scale), len(draws), -1)
     seconds = (time.process_time() - begin) / len(draws)
     return seconds, last[VELOCITY].max(axis=1) * compiled.scale[VELOCITY]
+
+
+def launch() -> None:
+    """A member of a batch over the launch's oil ramp, all of it, over the solver's time of a single run."""
+    shock = vs.load_scenario("launch_shock")
+    scenario = replace(shock, duration=84.0)
+    own = ParameterStudy(
+        case=scenario, variables=tolerated(scenario), design=Design(members=184), keep=("run.spool_position.*",),
+        block=184,
+    )  # fmt: skip
+    plan, draws, problem = make_plan(own), own.draws(), prepare(scenario)
+    run_block(own, plan, 0, draws[:8])
+    integrate(problem, 0, None)
+    begin = time.process_time()
+    for _ in range(5):
+        integrate(problem, 0, None)
+    single = (time.process_time() - begin) / 5
+    for what, some in (("all", draws), ("the first 46", draws[:46])):
+        begin = time.process_time()
+        failed = sum(reason != "" for reason in run_block(own, plan, 0, some).reasons)
+        member = (time.process_time() - begin) / len(some)
+        print(
+            f"{what}: {1e3 * member:.1f} ms a member, {member / single:.2f} of a single run's solver, {failed} failed"
+        )
 
 
 # ---------------------------------------------------------------- kill and resume
@@ -331,5 +356,5 @@ def members(count: int) -> None:
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     what, *rest = sys.argv[1:] or ["throughput"]
-    {"throughput": throughput, "kill": kill, "scheduler": scheduler, "sobol": sobol,
+    {"throughput": throughput, "launch": launch, "kill": kill, "scheduler": scheduler, "sobol": sobol,
      "members": lambda: members(int(rest[0]) if rest else 100_000)}[what]()  # fmt: skip

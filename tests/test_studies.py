@@ -12,9 +12,10 @@ from scipy import stats
 import valvesim as vs
 from valvesim.errors import InputError
 from valvesim.studies import channel_histogram, engine, store
-from valvesim.studies.criteria import FigureLimit, criteria_of
+from valvesim.studies.criteria import FigureLimit, criteria_of, figures_for
 from valvesim.studies.designs import Correlation, Design, correlate
 from valvesim.studies.distributions import Choice, Distribution, tolerance_distribution
+from valvesim.studies.figures import Figure
 from valvesim.studies.findings import find
 from valvesim.studies.local_sensitivity import local_sensitivity
 from valvesim.studies.members import make_plan, run_block
@@ -97,6 +98,20 @@ def test_what_varies_in_no_figure_of_the_equations_runs_apart_and_the_same():
     got = run_block(mixed, plan, 0, draws[:4]).figures[:, 0]
     alone = [vs.simulate(mixed.member(draw))["spool_position"].values[-1] for draw in draws[:4]]
     assert np.allclose(got, alone, rtol=1e-9)
+
+
+def test_members_have_knots_of_their_own_where_their_temperatures_differ():
+    """The base rests at 20 °C throughout; members in warmer air warm up, and shift by what each does alone."""
+    case = vs.Scenario(duration=0.5, thermal=vs.Thermal(), command=vs.Constant(value=5e-3), output_rate=200.0)
+    ambient = Variable(find_quantity(case, "thermal.ambient_temperature"), Distribution("uniform", 100.0, 200.0))
+    own = small(case=case, variables=(ambient,), percentiles=None, whole=None, keep=("run.body_temperature.end",))
+    plan = make_plan(own)
+    assert plan.knot_times is None
+    got = run_block(own, plan, 0, np.array([[150.0], [300.0]])).figures[:, 0]
+    alone = [vs.simulate(own.member(np.array([t])))["body_temperature"].values[-1] for t in (150.0, 300.0)]
+    assert got == pytest.approx(alone, rel=1e-9) and np.all(got > 20.01)
+    still = small(case=case, percentiles=None, whole=None, keep=("run.spool_position.end",))
+    assert np.isfinite(run_block(still, make_plan(still), 0, still.draws()).figures).all()
 
 
 def test_a_member_that_fails_is_a_row_with_its_reason(tmp_path):
@@ -380,6 +395,44 @@ def test_capability_of_a_normal_figure(finished):
     assert np.isnan(capability_of(criterion, np.ones(5)).index)
 
 
+SPECIFICATION = """
+title = "A class"
+[conditions]
+oil_temperature = "40 degC"
+[figures]
+hysteresis = { high = "3 %" }
+null_bias = { high = "2 %" }
+frequency_minus_90_deg = [{ low = "110 Hz", amplitude = "40 %" }, { low = "80 Hz", amplitude = "100 %" }]
+coil_resistance = { value = "600 ohm", tolerance = "10 %" }
+"""
+
+
+def test_a_specification_says_what_is_kept_and_judges_it(tmp_path):
+    (tmp_path / "spec.toml").write_text(SPECIFICATION, encoding="utf-8")
+    specification = vs.load_specification(tmp_path / "spec.toml")
+    names = figures_for(specification)
+    assert names == (
+        "bench.flow.hysteresis", "bench.flow.null_bias", "response.sine_40.frequency_minus_90_deg",
+        "response.sine_100.frequency_minus_90_deg",
+    )  # fmt: skip
+    figures = [Figure(name, "1", "") for name in names]
+    criteria, unjudged = criteria_of(figures, np.array([0.01, -0.01, 150.0, 90.0]), [], specification)
+    assert unjudged == ("coil_resistance",) and [c.figure.name for c in criteria] == list(names)
+    assert [(c.low, c.high) for c in criteria] == [(-np.inf, 0.03), (-np.inf, 0.02), (110.0, np.inf), (80.0, np.inf)]
+    bias = criteria[1]
+    assert bias.either_way and list(bias.passes(np.array([-0.019, 0.019, -0.021, np.nan]))) == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert bias.margin(np.array([-0.019, np.nan])) == pytest.approx([0.001, -np.inf])
+    text = STUDY.replace('title = "Two tolerances"', 'title = "x"\nspecification = "spec.toml"')
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    own = load_study(tmp_path / "study.toml")
+    assert own.keep == ("run.spool_position.end", *names) and own.options.bench_temperature == 40.0
+
+
 # ---------------------------------------------------------------- files and the command line
 
 
@@ -446,6 +499,7 @@ def test_a_dry_run_writes_nothing(call, study_file, tmp_path):
 @pytest.mark.parametrize(
     "old, new, message",
     [
+        ('["mil_prf_5606", "mil_prf_83282"]', "[1.5, true]", "expected the name of an oil, or its table, got 1.5"),
         ('"valve.null_gap" = {}', '"valve.nul_gap" = {}', r"line 12: vary\.valve: .*did you mean 'null_gap'"),
         ("members = 8", "members = 0", r"line 10: design\.members: 0 must be"),
         ("members = 8", 'kind = "saltelli"\nmembers = 8', "has base_samples"),

@@ -118,11 +118,13 @@ def _either_way(limit: Limit) -> bool:
 
 
 def figures_for(specification: Specification) -> tuple[str, ...]:
-    """Names of the figures that show what a specification limits."""
+    """Names of the figures that show what a specification limits; where several tests show one, of the first test."""
     names = []
     for limit in specification.limits:
-        for name in FIGURES[limit.figure].shown_by:
-            if name.partition(".")[0] in RIG_TESTS:
+        shown = FIGURES[limit.figure].shown_by
+        first = next((test for name in shown if (test := name.partition(".")[0]) in RIG_TESTS), None)
+        for name in shown:
+            if first is not None and name.partition(".")[0] == first:
                 names.append(f"bench.{name}")
             elif name in RESPONSE_FIGURES:
                 names.append(f"response.{RESPONSE_FIGURES[name]}_{100.0 * limit.conditions['amplitude']:g}.{name}")

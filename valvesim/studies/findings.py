@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,6 +25,7 @@ class Findings:
     indices: tuple[SensitivityIndices, ...]
     local: LocalSensitivity | None
     tightening: TighteningPlan | None
+    note: str = ""  # why there is nothing to tell of tightening
 
     def local_shares(self, figure: str) -> np.ndarray:
         """Shares (variables,) of the linearised variance of a figure; NaN where there are none."""
@@ -57,9 +57,11 @@ def find(
         with validity_warnings():
             plan = make_plan(result.study)
         own = local_sensitivity(result.study, plan)
-    tightening = None
+    tightening, note = None, ""
     if result.criteria and result.study.design.rows is None:
         tell("tolerances to tighten")
-        with contextlib.suppress(InputError):  # too few members
+        try:
             tightening = tightening_plan(result, wanted)
-    return Findings(result, tuple(indices), own, tightening)
+        except InputError as error:
+            note = f"Nothing is told of tightening: {error}."
+    return Findings(result, tuple(indices), own, tightening, note)

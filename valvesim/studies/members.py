@@ -163,8 +163,7 @@ def make_plan(study: ParameterStudy) -> Plan:
     if "run" in families or study.percentiles is not None or study.whole is not None:
         runs: Any = prepared(case)
         times = runs.times
-        if not any(variable.key.startswith("thermal.oil_temperature") for variable in study.variables):
-            knot_times = runs.problem.path.times
+        knot_times = _common_knots(study, runs.problem.path.times)
         known += run_figures(study.channels)
         channels = nominal_channels(study, runs)
         values |= _reduced(channels, [figure.name for figure in known], times, study.options.start)
@@ -182,6 +181,19 @@ def make_plan(study: ParameterStudy) -> Plan:
     figures = matching(study.keep, known)
     nominal = np.array([values[figure.name] for figure in figures])
     return Plan(figures, nominal, bench, response, times, knot_times, samples, reference)
+
+
+def _common_knots(study: ParameterStudy, times: np.ndarray) -> np.ndarray | None:
+    """The knots (m,) of the nominal temperatures where they will do for every member, else None.
+
+    They will not where what drives the temperatures varies, nor where nothing but a member's own figures may move them.
+    """
+    effects = {a.effect.name for a in scenario_of(study.case).effects if a.effect.temperatures}
+    driven = any(
+        key.startswith("thermal") or key.split(".")[1:2] and key.split(".")[1] in effects for key in study.keys
+    )
+    still = len(times) == 1 and scenario_of(study.case).thermal.network is not None
+    return None if driven or still else times
 
 
 def nominal_channels(study: ParameterStudy, runs: Runs) -> Channels:

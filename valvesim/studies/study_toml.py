@@ -285,6 +285,8 @@ def _choice(key: str, entry: Mapping[str, Any], case: Case, folder: Path) -> Var
 
 def _option(key: str, given: Any, case: Case, where: str, folder: Path) -> Any:
     if key == "oil":
+        if not isinstance(given, (str, dict)):
+            raise InputError(f"expected the name of an oil, or its table, got {given!r}", key=where)
         try:
             return read_oil_table({"name": given} if isinstance(given, str) else given, folder)
         except InputError as error:

@@ -111,7 +111,7 @@ def plan_words(findings: Findings) -> str:
     """What tightening comes to, in a sentence; empty where nothing is to be told."""
     plan = findings.tightening
     if plan is None:
-        return ""
+        return findings.note
     if plan.now.share >= plan.wanted:
         return f"The wanted yield of {percent(plan.wanted)} is reached without tightening."
     if plan.reached:
