@@ -130,7 +130,7 @@ def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkey
 
     monkeypatch.setattr(leading_segments, "_isolate_in_segments", not_run)
     monkeypatch.setattr(leading_segments, "fit_nominal", lambda study, tell: study)
-    monkeypatch.setattr(leading_segments, "_without_outliers", lambda whole, nominal: nominal)
+    monkeypatch.setattr(leading_segments, "_without_outliers", lambda nominal: nominal)
     whole = prepare_session(session, options=LONG.identification)
     assert fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG) == (whole, ())
 

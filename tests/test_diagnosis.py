@@ -459,7 +459,7 @@ def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypa
         "continue_from",
         lambda nominal, fit: None if fit.fitted == lap.fitted else replace(fit, chi_square=0.5),
     )
-    found = _known_hypotheses(SimpleNamespace(study=None), [lap, air], lambda share: None, options=DIAGNOSIS)
+    found = _known_hypotheses(SimpleNamespace(study=None, fit=lap), [lap, air], lambda share: None, options=DIAGNOSIS)
     assert [(one.label, one.fit.chi_square) for one in found] == [("entrained_air", 0.5)]
 
 
@@ -626,7 +626,7 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
         return replace(new.fit, fitted=tuple(start), chi_square=chi_square) if chi_square is not None else None
 
     monkeypatch.setattr(second_cause, "single_starts", lambda scores, fall, share: [old.fit.fitted])
-    monkeypatch.setattr(second_cause, "_typical_starts", lambda nominal, scores: [new.fit.fitted])
+    monkeypatch.setattr(second_cause, "typical_starts", lambda nominal, scores: [new.fit.fitted])
     monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
     monkeypatch.setattr(
         second_cause, "score_test", lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit)

@@ -121,6 +121,13 @@ def _print_diagnosis(found: Any) -> None:
         screen.print(escape(f"next test, {test.duration:g} s: {test.description}; {power}"))
     elif found.no_test:
         screen.print(found.no_test)
+    for fault in found.bench:
+        screen.print(escape(f"the bench: {fault}"))
+    for todo in found.what_to_do:
+        screen.print(escape(f"{todo.label}: {todo.part}"))
+        screen.print(escape(f"  inspect: {todo.inspect}"))
+        screen.print(escape(f"  confirm: {todo.confirm}"))
+        screen.print(escape(f"  remedy: {todo.remedy}"))
     for g in found.gain:
         told = "" if g.claimed else ", not claimed"
         screen.print(escape(f"gain on {g.record}: error {g.before:.3g} -> {g.after:.3g} (noise {g.floor:.3g}){told}"))

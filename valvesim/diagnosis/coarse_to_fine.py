@@ -39,19 +39,20 @@ def fit_coarse_to_fine(
                 prepared, lambda what, share: progress(f"{what}, in the first seconds", 0.5 * share), options=options
             )
             progress(stage, 0.5)
-            nominal = fit_nominal_near(
-                prepared, isolation.nominal.fit.point, full_weight=not isolation.nominal.study.weights
-            )
+            p, segments = len(prepared.nominal.parameters), isolation.nominal
+            nominal = fit_nominal_near(prepared, segments.fit.point[:p], full_weight=not segments.study.weights)
             known = isolation.answer_set or isolation.found[: options.coarse_to_fine.taken_along]
-            return _without_outliers(prepared, nominal), [one.fit for one in known if one.fit.fitted]
+            fits = [replace(one.fit, point=one.fit.point[:p]) for one in known if one.fit.fitted]
+            return _without_outliers(nominal), fits
     nominal = fit_nominal(prepared, lambda share: progress(stage, share))
-    return _without_outliers(prepared, nominal), ()
+    return _without_outliers(nominal), ()
 
 
-def _without_outliers(prepared: PreparedSession, nominal: NominalFit) -> NominalFit:
+def _without_outliers(nominal: NominalFit) -> NominalFit:
     """The nominal fit without single readings far off it, if there are such."""
-    cleaned = without_outliers(prepared, nominal.study, nominal.fit, nominal.linearised)
-    if cleaned is prepared:
+    own = nominal.study.unweighted()
+    cleaned = without_outliers(own, own, nominal.fit, nominal.linearised)
+    if cleaned is own:
         return nominal
     return fit_nominal_near(cleaned, nominal.fit.point, full_weight=not nominal.study.weights)
 

@@ -58,6 +58,25 @@ def _term_p_value(scores: ScoreTest) -> float:
     return float(-np.expm1(len(tests) * np.log1p(-min(least, 1.0 - 1e-12))))
 
 
+def is_inadequate(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -> bool:
+    """True where most of the signal stays unexplained in most channels: these records are not of this valve."""
+    shares = []
+    for predictor, read in zip(nominal.study.predictors, fit.readings, strict=True):
+        for name, column in read.items():
+            usable = predictor.record.usable[name]
+            measured_channels, column = predictor.record.values[name][usable], column[usable]
+            noise = nominal.study.noise[name, predictor.record.pace].deviation
+            signal = float(np.std(measured_channels))
+            if signal > 5.0 * noise:
+                shares.append(float(np.sqrt(np.mean((measured_channels - column) ** 2))) / signal)
+    return bool(shares) and float(np.median(shares)) > options.selection.inadequate_share
+
+
+def is_physical(fit: Fit, *, options: DiagnosisOptions) -> bool:
+    """Whether no figure that is not named is so far off that the part would be another one."""
+    return largest_shift(fit) <= options.selection.most_shift
+
+
 def unexplained_share(nominal: NominalFit, final: ScoreTest) -> float:
     """The share of what the best explains that it leaves, beyond chance, for others to explain: a free term, an
     amplitude that wanders or, beside two causes, a third one. Infinite where more than the noise is left.

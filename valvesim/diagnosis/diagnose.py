@@ -21,7 +21,9 @@ from valvesim.diagnosis.answer_tables import (
     parameter_shifts,
     score_table,
 )
+from valvesim.diagnosis.apart import odd_test
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
+from valvesim.diagnosis.detection import is_inadequate
 from valvesim.diagnosis.experiment_design import design
 from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain
@@ -30,13 +32,26 @@ from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, null_hypothesis_beside
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
-from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN, Diagnosis, NextTest, NoiseFound, Term
-from valvesim.diagnosis.wording import location_text, summary_text
+from valvesim.diagnosis.result import (
+    AMBIGUOUS,
+    BENCH,
+    CAUSE,
+    NO_DISCREPANCY,
+    OTHER_VALVE,
+    RECORDS_APART,
+    UNKNOWN,
+    Diagnosis,
+    NextTest,
+    NoiseFound,
+    Term,
+)
+from valvesim.diagnosis.term_entry import as_catalogue_entry
+from valvesim.diagnosis.wording import location_text, summary_text, what_to_do
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit, within_tolerance
 from valvesim.identification.session import Session
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_session
+from valvesim.identification.study import Study, prepare_session
 
 
 def diagnose(
@@ -62,25 +77,29 @@ def diagnose(
     return _answer(isolation)
 
 
+FAR_OFF = "what fits these records best is not the stated valve nor a part that could take its place"
 INADEQUATE = "the base model cannot come near these records: are they of this valve, with these units and signs?"
 
 
 def _answer(isolation: Isolation) -> Diagnosis:
-    nominal, scores, level = isolation.nominal, isolation.scores, isolation.level
-    found, answer_set = isolation.found, isolation.answer_set
+    nominal, scores, level, options = isolation.nominal, isolation.scores, isolation.level, isolation.scores.options
     study, session = nominal.study, nominal.study.session
-    best = found[0] if found else None
-    chosen = best.fit if best is not None else nominal.fit
-    in_set, unknown_reason = (
-        [*answer_set, *null_hypothesis_beside(nominal, answer_set, level, options=isolation.scores.options)],
-        isolation.unknown_reason,
-    )
-    inadequate = is_inadequate(nominal, chosen, options=isolation.scores.options)
+    best, chosen, in_set, unknown_reason = _hypotheses(isolation, options=options)
+    inadequate = is_inadequate(nominal, chosen, options=options)
     recovered: RecoveredTerm | None = None
+    odd = ""
     if isolation.alarm and not inadequate and (unknown_reason or not in_set):
-        recovered = recover_term(nominal, scores)
-    if _none_stands(in_set, found, recovered, inadequate, options=isolation.scores.options):
+        odd = "" if in_set else odd_test(nominal, options=options)
+        recovered = None if odd else recover_term(nominal, scores)
+        if recovered is not None and (entry := as_catalogue_entry(isolation, recovered)) is not isolation:
+            isolation, recovered = entry, None
+            best, chosen, in_set, unknown_reason = _hypotheses(isolation, options=options)
+    found = isolation.found
+    if _none_stands(in_set, found, recovered, inadequate, options=options):
         in_set, unknown_reason = [], ""
+    far = _far_off(study, recovered.point if recovered is not None and not in_set else chosen.point, options=options)
+    if isolation.alarm and far:
+        in_set, unknown_reason, recovered = [], "", None
     answers = candidate_answers(nominal, found, in_set, level, unknown_reason, options=isolation.scores.options)
     verdict = verdict_of(isolation.alarm, in_set, unknown_reason)
     term: Term | None = None
@@ -89,9 +108,15 @@ def _answer(isolation: Isolation) -> Diagnosis:
         notes.append(
             "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
         )
-    if inadequate:
-        verdict = UNKNOWN
-        notes.insert(0, INADEQUATE)
+    reason, because = "", ""
+    if inadequate or (verdict == UNKNOWN and far):
+        verdict, reason, because = UNKNOWN, OTHER_VALVE, INADEQUATE if inadequate else f"{FAR_OFF} ({far})"
+    elif odd:
+        reason, because = RECORDS_APART, f"these records do not belong together: {odd} alone is not as the others say"
+    elif verdict == NO_DISCREPANCY and isolation.bench:
+        reason, because = BENCH, "; ".join(isolation.bench)
+    notes[:0] = [because] if because else []
+    notes += [f"the bench, not the valve: {fault}" for fault in isolation.bench if fault not in because]
     named = best if verdict in (CAUSE, AMBIGUOUS) else None
     unextended = nominal.fit.variant(study.nominal)
     variant, readings, point = unextended, nominal.fit.readings, nominal.fit.point
@@ -118,7 +143,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         title=session.title,
         verdict=verdict,
         causes=causes,
-        summary=summary_text(verdict, in_set, term, INADEQUATE if inadequate else "", unknown_reason),
+        summary=summary_text(verdict, in_set, term, because, unknown_reason),
         location=location_text(verdict, in_set),
         candidates=tuple(answers),
         parameters=estimates,
@@ -142,7 +167,33 @@ def _answer(isolation: Isolation) -> Diagnosis:
         extended_scenario=scenario_text(session, variant, options=isolation.scores.options),
         extended_effects=effect_files(session, variant),
         extended_variant=variant,
+        reason=reason,
+        bench=isolation.bench,
+        what_to_do=what_to_do(in_set if verdict in (CAUSE, AMBIGUOUS) else ()),
     )  # fmt: skip
+
+
+def _hypotheses(
+    isolation: Isolation, *, options: DiagnosisOptions
+) -> tuple[FittedHypothesis | None, Fit, list[FittedHypothesis], str]:
+    """The best hypothesis and its fit (the nominal one where there is none), the answer set, and why an unknown cause
+    may be the cause too.
+    """
+    nominal, best = isolation.nominal, isolation.found[0] if isolation.found else None
+    answer_set = [
+        *isolation.answer_set,
+        *null_hypothesis_beside(nominal, isolation.answer_set, isolation.level, options=options),
+    ]
+    return best, best.fit if best is not None else nominal.fit, answer_set, isolation.unknown_reason
+
+
+def _far_off(study: Study, point: np.ndarray, *, options: DiagnosisOptions) -> str:
+    """The figures that a point (p,) has off by more than any such part can be, in words; "" where there are none."""
+    limit = options.selection.most_shift
+    far = [(p, float(t)) for p, t in zip(study.nominal.parameters, point, strict=True) if abs(t) > limit]
+    far.sort(key=lambda each: -abs(each[1]))
+    words = [f"{p.name} {abs(t) / options.identification.fit.tolerance_deviations:.0f} tolerances off" for p, t in far]
+    return ", ".join(words[:3])
 
 
 def verdict_of(alarm: bool, in_set: Sequence[FittedHypothesis], unknown_reason: str = "") -> str:
@@ -151,20 +202,6 @@ def verdict_of(alarm: bool, in_set: Sequence[FittedHypothesis], unknown_reason: 
     if not in_set:
         return UNKNOWN
     return CAUSE if len(in_set) == 1 and not unknown_reason else AMBIGUOUS
-
-
-def is_inadequate(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -> bool:
-    """True where most of the signal stays unexplained in most channels: these records are not of this valve."""
-    shares = []
-    for predictor, read in zip(nominal.study.predictors, fit.readings, strict=True):
-        for name, column in read.items():
-            usable = predictor.record.usable[name]
-            measured_channels, column = predictor.record.values[name][usable], column[usable]
-            noise = nominal.study.noise[name, predictor.record.pace].deviation
-            signal = float(np.std(measured_channels))
-            if signal > 5.0 * noise:
-                shares.append(float(np.sqrt(np.mean((measured_channels - column) ** 2))) / signal)
-    return bool(shares) and float(np.median(shares)) > options.selection.inadequate_share
 
 
 def _none_stands(
@@ -197,7 +234,7 @@ def _term_explains_more(
 def _propose_experiment(
     nominal: NominalFit, in_set: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> NextTest | None:
-    """The test that tells the likeliest from the next, or where none does, from the one after it."""
+    """The test that tells the likeliest from the next, or where none does so surely, from the one after it."""
     first, *others = in_set
     tests = (
         design(
@@ -210,4 +247,10 @@ def _propose_experiment(
         )
         for other in others[: options.design.alternatives]
     )
-    return next((test for test in tests if test is not None), None)
+    best: NextTest | None = None
+    for test in tests:
+        if test is not None and (best is None or test.power > best.power):
+            best = test
+        if best is not None and best.power >= options.design.least_power:
+            break
+    return best

@@ -69,7 +69,9 @@ def design(
     *,
     options: DiagnosisOptions,
 ) -> NextTest | None:
-    """The shortest test that tells two fits apart with a power of 0.95, else the most powerful; None below 0.8.
+    """The shortest test that tells two fits apart with a power of 0.95, else the most powerful, whatever its power.
+
+    None where no test can be run.
 
     `labels` are the names of the two hypotheses, as the answer has them; `asked(more)` the difference of chi-squares
     that tells them apart where the first explains so much more than in this session.
@@ -83,13 +85,13 @@ def design(
     ]
     run.sort(key=lambda one: -float(one.second @ one.second))
     furthest = np.sqrt(max(options.design.replicates))
+    if not run:
+        return None
     run = [
         one
         for one in run[: options.design.examined]
         if separation_power(furthest * float(np.linalg.norm(one.second)), asked(0.0)) >= options.design.least_power
-    ]
-    if not run:  # not even where nothing is refitted
-        return None
+    ] or run[:1]  # not even where nothing is refitted: then the one that shows most
     fits = (first, second, nominal.fit)
     known = [_known(nominal, fit, options=options) for fit in fits]
     chosen = [judged for one in run for judged in _judge(study, one, fits, known, asked, options=options)]
@@ -100,8 +102,6 @@ def design(
         best = max(
             chosen, key=lambda one: (one.power, -one.duration), default=ExperimentPower(run[0].trial, 1, 0.0, 0.0)
         )
-    if best.power < options.design.least_power:
-        return None
     others = dict.fromkeys(
         one.trial.description for one in sorted(chosen, key=lambda one: -one.power)
         if one.trial is not best.trial and one.power >= min(options.design.power, best.power)

@@ -10,7 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from valvesim.diagnosis.detection import detect, unexplained_share
+import numpy as np
+
+from valvesim.diagnosis.bench_faults import with_bench_faults
+from valvesim.diagnosis.detection import detect, is_inadequate, unexplained_share
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
@@ -25,14 +28,15 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.second_cause import (
     at_full_weight,
     effects_for_parameters,
+    typical_starts,
     with_other_pairs,
     with_second_cause,
     with_singles_from_prior,
 )
-from valvesim.diagnosis.starts import start_points
+from valvesim.diagnosis.starts import single_starts, start_points
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit
-from valvesim.identification.hypothesis_fit import continue_from
+from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
 from valvesim.identification.nominal_fit import NominalFit, refit_nominal, unweighted
 
 
@@ -40,7 +44,8 @@ from valvesim.identification.nominal_fit import NominalFit, refit_nominal, unwei
 class Isolation:
     """Where an isolation ended: `nominal` the nominal fit in the end, `scores` what it leaves, `final` what the best
     of the hypotheses `found` (best first) leaves; `answer_set` among them, and why an unknown cause is in it too,
-    if it is; whether there is an alarm, and the `level` that the candidates' z had to pass.
+    if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
+    in words.
     """
 
     nominal: NominalFit
@@ -51,6 +56,7 @@ class Isolation:
     unknown_reason: str
     alarm: bool
     level: float
+    bench: tuple[str, ...] = ()
 
 
 def isolate(
@@ -62,10 +68,23 @@ def isolate(
     only ones to begin with. `progress(stage, share)` is called with what is being done.
     """
     progress("looking for causes", 0.0)
-    scores = score_test(nominal, nominal.fit, options=options)
+    scores, bench = score_test(nominal, nominal.fit, options=options), tuple[str, ...]()
+    if detect(scores)[0]:
+        nominal, scores, bench = with_bench_faults(nominal, scores, options=options)
+    return replace(_isolated(nominal, scores, progress, known, options=options), bench=bench)
+
+
+def _isolated(
+    nominal: NominalFit,
+    scores: ScoreTest,
+    progress: Callable[[str, float], None],
+    known: Sequence[Fit],
+    *,
+    options: DiagnosisOptions,
+) -> Isolation:
     for again in reversed(range(options.isolation.restarts + 1)):
         alarm, level = detect(scores)
-        if not alarm:
+        if not alarm or (is_inadequate(nominal, nominal.fit, options=options) and _none_comes_near(nominal, scores)):
             return Isolation(nominal, scores, scores, [], [], "", alarm, level)
         found, likeliest = _first_hypotheses(
             nominal, scores, known, lambda share: progress("refitting", 0.15 + 0.6 * share)
@@ -83,17 +102,34 @@ def isolate(
     level = scores.level(options.detection.false_alarm)
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
+    return judged(Isolation(nominal, scores, final, found, [], "", alarm, level))
+
+
+def judged(isolation: Isolation) -> Isolation:
+    """An isolation with its hypotheses ranked, and their answer set: empty where even the best leaves too much."""
+    nominal, final, found, options = isolation.nominal, isolation.final, isolation.found, isolation.scores.options
     left, bearable = unexplained_share(nominal, final), max(options.detection.doubtful_share, found[0].law_error)
     found, plainest = ranked(nominal, found), left
     if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
         final = score_test(nominal, found[0].fit, options=options)
         plainest = unexplained_share(nominal, final)
+    isolation = replace(isolation, final=final, found=found)
     if left > bearable:  # where even the best leaves so much, none of them is the answer
-        return Isolation(nominal, scores, final, found, [], "", alarm, level)
+        return isolation
     answer_set = answer_set_of(nominal, found, whole=plainest <= options.isolation.unexplained_share, options=options)
-    return Isolation(
-        nominal, scores, final, found, answer_set, unknown_reason_of(answer_set[0], min(left, plainest)), alarm, level
+    return replace(
+        isolation, answer_set=answer_set, unknown_reason=unknown_reason_of(answer_set[0], min(left, plainest))
     )
+
+
+def _none_comes_near(nominal: NominalFit, scores: ScoreTest) -> bool:
+    """Whether the best few single causes, each at its typical amplitude and fitted a little, come no nearer to records
+    that the nominal valve cannot come near: then these are not of this valve, and no search would tell more.
+    """
+    few = scores.options.isolation.near_linearisations
+    starts = [*typical_starts(nominal, scores), *single_starts(scores, scores.z() ** 2, 1.0)[:1]]
+    fits = (fit_from_prior(nominal, start, few) for start in starts)
+    return all(fit is None or is_inadequate(nominal, fit, options=scores.options) for fit in fits)
 
 
 def _verified(
@@ -156,8 +192,9 @@ def _known_hypotheses(
     """Hypotheses that were fitted elsewhere, refitted where they do not yet explain nearly as much as the likeliest."""
     begun = list[Fit]()
     for one in known:
+        point = np.append(one.point[: len(nominal.fit.point)], nominal.fit.point[len(one.point) :])
         try:
-            begun.append(replace(evaluate_fit(nominal.study, one.point, one.fitted), occam_factor=one.occam_factor))
+            begun.append(replace(evaluate_fit(nominal.study, point, one.fitted), occam_factor=one.occam_factor))
         except (SolveError, InputError):
             continue
     found = list[FittedHypothesis]()

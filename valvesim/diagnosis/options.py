@@ -47,6 +47,31 @@ class DetectionOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BenchOptions:
+    """What the bench may do that no record tells; the sizes are prior deviations."""
+
+    most_faults: int = option(3, "1", "faults of the bench at once", JUDGEMENT)
+    minimum_gain: float = option(
+        60.0, "1", "chi-square that a bench fault must explain", "waves pass 40 by chance once in 1e3"
+    )
+    gain_share: float = option(
+        0.05, "1", "the same as a share of what is left: linear answers of a strong cause err by as much", JUDGEMENT
+    )
+    causes_beside: int = option(3, "1", "likeliest causes beside which it must explain as much", JUDGEMENT)
+    ripple: float = option(0.05, "1", "amplitude of a ripple, share of the supply pressure", "ripple of piston pumps")
+    hum: float = option(0.02, "1", "amplitude of a hum, share of the command's span", JUDGEMENT)
+    oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
+    supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
+    clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
+    meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
+    frequencies: int = option(3, "1", "frequencies at which waves are thought of", JUDGEMENT)
+    peak: float = option(15.0, "1", "times the spectrum beside it that such a frequency stands out", JUDGEMENT)
+    beside_bins: int = option(25, "1", "bins of that spectrum beside it", JUDGEMENT)
+    turns: float = option(4.0, "1", "turns of a wave in the longest record, at least", JUDGEMENT)
+    highest_share: float = option(0.8, "1", "highest frequency, share of half the sampling rate", JUDGEMENT)
+
+
+@dataclass(frozen=True, kw_only=True)
 class IsolationOptions:
     """Isolation: which hypotheses are fitted."""
 
@@ -73,6 +98,9 @@ class IsolationOptions:
         "1",
         "prior deviations from which a nuisance parameter may stand in a cause's way",
         "beyond the tolerance, at 2",
+    )
+    near_linearisations: int = option(
+        2, "1", "linearisations in which a cause must come near records that the nominal valve cannot", JUDGEMENT
     )
     restarts: int = option(3, "1", "times that what may be best, or the nominal model, is fitted again", JUDGEMENT)
     seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)
@@ -119,6 +147,12 @@ class SelectionOptions:
         "1",
         "twice the log prior odds against a cause that nobody has listed",
         "of a hundred names given alone four stand for one",
+    )
+    most_shift: float = option(
+        10.0, "1", "prior deviations that no unnamed figure may be off in an answer", "five tolerances: another part"
+    )
+    record_share: float = option(
+        0.8, "1", "share of what is left beyond the noise that one test carries where it may not belong", JUDGEMENT
     )
     inadequate_share: float = option(
         0.35, "1", "share of the signal left unexplained where the records are not of this valve", JUDGEMENT
@@ -230,6 +264,7 @@ class DiagnosisOptions:
 
     identification: IdentificationOptions = IdentificationOptions()
     detection: DetectionOptions = DetectionOptions()
+    bench: BenchOptions = BenchOptions()
     isolation: IsolationOptions = IsolationOptions()
     selection: SelectionOptions = SelectionOptions()
     coarse_to_fine: CoarseToFineOptions = CoarseToFineOptions()

@@ -15,6 +15,10 @@ from valvesim.shown import Shown
 
 NO_DISCREPANCY, CAUSE, AMBIGUOUS, UNKNOWN = "no_discrepancy", "cause", "ambiguous", "unknown"
 
+BENCH, RECORDS_APART, OTHER_VALVE = "bench", "records_apart", "other_valve"
+"""Reasons of a verdict: the bench and not the valve, records that do not belong together, records that are not of the
+stated valve."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
@@ -42,6 +46,17 @@ class CandidateAnswer:
     probability: float
     deviance_fall: float
     in_set: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class WhatToDo:
+    """What to do about one cause of the answer set, by its label: part, what to inspect, how to confirm, remedy."""
+
+    label: str
+    part: str
+    inspect: str
+    confirm: str
+    remedy: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +92,8 @@ class DetectionLimit:
 
 
 NO_TEST = (
-    "None of the tests that are thought of would tell the likeliest from what comes next with a probability of 80 %: "
-    "measure a further channel, or with less noise."
+    "None of the tests that are thought of can be run with the likeliest and with what comes next: measure a further "
+    "channel, or with less noise."
 )
 NOTHING_NEXT = "No test is proposed: nothing known comes next to the likeliest. Measure a further channel."
 
@@ -172,6 +187,9 @@ class Trace:
 class Diagnosis(Shown):
     """What the measured data show of the model's errors. `summary` says it in words.
 
+    `what_to_do` has each cause of the answer set. `reason` is "" or why the verdict is not about a cause in the valve:
+    `BENCH`, `RECORDS_APART` or `OTHER_VALVE`; `bench` is what the bench did, in words, whatever the verdict.
+
     `extended_scenario` holds the extension where `extension_offered`: where the hold-out records most likely got better
     by it, or there are none; else it is the nominal model's, refitted.
     """
@@ -201,6 +219,9 @@ class Diagnosis(Shown):
     extended_scenario: str  # the text of a scenario file
     extended_effects: dict[str, str] = dataclasses.field(default_factory=dict)  # Python files that it names, by name
     extended_variant: Any = None  # the valve and its effects: prediction.Variant
+    reason: str = ""
+    bench: tuple[str, ...] = ()
+    what_to_do: tuple[WhatToDo, ...] = ()
 
     def in_words(self) -> str:
         """Title, verdict and summary."""

@@ -86,7 +86,7 @@ def with_singles_from_prior(
     """
     starts: dict[str, tuple[FittedCandidate, ...]] = {}
     for start in [
-        *_typical_starts(nominal, scores),
+        *typical_starts(nominal, scores),
         *single_starts(scores, scores.z() ** 2, 0.5 * scores.options.isolation.single_share),
     ]:
         starts.setdefault(start[0].candidate.label, start)
@@ -112,7 +112,7 @@ def start_keys(starts: Sequence[tuple[FittedCandidate, ...]]) -> frozenset[tuple
     return frozenset(tuple((one.candidate.key, one.above_neutral, one.shapes) for one in start) for start in starts)
 
 
-def _typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
+def typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
     """The best few effects at their typical amplitudes: where a nominal fit is far from nominal, linearised
     predictions may miss them all.
     """

@@ -5,13 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from valvesim.diagnosis.model_selection import FittedHypothesis
-from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term
+from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term, WhatToDo
+from valvesim.identification.candidates import OTHER_NETWORK, Candidate
+from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.effect import Advice
+
+WORDS = {OTHER_NETWORK: "that the parts follow the oil otherwise than assumed"}
+"""Labels that are words of their own."""
 
 
 def summary_text(
     verdict: str, in_set: Sequence[FittedHypothesis], term: Term | None, inadequate: str = "", unknown_reason: str = ""
 ) -> str:
-    """The answer in one sentence; `inadequate` and `unknown_reason` say why nothing, or not all, is named."""
+    """The answer in one sentence; `inadequate` and `unknown_reason` say why nothing, or not all, is named; of a
+    healthy valve `inadequate` is what the bench did."""
+    if verdict == NO_DISCREPANCY and inadequate:
+        return f"The bench, not the valve: {inadequate}; with that the model explains the records within their noise."
     if verdict == NO_DISCREPANCY:
         return "No discrepancy: the model explains the records within their noise and its own tolerances."
     if verdict == CAUSE:
@@ -43,7 +52,33 @@ def _first_labels(labels: Sequence[str], most: int = 2) -> str:
 def cause_words(one: FittedHypothesis) -> str:
     """A hypothesis in words: `sensor_bias@load_flow` as "sensor bias of load flow"."""
     return " together with ".join(
-        c.label.replace("parameter:", "the figure of ").replace("@", " of ").replace("_", " ") for c in one.candidates
+        WORDS.get(c.label, c.label).replace("parameter:", "the figure of ").replace("@", " of ").replace("_", " ")
+        for c in one.candidates
+    )
+
+
+def what_to_do(in_set: Sequence[FittedHypothesis]) -> tuple[WhatToDo, ...]:
+    """What to do about each cause of an answer set, likeliest first."""
+    found = {c.label: _advice(c) for one in in_set for c in one.candidates}
+    return tuple(
+        WhatToDo(label=label, part=a.part, inspect=a.inspect, confirm=a.confirm, remedy=a.remedy)
+        for label, a in found.items()
+        if a is not None
+    )
+
+
+def _advice(candidate: Candidate) -> Advice | None:
+    """What to do about a candidate; of a user's effect None, where it says nothing."""
+    if candidate.effect is not None:
+        return candidate.effect.advice
+    if candidate.parameter is not None and candidate.parameter.of_network:
+        return CATALOGUE["thermal_lag"].advice
+    figure = candidate.name.partition(":")[2].replace("_", " ")
+    return Advice(
+        part=f"the part that gives the valve its {figure}",
+        inspect=f"{figure} against the drawing and the valve's own papers",
+        confirm="measure it on the part; the figure and its interval stand above",
+        remedy="exchange the part, or state the figure in [valve] with its tolerance",
     )
 
 

@@ -86,7 +86,9 @@ def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandida
     )
 
 
-def fit_from_prior(nominal: NominalFit, start: Sequence[FittedCandidate]) -> Fit | None:
+def fit_from_prior(
+    nominal: NominalFit, start: Sequence[FittedCandidate], linearisations: int | None = None
+) -> Fit | None:
     """The same restarted from the prior: no nuisance parameter beyond its tolerance, nothing kept of the nominal
     fit.
 
@@ -97,7 +99,7 @@ def fit_from_prior(nominal: NominalFit, start: Sequence[FittedCandidate]) -> Fit
         return _fit_robustly(
             nominal,
             evaluate_fit(nominal.study, clipped_to_tolerance(nominal), tuple(start)),
-            nominal.study.options.fit.most_linearisations,
+            nominal.study.options.fit.most_linearisations if linearisations is None else linearisations,
         )
     except (SolveError, InputError):
         return None

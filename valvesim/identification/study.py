@@ -186,6 +186,24 @@ def with_records(prepared: PreparedSession, records: Sequence[Record], notes: Se
     return replace(prepared, session=session, predictors=predictors)
 
 
+def without_test(prepared: PreparedSession, test: str) -> PreparedSession:
+    """The same without the training records of one test, and without what was fitted of these alone."""
+    session = prepared.session
+    records = tuple(r for r in session.records if r.role != "train" or r.test != test)
+    names = {record.name for record in records}
+    nominal = prepared.nominal
+    kept = tuple(p for p in nominal.parameters if p.input is None or p.input.record in names)
+    nominal = replace(nominal, parameters=kept)
+    predictors = tuple(one for one in prepared.predictors if one.record.name in names)
+    return replace(
+        prepared,
+        session=replace(session, records=records),
+        nominal=nominal,
+        predictors=predictors,
+        representatives=_representatives(predictors, nominal),
+    )
+
+
 def residual_of(record: Record, readings: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Measured minus read, by channel, as columns (n, 1)."""
     return {name: (record.values[name] - readings[name])[:, None] for name in record.outputs}

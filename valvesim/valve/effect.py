@@ -92,6 +92,16 @@ def _record(names: tuple[str, ...]) -> Any:
     return namedtuple("Values", names)  # type: ignore[misc]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Advice:
+    """What to do about an effect that was found: the part, what to inspect, how to confirm it, and the remedy."""
+
+    part: str
+    inspect: str
+    confirm: str
+    remedy: str
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Effect(Shown):
     """An effect: where it acts, its parameters, and the figures at which it vanishes.
@@ -105,6 +115,7 @@ class Effect(Shown):
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
+    `advice` is what to do where it is found.
     `law_error` is the share of what the effect explains by which another law of the same thing may do better.
     """
 
@@ -123,6 +134,7 @@ class Effect(Shown):
     figure: str = ""
     plainer: str = ""
     law_error: float = 0.0
+    advice: Advice | None = None
 
     def in_words(self) -> str:
         """Name and what it is."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from valvesim.channels import Channel
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
-from valvesim.valve.effect import Effect, Ports, Situation
+from valvesim.valve.effect import Advice, Effect, Ports, Situation
 from valvesim.valve.effects.declare import amplitude_parameter, scaled, shape_parameter
 from valvesim.valve.laws import dahl_rate
 
@@ -51,6 +51,12 @@ MOTOR = (
         doc="irreversible loss of the magnets: M0 (1 - IL), paper Eq. 4",
         location="magnetic circuit",
         signature="gain lost for good, with the negative magnetic spring; no return at 20 °C",
+        advice=Advice(
+            part="permanent magnets",
+            inspect="flux in the air gaps with a gaussmeter, against the valve's own record",
+            confirm="torque or flow gain at the same current in cold and in hot oil: a loss stays when cold",
+            remedy="remagnetise or exchange the magnets; keep the motor below the limit of their alloy",
+        ),
         parameters=(amplitude_parameter("loss", "1", "irreversible loss IL", (0.0, 0.9), 0.05),),
         coefficients=_demagnetization,
         figure="polarization_mmf",
@@ -60,6 +66,12 @@ MOTOR = (
         doc="the iron holds back part of the current: -i_c z with z' = (i' - |i'| z)/i_t (Dahl, Duhem)",
         location="magnetic circuit",
         signature="rate-independent loop of angle and spool over current that grows with amplitude",
+        advice=Advice(
+            part="armature and pole pieces",
+            inspect="soft iron for cold work, chips in the gaps",
+            confirm="quasi-static current loops of several sizes: the width follows the size, not the speed",
+            remedy="demagnetise; anneal or exchange the iron parts",
+        ),
         parameters=(
             amplitude_parameter("coercive_current", "A", "half width i_c of the full loop", (0.0, 5e-3), 2e-4),
             shape_parameter(
@@ -75,6 +87,12 @@ MOTOR = (
         doc="the iron saturates: i - k i^3/i_r^2 magnetises",
         location="magnetic circuit",
         signature="gain falls towards rated current, alike on both sides and at every frequency; nothing near null",
+        advice=Advice(
+            part="armature and pole pieces",
+            inspect="cross sections and alloy against the drawing",
+            confirm="flow gain at rated current against that about null",
+            remedy="limit the current, or exchange the iron parts",
+        ),
         parameters=(
             amplitude_parameter(
                 "cubic_share", "1", "share k of the current lost at the reference current", (0.0, 0.5), 0.2
@@ -88,6 +106,12 @@ MOTOR = (
         doc="shorted turns: N_c (1 - s), resistance (1 - s), inductance (1 - s)^2",
         location="magnetic circuit; coil circuit of a voltage drive",
         signature="torque constant lost without the magnetic spring; at held voltage more current, faster",
+        advice=Advice(
+            part="coils",
+            inspect="resistance and inductance of each coil against the data sheet; insulation",
+            confirm="resistance of both coils at one temperature: a short lowers that of one",
+            remedy="exchange the coil",
+        ),
         parameters=(amplitude_parameter("loss", "1", "share s of the turns that is shorted", (0.0, 0.5), 0.05),),
         coefficients=_turns_loss,
         figure="coil_turns",
@@ -97,6 +121,12 @@ MOTOR = (
         doc="a share s of the magnetising current lags: i + s (j - i) with j' = (i - j)/tau",
         location="magnetic circuit",
         signature="gain and phase step down about 1/(2 pi tau); nothing at rest, no loop in a slow sweep",
+        advice=Advice(
+            part="pole pieces and coil formers",
+            inspect="lamination, and conducting rings about the core",
+            confirm="phase of the torque at 50 to 400 Hz with a blocked spool",
+            remedy="laminated or slotted parts; else account for it in the control loop",
+        ),
         parameters=(
             amplitude_parameter("share", "1", "share s of the current that lags", (0.0, 0.9), 0.2),
             shape_parameter("time_constant", "s", "tau of the eddy currents", 2e-3, (5e-5, 1.0)),
@@ -109,6 +139,12 @@ MOTOR = (
         doc="resistance of coil, leads and amplifier off: R (1 + s)",
         location="coil circuit of a voltage drive",
         signature="current at held voltage off in proportion, corner of the coil moved; nothing over current",
+        advice=Advice(
+            part="coils, leads and amplifier",
+            inspect="plugs, crimps and leads, four-wire resistance at the valve",
+            confirm="resistance at two temperatures: copper alone gives 0.39 % to a kelvin",
+            remedy="mend the contact; drive by current",
+        ),
         parameters=(amplitude_parameter("share", "1", "share s of the resistance, signed", (-0.5, 1.0), 0.1),),
         coefficients=_resistance_drift,
         figure="coil_resistance",
@@ -118,6 +154,12 @@ MOTOR = (
         doc="the spring tube has softened (fatigue, crack): K_s (1 - s)",
         location="armature torque balance",
         signature="armature natural frequency down, gain up a little; no loop, null unchanged",
+        advice=Advice(
+            part="spring tube",
+            inspect="cracks by dye penetrant at its thin wall; oil in the motor cavity",
+            confirm="frequency of the armature without pressure, against the valve's own record",
+            remedy="take the valve out of service; exchange the spring tube",
+        ),
         parameters=(amplitude_parameter("loss", "1", "share s of the stiffness", (0.0, 0.5), 0.05),),
         coefficients=_flexure_loss,
         figure="spring_tube_stiffness",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
-from valvesim.valve.effect import Effect, Ports, Situation
+from valvesim.valve.effect import Advice, Effect, Ports, Situation
 from valvesim.valve.effects.declare import amplitude_parameter, scaled, shape_parameter
 from valvesim.valve.fluid import aerated_bulk_modulus
 
@@ -77,6 +77,12 @@ PILOT = (
         doc="a fixed orifice loses a share of its area on one side",
         location="chamber volume balance of that side",
         signature="null shift in proportion, less tare leakage, depends on supply pressure",
+        advice=Advice(
+            part="fixed orifice of that side, and the filter before it",
+            inspect="orifice and last-chance filter under a microscope; the oil's cleanliness (ISO 4406)",
+            confirm="null bias over supply pressure, and the chamber pressures at null: that side's is low",
+            remedy="flush or exchange orifice and filter; bring the oil to its class",
+        ),
         parameters=(amplitude_parameter("clogged_share", "1", "share of area lost", (0.0, 0.95), 0.05), _SIDE),
         coefficients=_clogging,
         figure="fixed_orifice_difference",
@@ -86,6 +92,12 @@ PILOT = (
         doc="a nozzle wears wider: its area grows by a share on one side",
         location="chamber volume balance of that side; nozzle pressure on the flapper",
         signature="null shift as of a clogged orifice on that side, but more tare leakage",
+        advice=Advice(
+            part="nozzle of that side",
+            inspect="edge of the nozzle under a microscope; particles in the oil",
+            confirm="pilot flow at null against the valve's own record: it has risen",
+            remedy="exchange the nozzle and set the null gap; better filtration",
+        ),
         parameters=(amplitude_parameter("share", "1", "share by which the area grows", (0.0, 1.0), 0.05), _SIDE),
         coefficients=_erosion,
         figure="nozzle_diameter_difference",
@@ -95,6 +107,12 @@ PILOT = (
         doc="the flapper sits off centre: null gap 1 + d/2, null gap 2 - d/2",
         location="chamber volume balances; jets on the flapper",
         signature="null shift that keeps the flow of the pilot stage",
+        advice=Advice(
+            part="flapper and nozzles",
+            inspect="null gaps by the pressures of both chambers at zero current",
+            confirm="null bias over supply pressure at one temperature",
+            remedy="set the nozzles anew",
+        ),
         parameters=(amplitude_parameter("difference", "m", "d, gap 1 less gap 2, signed", (-2e-5, 2e-5), 2e-6),),
         coefficients=_asymmetry,
         figure="null_gap_difference",
@@ -104,6 +122,12 @@ PILOT = (
         doc="oil warmer than the body bends the pilot: gap 1 less gap 2 grows by k (T_oil - T_body)",
         location="chamber volume balances; jets on the flapper",
         signature="null wanders in a warm-up and comes back when the body has followed; nothing at even temperature",
+        advice=Advice(
+            part="pilot body",
+            inspect="seats and screws of the nozzle block",
+            confirm="null in a warm-up: it drifts and comes back once the body has the oil's temperature",
+            remedy="warm the valve through before use, or compensate by oil and body temperature",
+        ),
         parameters=(amplitude_parameter("drift", "m/K", "k, of the gap difference, signed", (-2e-7, 2e-7), 5e-8),),
         coefficients=_gradient_drift,
     ),
@@ -112,6 +136,12 @@ PILOT = (
         doc="vapour behind the nozzles: their flow falls by k r^8/(1 + r^8) of itself, r = p_n/(critical p_0)",
         location="chamber volume balances",
         signature="pilot pressures and null pressure up, more at high supply and low return pressure",
+        advice=Advice(
+            part="nozzles and return behind them",
+            inspect="pitting at nozzle tips and flapper; return pressure",
+            confirm="raise the return pressure by a few bar: what is wrong goes",
+            remedy="higher return pressure; a nozzle of another edge",
+        ),
         parameters=(
             amplitude_parameter("loss", "1", "k, share of the flow lost", (0.0, 0.6), 0.1),
             shape_parameter("critical_ratio", "1", "p_n/p_0 at half the loss", 20.0, (1.0, 1000.0)),
@@ -123,6 +153,12 @@ PILOT = (
         doc="air bubbles soften the oil in the chambers, most at low pressure (Simscape form)",
         location="chamber volume balances",
         signature="-90 degree point moves in, lightly damped",
+        advice=Advice(
+            part="oil and pilot chambers",
+            inspect="oil level, suction line, bleed points",
+            confirm="frequency response at low and at high pressure: air is stiff at high",
+            remedy="bleed; mend the suction side; deaerate the oil",
+        ),
         parameters=(
             amplitude_parameter("air_fraction", "1", "by volume, 1 atm", (0.0, 0.2), 0.1),
             shape_parameter("exponent", "1", "polytropic exponent", 1.4, (1.0, 1.67)),

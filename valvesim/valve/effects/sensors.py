@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from valvesim.valve.coefficients import REFERENCE_TEMPERATURE
-from valvesim.valve.effect import CHANNEL, Effect, Parameter, Reading
+from valvesim.valve.effect import CHANNEL, Advice, Effect, Parameter, Reading
 from valvesim.valve.effects.declare import amplitude_parameter
 from valvesim.valve.laws import lagged
 
@@ -36,10 +36,44 @@ def _temperature_drift(r: Reading, p):
     return r.values + p.drift * (r.oil_temperature - REFERENCE_TEMPERATURE)
 
 
+_ADVICE = {
+    "sensor_bias": Advice(
+        part="sensor of that channel",
+        inspect="zero at no input",
+        confirm="zero before and after the test",
+        remedy="set the zero, or calibrate",
+    ),
+    "sensor_gain": Advice(
+        part="sensor of that channel",
+        inspect="calibration certificate, excitation voltage, load",
+        confirm="two known inputs",
+        remedy="calibrate",
+    ),
+    "sensor_lag": Advice(
+        part="sensor, line or filter of that channel",
+        inspect="bore of the pressure tap, air in it, corner of the filter",
+        confirm="a fast step beside a sensor that is known to be fast",
+        remedy="shorter tap, bleed it, open the filter; or state the lag",
+    ),
+    "sensor_delay": Advice(
+        part="logger's channel",
+        inspect="clock and filters of the logger",
+        confirm="one signal into all channels",
+        remedy="one clock for all; or state the delay",
+    ),
+    "sensor_temperature_drift": Advice(
+        part="sensor of that channel",
+        inspect="its temperature, its compensation",
+        confirm="zero in cold and in hot surroundings",
+        remedy="compensate, or keep its temperature",
+    ),
+}
+
+
 def _sensor(name: str, doc: str, signature: str, amplitude: Parameter, reading, lag=None) -> Effect:
     return Effect(
         name=name, doc=doc, location="sensor", signature=signature, parameters=(amplitude,), reading=reading,
-        lag=lag,
+        lag=lag, advice=_ADVICE[name],
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from valvesim.channels import Channel
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
-from valvesim.valve.effect import Effect, Ports, Situation
+from valvesim.valve.effect import Advice, Effect, Ports, Situation
 from valvesim.valve.effects.declare import amplitude_parameter, shape_parameter
 from valvesim.valve.laws import dahl_rate, play
 
@@ -67,6 +67,12 @@ SPOOL = (
         doc="dry friction of the spool: -F z with z' = (v - |v| z)/d (Dahl)",
         location=_FRICTION_PLACE,
         signature="threshold and hysteresis in spool position, the same at every amplitude",
+        advice=Advice(
+            part="spool and sleeve",
+            inspect="spool and bore for scores, burrs and varnish; cleanliness of the oil",
+            confirm="threshold and hysteresis at very slow current, with and without dither",
+            remedy="clean or lap spool and sleeve; dither; flush the oil",
+        ),
         parameters=(amplitude_parameter("friction_force", "N", "friction force F", (0.0, 100.0), 1.0), _PRESLIDING),
         memory=(_friction_memory("coulomb"),),
         balance=_coulomb,
@@ -77,6 +83,12 @@ SPOOL = (
         location=_FRICTION_PLACE,
         plainer="spool_coulomb_friction",
         signature="stick and slip: steps at slow reversal, less loss when moving",
+        advice=Advice(
+            part="spool and sleeve",
+            inspect="spool and bore for varnish and scores",
+            confirm="small steps from rest against slow motion: it breaks loose with a jerk",
+            remedy="clean or lap spool and sleeve; dither",
+        ),
         parameters=(
             amplitude_parameter("breakaway_force", "N", "force F at rest", (0.0, 100.0), 1.5),
             shape_parameter("kinetic_share", "1", "share k left at speed", 0.6, (0.05, 1.0)),
@@ -92,6 +104,12 @@ SPOOL = (
         location=_FRICTION_PLACE,
         plainer="spool_coulomb_friction",
         signature="breakaway after a hold that grows with its length; gone while the spool keeps moving",
+        advice=Advice(
+            part="spool, sleeve and oil",
+            inspect="fine particles in the oil (below 5 um); varnish",
+            confirm="let it rest under pressure for seconds and for minutes: the force to break loose grows",
+            remedy="finer filtration, flushing, dither",
+        ),
         parameters=(
             amplitude_parameter("friction_force", "N", "force F of a spool long at rest", (0.0, 100.0), 3.0),
             shape_parameter("dwell_time", "s", "t_d, in which silt settles", 50e-3, (1e-3, 1e3)),
@@ -107,6 +125,12 @@ SPOOL = (
         location=_FRICTION_PLACE,
         plainer="spool_coulomb_friction",
         signature="friction that comes in a warm-up and goes when the sleeve has followed; none at even temperature",
+        advice=Advice(
+            part="spool and sleeve",
+            inspect="radial clearance against the drawing; pairing of alloys",
+            confirm="a step of the oil's temperature: it sticks until the sleeve has followed",
+            remedy="more clearance or alloys that expand alike; slower warm-up",
+        ),
         parameters=(
             amplitude_parameter("friction_per_clearance", "N/m", "k, force per clearance lost", (0.0, 1e8), 1.5e7),
             shape_parameter("free_clearance", "m", "h_0, above which nothing rubs", 3e-6, (0.0, 1e-4)),
@@ -120,6 +144,12 @@ SPOOL = (
         doc="play of the ball in its slot: the rod feels the deflection beyond +-half the play",
         location="feedback rod, in the torque and the spool force balance",
         signature="jump through null of constant size, limit cycle",
+        advice=Advice(
+            part="ball of the feedback rod and its slot",
+            inspect="ball and slot under a microscope",
+            confirm="limit cycle or dead band of the spool's position about null, the same at every speed",
+            remedy="exchange rod or spool; a harder ball",
+        ),
         parameters=(amplitude_parameter("half_play", "m", "half the play", (0.0, 2e-4), 5e-6),),
         balance=_backlash,
     ),
@@ -128,6 +158,12 @@ SPOOL = (
         doc="rounded edges of spool and sleeve: the null opening grows by d",
         location="main stage",
         signature="more leakage at null, flow gain and pressure gain softer there; spool and pilot unchanged",
+        advice=Advice(
+            part="metering edges of spool and sleeve",
+            inspect="edges under a microscope; particles in the oil",
+            confirm="null leakage and pressure gain: leakage up, gain down",
+            remedy="exchange spool and sleeve; better filtration",
+        ),
         parameters=(amplitude_parameter("rounding", "m", "d, added to the null opening", (0.0, 5e-5), 5e-6),),
         coefficients=_edge_wear,
         figure="null_opening",
@@ -137,6 +173,12 @@ SPOOL = (
         doc="lands longer (overlap) or shorter (underlap) than their ports: each opens by x - u instead of x",
         location="main stage",
         signature="dead band (u > 0) or double gain and leakage (u < 0) of the load flow about null; spool unchanged",
+        advice=Advice(
+            part="lands of spool and sleeve",
+            inspect="flow about null at constant pressure drop",
+            confirm="flow gain about null against that beyond: less is overlap, more is underlap",
+            remedy="grind the edges again, or pair another spool",
+        ),
         parameters=(amplitude_parameter("overlap", "m", "u at each land, signed", (-5e-5, 5e-5), 5e-6),),
         coefficients=_lap,
         figure="land_overlap",

@@ -9,7 +9,7 @@ import numpy as np
 
 from valvesim.channels import Channel
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
-from valvesim.valve.effect import Effect, Ports, Situation
+from valvesim.valve.effect import Advice, Effect, Ports, Situation
 from valvesim.valve.effects.declare import amplitude_parameter, scaled, shape_parameter
 
 
@@ -33,6 +33,12 @@ SUPPLY = (
         doc="the supply gives way to the load flow: p_s - R q with q' = (|Q| - q)/tau",
         location="supply pressure, in every balance",
         signature="less flow at large opening than the square root, later by tau; pilot pressures dip with the flow",
+        advice=Advice(
+            part="pump, accumulator and supply line",
+            inspect="accumulator's charge, pump's compensator, bore and length of the line",
+            confirm="supply pressure at the valve's port, fast, during steps of flow",
+            remedy="accumulator at the valve; wider line",
+        ),
         parameters=(
             amplitude_parameter("resistance", "Pa/(m^3/s)", "R of pump and supply line", (0.0, 2e10), 3e9),
             shape_parameter("time_constant", "s", "tau of accumulator and line", 10e-3, (1e-4, 10.0)),
@@ -45,6 +51,12 @@ SUPPLY = (
         doc="the return backs up with the load flow: p_0 + R |Q|",
         location="pressure behind the nozzles",
         signature="both nozzle pressures up with the load flow, whichever way it goes",
+        advice=Advice(
+            part="return line and filter",
+            inspect="return filter's pressure drop, bore of the line",
+            confirm="return pressure at the valve's port during steps of flow",
+            remedy="exchange the filter element; wider line",
+        ),
         parameters=(amplitude_parameter("resistance", "Pa/(m^3/s)", "R of the return line", (0.0, 2e10), 3e9),),
         balance=_return_rise,
     ),
@@ -53,6 +65,12 @@ SUPPLY = (
         doc="another oil than stated: viscosity and the spool's viscous damping times f",
         location="leakage past the lands; spool force balance",
         signature="spool damped by f more, clearances of closed lands leak less by f; nothing through orifices",
+        advice=Advice(
+            part="oil",
+            inspect="label and sample: viscosity at 40 and at 100 degC",
+            confirm="leakage of the lands at two temperatures",
+            remedy="fill the stated oil, or state the one that is in",
+        ),
         parameters=(
             amplitude_parameter("viscosity_factor", "1", "f, of the stated oil's", (0.2, 5.0), 2.5, neutral=1.0),
         ),

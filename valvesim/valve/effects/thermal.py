@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
-from valvesim.valve.effect import Effect
+from valvesim.valve.effect import Advice, Effect
 from valvesim.valve.effects.declare import amplitude_parameter
 from valvesim.valve.laws import lagged
 
@@ -27,6 +27,12 @@ THERMAL = (
         doc="every part follows its temperature path with a further first-order lag tau; the oil does not",
         location="temperatures of the parts",
         signature="drift comes late in a temperature transient; nothing once temperatures hold",
+        advice=Advice(
+            part="parts and their heat paths",
+            inspect="thermometers at body and torque motor during a warm-up",
+            confirm="drift over a step of the oil's temperature: it comes late and ends the same",
+            remedy="state the thermal network as measured; warm through before use",
+        ),
         parameters=(amplitude_parameter("time_constant", "s", "tau", (0.0, 1e4), 5.0),),
         temperatures=_thermal_lag,
         lag=lambda p: p.time_constant,
