@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from valvesim.diagnosis.experiment_design import _power, design
+from valvesim.diagnosis.experiment_design import design, separation_power
 from valvesim.diagnosis.experiments import experiment_values, library
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.errors import SolveError
@@ -80,7 +80,7 @@ def found(nominal, fits):
 
 def test_two_effects_that_differ_elsewhere_are_told_apart(found):
     assert found.power >= 0.95 and found.separates == LABELS
-    assert found.power == pytest.approx(_power(found.distance, 6.0))
+    assert found.power == pytest.approx(separation_power(found.distance, 6.0))
     assert found.description and found.duration <= 8.0
     assert found.description not in found.alternatives
 
@@ -172,6 +172,6 @@ def test_a_session_driven_by_voltage_gets_a_voltage():
 
 
 def test_the_power_rises_with_the_distance():
-    powers = [_power(d, 6.0) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
+    powers = [separation_power(d, 6.0) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
     assert powers == sorted(powers) and powers[0] == 0.0 and powers[2] == pytest.approx(0.5, abs=0.01)
     assert powers[1] < DIAGNOSIS.design.least_power and powers[-1] > 0.99
