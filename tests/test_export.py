@@ -417,3 +417,22 @@ def test_what_an_fmu_cannot_do_is_said(archives, tmp_path):
 
 def test_all_that_printed_lines_may_call_is_there_in_c():
     assert set(straight_line.FUNCTIONS) <= set(FUNCTIONS) | set(OF_C)
+
+
+@needs_compiler
+@pytest.mark.parametrize("number", [2, 3])
+def test_an_fmu_without_co_simulation_is_flown_by_cvode(archives, tmp_path, number):
+    alone = tmp_path / "exchange.fmu"
+    with zipfile.ZipFile(archives / f"fmi{number}.fmu") as both, zipfile.ZipFile(alone, "w") as one:
+        for name in both.namelist():
+            data = both.read(name)
+            if name == "modelDescription.xml":
+                data = re.sub(rb"<CoSimulation.*?</CoSimulation>|<CoSimulation[^>]*/>", b"", data, flags=re.DOTALL)
+            one.writestr(name, data)
+    held = replace(CASE, oil_temperature=vs.Constant(value=20.0), command=vs.Step(after=4e-3, time=1e-3), duration=5e-3)
+    own = vs.FmuValve(path=alone, step=5e-4)
+    assert own.description.coSimulation is None
+    flown, run = vs.simulate(replace(held, valve=own)), vs.simulate(held)
+    for name in ("spool_position", "nozzle_pressure_1", "load_flow"):
+        width = np.ptp(run.values[name])
+        assert np.max(np.abs(flown.values[name] - run.values[name])) < 1e-3 * width, name

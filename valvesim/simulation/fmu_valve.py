@@ -156,6 +156,22 @@ def _communication_points(scenario_times: np.ndarray, breaks: np.ndarray, step: 
     return np.concatenate(points)
 
 
+def _input_tables(
+    valve: FmuValve, inputs: dict[str, Any], times: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray], list[float]]:  # fmt: skip
+    """(communication points (n,), of each input what it is in the middle of the step from each (n,), and at zero)."""
+    end = float(times[-1])
+    breaks = np.concatenate([command.pieces(end)[:, 0] for command, _, _ in inputs.values()])
+    points = _communication_points(times, breaks, valve.step)
+    middles = np.append((points[:-1] + points[1:]) / 2.0, points[-1])
+    tables, first = [], []
+    for name, (command, own, unit) in inputs.items():
+        about = f"{name} of the FMU"
+        tables.append(np.asarray(convert(evaluate(command, middles), own, unit, about), dtype=float))
+        first.append(float(convert(float(evaluate(command, 0.0)), own, unit, about)))
+    return points, tables, first
+
+
 def _co_simulate(
     valve: FmuValve, about: Any, inputs: dict[str, Any], outputs: list[str], times: np.ndarray, stack: ExitStack,
     progress: Callable[[float], None] | None,
@@ -163,18 +179,7 @@ def _co_simulate(
     """Co-simulation; an input holds within a communication step what it is in its middle."""
     from fmpy import extract, instantiate_fmu
 
-    end = float(times[-1])
-    breaks = np.concatenate([command.pieces(end)[:, 0] for command, _, _ in inputs.values()])
-    points = _communication_points(times, breaks, valve.step)
-    middles = np.append((points[:-1] + points[1:]) / 2.0, points[-1])
-    tables = [
-        np.asarray(convert(evaluate(command, middles), own, unit, f"{name} of the FMU"), dtype=float)
-        for name, (command, own, unit) in inputs.items()
-    ]
-    first = [
-        float(convert(float(evaluate(command, 0.0)), own, unit, f"{name} of the FMU"))
-        for name, (command, own, unit) in inputs.items()
-    ]
+    points, tables, first = _input_tables(valve, inputs, times)
     references = {one.name: one.valueReference for one in about.modelVariables}
     read, put = [references[name] for name in outputs], [references[name] for name in inputs]
     folder = extract(str(valve.path))
@@ -221,25 +226,22 @@ def _free(fmu: Any) -> None:
 def _exchange(
     valve: FmuValve, inputs: dict[str, Any], outputs: list[str], times: np.ndarray
 ) -> dict[str, np.ndarray]:  # fmt: skip
-    """Model exchange by FMPy's CVode, with inputs straight between points `valve.step` apart and jumps at breaks."""
+    """Model exchange by FMPy's CVode. Inputs hold between events as in co-simulation: CVode's right-hand side is not
+    told of inputs that change while it steps.
+    """
     from fmpy import simulate_fmu
 
-    end = float(times[-1])
-    breaks = np.concatenate([command.pieces(end)[:, 0] for command, _, _ in inputs.values()])
-    breaks = breaks[(breaks > 0.0) & (breaks < end)]
-    points = np.unique(np.concatenate([times, np.arange(0.0, end, valve.step), breaks]))
-    doubled = np.sort(np.concatenate([points, breaks]))
-    before = np.append(doubled[:-1] == doubled[1:], False)
-    table = np.zeros(len(doubled), dtype=[("time", float), *((name, float) for name in inputs)])
-    table["time"] = doubled
-    for name, (command, own, unit) in inputs.items():
-        at = np.where(before, np.nextafter(doubled, -np.inf), doubled)
-        table[name] = convert(evaluate(command, at), own, unit, f"{name} of the FMU")
+    points, tables, _ = _input_tables(valve, inputs, times)
+    table = np.zeros(2 * len(points) - 2, dtype=[("time", float), *((name, float) for name in inputs)])
+    table["time"] = np.repeat(points, 2)[1:-1]
+    for name, column in zip(inputs, tables, strict=True):
+        table[name] = np.repeat(column[:-1], 2)
     try:
         flown = simulate_fmu(
-            str(valve.path), fmi_type="ModelExchange", stop_time=end, input=table, output=outputs,
-            output_interval=float(times[1] - times[0]) if len(times) > 1 else end, relative_tolerance=valve.tolerance,
-            start_values=dict(valve.start_values), validate=False, record_events=False,
+            str(valve.path), fmi_type="ModelExchange", stop_time=float(times[-1]), input=table, output=outputs,
+            output_interval=float(times[1] - times[0]) if len(times) > 1 else float(times[-1]),
+            relative_tolerance=valve.tolerance, start_values=dict(valve.start_values), validate=False,
+            record_events=False,
         )  # fmt: skip
     except Exception as error:  # FMPy raises plain exceptions
         raise SolveError(f"the FMU {Path(valve.path).name} fails: {error}") from None

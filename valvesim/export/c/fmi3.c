@@ -22,9 +22,10 @@ typedef struct {
     fmi3LogMessageCallback log;
     fmi3IntermediateUpdateCallback update;
     int inputs_wanted;  /* the importer gives inputs within a step */
+    int rate_wanted;    /* the rate of the command among them */
     int steps_wanted;   /* it reads outputs there, or may stop there */
     int returns_early;
-    double point;       /* where the communication step began */
+    double point, end;  /* where the communication step begins and ends */
     int stopped;
 } Importer;
 
@@ -122,6 +123,7 @@ FMI3_Export fmi3Instance fmi3InstantiateCoSimulation(
             const fmi3ValueReference reference = requiredIntermediateVariables[k];
             importer->inputs_wanted = importer->inputs_wanted
                 || ((reference >= REF_INPUT) && (reference < REF_INPUT + (unsigned)VALVE_INPUTS));
+            importer->rate_wanted = importer->rate_wanted || (reference == REF_INPUT + VALVE_INPUT_COMMAND_RATE);
         }
     }
     return instance;
@@ -720,15 +722,30 @@ FMI3_Export fmi3Status fmi3GetOutputDerivatives(fmi3Instance given, const fmi3Va
     return status_of(instance_output_rates(instance, valueReferences, nValueReferences, values));
 }
 
-/* Inputs within a step, which the importer sets when it is asked to. */
-static void inputs_at(void *given, double time, double inputs[VALVE_INPUTS])
+static double command_at(Instance *instance, double time)
 {
-    Instance *instance = (Instance *)given;
     const Importer *importer = (const Importer *)instance->functions;
     fmi3Boolean early = false;
     fmi3Float64 early_time = 0.0;
     importer->update(instance->environment, importer->point + time, true, false, false, false, &early, &early_time);
+    return instance->run.valve.inputs[VALVE_INPUT_COMMAND];
+}
+
+/* Inputs within a step, which the importer sets when it is asked to; the command's rate by what is near. */
+static void inputs_at(void *given, double time, double inputs[VALVE_INPUTS])
+{
+    Instance *instance = (Instance *)given;
+    const Importer *importer = (const Importer *)instance->functions;
+    const double length = importer->end - importer->point, span = ((time < 0.5 * length) ? 1e-3 : -1e-3) * length;
+    double rate = 0.0;
+    if (VALVE_USES_RATE && !importer->rate_wanted) {
+        rate = command_at(instance, time + span) / span;
+    }
+    rate -= command_at(instance, time) / span;
     (void)memcpy(inputs, instance->run.valve.inputs, sizeof instance->run.valve.inputs);
+    if (VALVE_USES_RATE && !importer->rate_wanted) {
+        inputs[VALVE_INPUT_COMMAND_RATE] = rate;
+    }
 }
 
 /* A step inside the communication step is done: outputs may be read, and the importer may want to stop. */
@@ -780,6 +797,7 @@ FMI3_Export fmi3Status fmi3DoStep(fmi3Instance given, fmi3Float64 currentCommuni
     begun = valve->time;
     end = currentCommunicationPoint + communicationStepSize;
     importer->point = currentCommunicationPoint;
+    importer->end = end;
     importer->stopped = 0;
     if (importer->update != NULL) {
         hooks.context = instance;

@@ -166,9 +166,6 @@ Outcome instance_set(Instance *instance, unsigned reference, double value)
                 valve_temperatures_changed(valve);
             }
             run->settled = run->settled && !before;
-            if (run->phase == PHASE_CONTINUOUS) {
-                valve->command_before = valve->inputs[VALVE_INPUT_COMMAND];
-            }
         }
         return outcome;
     }
@@ -241,6 +238,9 @@ Outcome instance_rates(Instance *instance, double rates[], size_t count)
     }
     for (k = 0; k < count; k++) {
         rates[k] = all[k];
+    }
+    if (instance->run.phase == PHASE_CONTINUOUS) { /* from here the command jumps, if it does so at an event */
+        instance->run.valve.command_before = instance->run.valve.inputs[VALVE_INPUT_COMMAND];
     }
     return GOOD;
 }
