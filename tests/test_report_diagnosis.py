@@ -427,7 +427,7 @@ def test_an_empty_diagnosis_is_a_verdict_and_nothing_else(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
     assert page.headings == [] and not {"table", "ul", "figure", "section"} & set(page.tags)
     assert page.tags.count("dl") == 1  # what the page was made by
-    assert page.text.endswith("No discrepancy found The model agrees with the records.")
+    assert "No discrepancy found The model agrees with the records. Made by" in page.text
 
 
 def test_what_is_not_finite_is_said_in_words(tmp_path):
