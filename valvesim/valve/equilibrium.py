@@ -116,7 +116,8 @@ def chamber_pressure(orifice, nozzle, gap, c: Coefficients, supply_pressure, ret
     """Pressure of one chamber at rest, Pa: fixed orifice and nozzle pass the same flow, by the equations' own laws.
 
     Both flows are monotone in the pressure, so that one root lies between return and supply: Newton's method, halving
-    the bracket where a step leaves it. The slope is exact (a complex step). Raises SolveError where it does not settle.
+    the bracket where a step leaves it, to 2e-15 (rounding lets the last digit swing). The slope is exact (a complex
+    step). Raises SolveError where it does not settle.
     """
     low, high = np.minimum(supply_pressure, return_pressure), np.maximum(supply_pressure, return_pressure)
     low, high, p = (np.array(v, dtype=float) for v in np.broadcast_arrays(low, high, guess))
@@ -131,7 +132,7 @@ def chamber_pressure(orifice, nozzle, gap, c: Coefficients, supply_pressure, ret
             new = p - value / slope
         wild = ~((new >= low) & (new <= high)) | ((turn > 8) & (turn % 3 == 0))
         new = np.where(wild, (low + high) / 2.0, new)
-        done = (np.abs(new - p) <= 4e-16 * np.abs(p)) | (value == 0.0) | (high - low <= 4e-16 * high)
+        done = (np.abs(new - p) <= 2e-15 * np.abs(p)) | (value == 0.0) | (high - low <= 2e-15 * high)
         p = np.where(value == 0.0, p, new)
         if np.all(done):
             return p
