@@ -545,3 +545,18 @@ def test_a_wrong_first_row_is_told_where_the_names_stand_by_statement_too(tmp_pa
     columns = {"time": {"column": 1, "unit": "s"}, "current": {"column": 2, "unit": "mA"}}
     stated = statements_of(columns, {"header_line": 0, "separator": ",", "decimal": "."})
     assert "line 1: 'x' in column '2'" in refused(tmp_path, "0,x\n1,2\n2,3\n3,4\n", stated=stated)
+
+
+def test_a_scenario_is_driven_by_a_record_of_another_format(tmp_path):
+    in_netcdf(tmp_path / "a.nc")
+    (tmp_path / "s.toml").write_text(
+        "duration = '0.2 s'\n[command.current]\ntable = { file = 'a.nc' }\n", encoding="utf-8"
+    )
+    command = vs.load_scenario(tmp_path / "s.toml").command
+    assert command.values == tuple(CURRENT) and command.times == pytest.approx(TIME)
+    (tmp_path / "s.toml").write_text(
+        "duration = '0.2 s'\n[command.current]\ntable = { file = 'a.nc', column = 'amps' }\n", encoding="utf-8"
+    )
+    with pytest.raises(InputError) as caught:
+        vs.load_scenario(tmp_path / "s.toml")
+    assert "unknown channel 'amps'" in str(caught.value)

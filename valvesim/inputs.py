@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from valvesim.errors import InputError
+from valvesim.errors import InputError, unknown_name
 from valvesim.units import POSITIVE, check_bounds, has_unit, in_si, quantities, quantity
 
 MOST_PIECES = 1_000_000  # of a command within a run: with all that is made of them some 300 MB
@@ -559,15 +559,35 @@ def merge(commands: Sequence[Command], end: float) -> tuple[np.ndarray, Interval
 
 
 def read_table(path: Path, column: str, unit: str) -> Table:
-    """A table from a CSV file with a header of names and units, `time [s], <column> [unit]`.
+    """A table from a CSV file with a header of names and units, `time [s], <column> [unit]`, or from a record of
+    another format, of which `column` is a channel.
 
     Raises InputError (with file and line) for a missing file, a missing or unitless column, gaps, bad numbers and too
     many rows.
     """
     from valvesim.io import read_columns
+    from valvesim.measurement.formats import FORMATS
 
+    if path.suffix.casefold() in FORMATS:
+        return _read_recorded(path, column)
     columns = read_columns(path, {"time": "s", column: unit}, most_rows=MOST_PIECES - 1)
     return Table(times=tuple(columns["time"]), values=tuple(columns[column]), where=str(path))
+
+
+def _read_recorded(path: Path, channel: str) -> Table:
+    """A channel of a record as a table. Raises InputError as `read_recording` does, and where readings are missing."""
+    from valvesim.measurement.headings import UNITS
+    from valvesim.measurement.recording import read_recording
+
+    if channel not in UNITS:
+        raise unknown_name("channel", channel, UNITS).at(file=path)
+    recording = read_recording([path], (channel,))
+    values = recording.values[channel]
+    if len(values) >= MOST_PIECES:
+        raise InputError(f"{len(values)} samples are more than {MOST_PIECES - 1}", file=path)
+    if (lost := np.flatnonzero(~np.isfinite(values))).size:
+        raise InputError(f"no reading of {channel} at {recording.time[lost[0]]:.6g} s", file=path)
+    return Table(times=tuple(recording.time.tolist()), values=tuple(values.tolist()), where=str(path))
 
 
 COMMANDS: dict[str, Any] = {

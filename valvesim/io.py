@@ -11,7 +11,7 @@ import tempfile
 import tomllib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from itertools import chain
@@ -203,14 +203,12 @@ def split_heading(text: str) -> tuple[str, str] | None:
     return name.strip(), unit
 
 
-def read_columns(
-    path: Path, wanted: dict[str, str], *, most_rows: int = MOST_ROWS, gaps: Container[str] = ()
-) -> dict[str, np.ndarray]:
-    """Columns of a CSV file whose header reads `name [unit], ...`, converted to the wanted units.
+def read_columns(path: Path, wanted: dict[str, str], *, most_rows: int = MOST_ROWS) -> dict[str, np.ndarray]:
+    """Columns of a plain CSV file whose header reads `name [unit], ...`, converted to the wanted units.
 
-    Blank lines are skipped; in the columns `gaps` an empty cell or `nan` is NaN, elsewhere an error. Raises InputError
-    for a missing file, column, unit or value, with the line, and for a file of more than `most_rows` lines or
-    `MOST_BYTES`, before it is held.
+    For tables that belong to a scenario or a study; what was measured comes by `valvesim.measurement`. Blank lines are
+    skipped. Raises InputError for a missing file, column, unit or value, with the line, and for a file of more than
+    `most_rows` lines or `MOST_BYTES`, before it is held.
     """
     check_file(path, MOST_BYTES)
     _check_rows(path, most_rows)
@@ -237,9 +235,7 @@ def read_columns(
         if len(row) > len(names):
             raise InputError(f"{len(row)} cells under {len(names)} columns; is a comma a point?", file=path, line=line)
         for name, column in numbers.items():
-            at = header[name][0]
-            missing = name in gaps and (at >= len(row) or row[at].strip().lower() in ("", "nan"))
-            column.append(np.nan if missing else _number(path, line, row, at, name))
+            column.append(_number(path, line, row, header[name][0], name))
     columns = {}
     for name, column in numbers.items():
         try:
