@@ -150,7 +150,7 @@ def machine_code() -> tuple[Any, Any]:
     from numba import njit
 
     compiled = vs.compile_model(vs.Model())
-    derivative, jacobian = compiled.derivative, compiled.jacobian
+    derivative, jacobians = compiled.derivative, compiled.jacobians
     piece_value, on_line = njit(commands.piece_value), njit(coefficients_on_line)
 
     @njit(error_model="numpy")
@@ -172,9 +172,9 @@ def machine_code() -> tuple[Any, Any]:
     @njit(error_model="numpy")
     def slope(t, y, rows, knot_times, knots):
         u, c = conditions(t, rows, knot_times, knots)
-        out = np.empty((len(y), len(y)))
-        jacobian(y, u, c, out)
-        return out
+        out = np.empty((1, len(y), len(y)))
+        jacobians(y.reshape((1, -1)), u.reshape((1, -1)), c.reshape((1, -1)), out)
+        return out[0]
 
     nothing = np.zeros((4, commands.PIECE_WIDTH)), np.zeros(1), np.ones((1, len(vs.Coefficients._fields)))
     for function in (rate, slope):  # compiled here and not within a measurement

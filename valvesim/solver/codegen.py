@@ -37,8 +37,11 @@ class CompiledModel:
     scale: np.ndarray
     run: Any
     derivative: Any
-    jacobian: Any
     jacobians: Any
+
+    def jacobian(self, y: np.ndarray, u: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+        """The Jacobian (n, n) at scaled states y (n,), inputs u and flat coefficients c, into `out`."""
+        self.jacobians(y[None], u[None], c[None], out[None])
 
 
 OPTIONAL = ("nozzle_laminar_loss", "orifice_laminar_loss", "orifice_wall_loss")
@@ -102,7 +105,7 @@ def compile_model(model: Model, absent: frozenset[str] = frozenset()) -> Compile
 def _compile(model: Model, absent: frozenset[str]) -> CompiledModel:
     module = _load(model, absent)
     scale = np.array([channel.scale for channel in model.state_channels])
-    return CompiledModel(model, absent, scale, module.run, module.derivative, module.jacobian, module.jacobians)
+    return CompiledModel(model, absent, scale, module.run, module.derivative, module.jacobians)
 
 
 LANES = 8  # valves that take their steps together: two or one of a processor's vectors, which also hides waiting
@@ -172,7 +175,6 @@ def _call(module: ModuleType, model: Model, lanes: int) -> None:
     if lanes > 1:
         return
     module.derivative(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros(n))
-    module.jacobian(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros((n, n)))
     module.jacobians(np.zeros((0, n)), np.zeros((0, n_u)), np.ones((1, n_c)), np.zeros((0, n, n)))
 
 
@@ -181,7 +183,7 @@ SHARED = ("u", "u_t", "atol")
 
 
 def source(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -> str:
-    """The Python source of a model in scaled states: `run`, and for one lane `derivative`, `jacobian`, `jacobians`."""
+    """The Python source of a model in scaled states: `run`, and for one lane `derivative` and `jacobians`."""
     equations = print_equations(model, absent)
     n, n_u, n_c = len(model.state_channels), len(INPUT_CHANNELS), equations.coefficients
     factor, solve = print_elimination(n, equations.entries)
@@ -191,7 +193,7 @@ def source(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -
     rated = any("u[1]" in line for line in equations.lines)
     functions = [_integrator_source(n, lanes, n_c, rated)]
     if lanes == 1:
-        functions += [text.format(n_c=n_c) for text in (_DERIVATIVE, _JACOBIAN, _JACOBIANS)]
+        functions += [text.format(n_c=n_c) for text in (_DERIVATIVE, _JACOBIANS)]
     return "\n".join(
         [
             f'"""Printed by valvesim.solver.codegen from {model.state_channels[-1].name} and others."""',
@@ -294,20 +296,17 @@ _DERIVATIVE = """def derivative(y, u, c, out):
     rates(y, u, prepared, out)
 """
 
-_JACOBIAN = """def jacobian(y, u, c, out):
-    prepared, still, f, f_t = np.empty({n_c}), np.empty({n_c} + u.shape[0]), np.empty(y.shape[0]), np.empty(y.shape[0])
-    prepare(c, prepared)
+_JACOBIANS = """def jacobians(y, u, c, out):
+    prepared, still, f, f_t = np.empty({n_c}), np.empty({n_c} + u.shape[1]), np.empty(y.shape[1]), np.empty(y.shape[1])
     for k in range(still.shape[0]):
         still[k] = 0.0
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = 0.0
-    linearise(y, u, still, prepared, still, f, out, f_t)
-"""
-
-_JACOBIANS = """def jacobians(y, u, c, out):
-    for k in range(y.shape[0]):
-        jacobian(y[k], u[k], c[min(k, c.shape[0] - 1)], out[k])
+    for at in range(y.shape[0]):
+        if at < c.shape[0]:
+            prepare(c[at], prepared)
+        for i in range(out.shape[1]):
+            for j in range(out.shape[2]):
+                out[at, i, j] = 0.0
+        linearise(y[at], u[at], still, prepared, still, f, out[at], f_t)
 """
 """The Jacobian along a course: y (n, states), u (n, inputs), c (n or 1, coefficients) -> out (n, states, states)."""
 
