@@ -113,6 +113,12 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"; valid names: {', '.join(names)}" if names else ""
 
 
+def check_kind(value: Any, kinds: type | tuple[type, ...], where: str, expected: str) -> None:
+    """Raise InputError unless `value` is one of these kinds; `expected` says in words what is."""
+    if not isinstance(value, kinds):
+        raise InputError(f"expected {expected}, got {one_line(repr(value))}", key=where)
+
+
 def unknown_name(what: str, name: str, names: Iterable[str], where: str = "") -> InputError:
     """The error for a name that is not one of `names` of the table or list `where`, ready to be raised."""
     return InputError(f"unknown {what} {name!r}{nearest(name, names)}", key=where, name=name)

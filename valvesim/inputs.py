@@ -68,7 +68,7 @@ def as_command(given: Any, unit: str, where: str) -> Command:
 
     Raises InputError for a command whose levels were given in another unit, and for what is no command.
     """
-    if isinstance(given, (int, float, str, np.number)) or has_unit(given):
+    if isinstance(given, (int, float, str, np.number)) and not isinstance(given, bool) or has_unit(given):
         value = in_si(given, unit, where)
         if np.ndim(value):
             raise InputError("several values; give a command over time, such as Table or Staircase", key=where)

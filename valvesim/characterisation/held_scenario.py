@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from valvesim.errors import InputError, unknown_name
+from valvesim.errors import InputError, check_kind, unknown_name
 from valvesim.inputs import Command, Constant, evaluate
 from valvesim.simulation.result import Result, output_channels
 from valvesim.simulation.scenario import Scenario, Thermal
@@ -27,6 +27,7 @@ def held(
     `oil_temperature` and `part_temperature` (all parts, °C) replace what the source has.
     Raises InputError for a batch of valves.
     """
+    check_kind(source, (Valve, Scenario), "source", "a Valve or a Scenario (load_valve, load_scenario read files)")
     base = source if isinstance(source, Scenario) else Scenario(valve=source, thermal=Thermal(network=None))
     if any(np.ndim(getattr(base.valve, name)) for name in quantities(base.valve)):
         raise InputError("response: the valve holds arrays (a batch); give one valve at a time")

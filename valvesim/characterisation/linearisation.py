@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.channels import SIGNAL_CHANNELS, Inputs
-from valvesim.errors import InputError
+from valvesim.errors import InputError, check_kind
 from valvesim.solver.codegen import derivatives, trace
 from valvesim.units import reads_units
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
@@ -152,6 +152,7 @@ def linearise(point: OperatingPoint) -> Any:
     """
     import control
 
+    check_kind(point, OperatingPoint, "linearise", "an OperatingPoint (operating_point(valve, current=...))")
     model = point.model
     refuse_command_rate(model, "linearise")
     at = (point.state, np.array(point.inputs, dtype=float), point.coefficients)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.channels import Inputs
-from valvesim.errors import InputError, SolveError
+from valvesim.errors import InputError, SolveError, check_kind
 from valvesim.inputs import evaluate, merge, piece_value
 from valvesim.simulation import driver
 from valvesim.simulation.fmu_valve import FmuValve
@@ -53,6 +53,7 @@ def simulate(
     `progress` is told the share that is done; without `signals` the states come alone.
     Raises InputError for input that makes no sense, SolveError (when, in which state, what to try) where it fails.
     """
+    check_kind(scenario, (Scenario, str, Path), "simulate", "a Scenario, or the name of a scenario file")
     if not isinstance(scenario, Scenario):
         from valvesim.simulation.scenario_toml import load_scenario
 

@@ -114,7 +114,8 @@ class Scenario(Shown):
         units |= {f"{name}_pressure": ("Pa", f"pressures.{name}") for name in ("supply", "return", "load")}
         for name, (unit, where) in units.items():
             given = getattr(self, name)
-            if given is not None and (read := as_command(given, unit, where)) is not given:
+            optional = name.endswith("_pressure") and given is None
+            if not optional and (read := as_command(given, unit, where)) is not given:
                 object.__setattr__(self, name, read)
 
     def _check_sizes(self) -> None:

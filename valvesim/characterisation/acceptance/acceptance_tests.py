@@ -21,7 +21,7 @@ from valvesim.characterisation.acceptance.record import AcceptanceRecord, part_o
 from valvesim.characterisation.acceptance.rig import Rig
 from valvesim.characterisation.acceptance.threshold import threshold_figure
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit
-from valvesim.errors import unknown_name
+from valvesim.errors import check_kind, unknown_name
 from valvesim.measurement.columns_table import NOTHING_STATED, Statements
 from valvesim.shown import Shown, notebook
 from valvesim.simulation.fmu_valve import FmuValve
@@ -134,6 +134,7 @@ def acceptance_tests(
     Raises as `simulate` does, and SolveError where the blocked ports find no load pressure.
     """
     valve = Valve() if valve is None else valve
+    check_kind(valve, Valve, "valve", "a Valve (load_valve reads a file)")
     rig = Rig(
         valve=valve, oil=oil, oil_temperature=oil_temperature, effects=tuple(effects), period=period, points=points
     )
