@@ -321,6 +321,27 @@ load_flow = false
 [csv]
 separator = ","
 """
+PLAN = """\
+title = "friction or play"
+[thermal]
+isothermal = true
+[sensors.spool_position]
+noise = "1 um"
+[added_sensors.load_flow]
+noise = "0.05 L/min"
+cost = 2
+[bench]
+rate = "500 Hz"
+setup = "10 s"
+tests = ["slow small triangle about null"]
+[[tests]]
+name = "sine"
+duration = "0.4 s"
+command.current = { sine = { amplitude = "4 mA", frequency = "10 Hz" } }
+[aim]
+causes = ["spool_coulomb_friction", "feedback_ball_backlash", "spool_lap"]
+parameters.feedback_rod_stiffness = "2 %"
+"""
 EFFECT = """\
 import valvesim as vs
 
@@ -452,6 +473,7 @@ READERS: dict[str, tuple[float, Callable[[random.Random], dict[str, str | bytes]
     "valve": (1.0, _one("valve.toml", VALVE)),
     "specification": (1.0, _one("page.toml", SPECIFICATION)),
     "study": (1.0, _one("study.toml", STUDY)),
+    "plan": (0.7, _one("plan.toml", PLAN)),
     "oil": (0.5, _one("oil.toml", OIL, case_toml=NAMED_OIL)),
     "table": (0.5, _table),
     "columns": (0.3, _columns),

@@ -78,6 +78,10 @@ def read(reader: str, folder: Path) -> str:
 
         if not np.isfinite(np.asarray(load_study(first).draws(), dtype=float)).all():
             return "draws are not finite"
+    elif reader == "plan":
+        from valvesim.planning.plan_toml import load_plan
+
+        load_plan(first)
     elif reader == "effects":
         from valvesim.valve.effect_files import load_effects
 
@@ -290,6 +294,7 @@ COMMANDS: dict[str, list[str]] = {
     "records": ["records", "session/a.csv"],
     "study": ["study", "study.toml", "--workers", "2"],
     "study, alone": ["study", "study.toml", "--workers", "0"],
+    "plan": ["plan", "plan.toml"],
     "export fmu": ["export", "fmu", "small.toml"],
     "export c": ["export", "c", "small.toml"],
     "open": ["open", "session/a.csv", "--no-browser"],
@@ -321,7 +326,7 @@ def inputs_of_kills(place: Path) -> None:
     (place / "session").mkdir()
     for name, text in (
         ("small.toml", SMALL), ("long.toml", LONG), ("page.toml", mutations.SPECIFICATION),
-        ("study.toml", mutations.STUDY), ("session/a.csv", mutations.columns()),
+        ("study.toml", mutations.STUDY), ("plan.toml", mutations.PLAN), ("session/a.csv", mutations.columns()),
         ("session/b.csv", mutations.columns(100)), ("session/session.toml", "seed = 3\n"),
     ):  # fmt: skip
         (place / name).write_text(text, encoding="utf-8")

@@ -9,12 +9,13 @@ import pytest
 import valvesim as vs
 from valvesim.errors import LONGEST_MESSAGE, InputError, one_line
 from valvesim.identification.session import UNITS
-from valvesim.inputs import MOST_PIECES, Pulse, Scaled, Staircase, Step, Sum, Table, evaluate, read_table
 from valvesim.identification.session_toml import load_session
+from valvesim.inputs import MOST_PIECES, Pulse, Scaled, Staircase, Step, Sum, Table, evaluate, read_table
 from valvesim.io import DEEPEST, MOST_TEXT, check_file, read_columns, split_heading
 from valvesim.measurement.recording import read_recording
 from valvesim.simulation.scenario import MOST_OIL_PIECES
 from valvesim.simulation.scenario_toml import load_scenario
+from valvesim.simulation.temperature_knots import temperature_knots
 from valvesim.units import parse, parse_list
 from valvesim.valve.effect_files import load_effects
 
@@ -66,7 +67,7 @@ TOO_MUCH = {
     "periods of the oil": (
         LONG + '[command.current]\nconstant = "1 mA"\n[thermal.oil_temperature]\n'
         'sine = { amplitude = "1 K", offset = "20 degC", frequency = "1e5 Hz" }\n',
-        "line 6: thermal.oil_temperature: 1e+10 periods within 100000 s are more than 20000",
+        "line 6: thermal.oil_temperature: 1e+10 periods within 100000 s are more than 2000",
     ),
     "pieces of the oil": (
         LONG + '[command.current]\nconstant = "1 mA"\n[thermal.oil_temperature]\n'
@@ -84,6 +85,10 @@ TOO_MUCH = {
     "one side twice": (
         BASE + "[[effects.nozzle_erosion]]\nshare = 0.01\nside = 2\n" * 2,
         "line 4: effects.nozzle_erosion: acts twice on side 2; give it once",
+    ),
+    "terms of a sum": (
+        f'duration = "1 s"\n[command.current]\nsum = [{", ".join(["{ constant = 1 }"] * 501)}]\n',
+        "case.toml, line 3: command.current.sum: 501 commands are more than 500",
     ),
     "digits": (BASE + f"[valve]\nnull_gap = {'9' * 5000}\n", "not valid TOML: a whole number of thousands of digits"),
     "digits of a hexadecimal": (
@@ -135,6 +140,14 @@ def test_a_staircase_and_a_table_of_too_many_points_are_refused(tmp_path):
     path.write_bytes(b"time [s],current [A]\n" + b"0,0\n" * MOST_PIECES)
     with pytest.raises(InputError, match=r"long\.csv: 1000000 rows are more than 999999"):
         read_table(path, "current", "A")
+
+
+def test_an_oil_that_would_take_too_many_knots_is_refused_before_they_are_made():
+    hot = vs.Sine(amplitude=20.0, frequency=15.0, offset=60.0)
+    with pytest.raises(InputError, match=r"oil_temperature: changes so often .* knots would be needed, more than 500000"):
+        temperature_knots(vs.Scenario(duration=100.0, oil_temperature=hot))
+    mild = vs.Sine(amplitude=20.0, frequency=0.1, offset=60.0)
+    assert len(temperature_knots(vs.Scenario(duration=10.0, oil_temperature=mild))[0].times) < 10_000
 
 
 def test_a_sum_of_too_many_pieces_is_refused():

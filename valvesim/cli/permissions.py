@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-READ = {"scenario", "session", "source", "study", "valve"}
+READ = {"plan", "scenario", "session", "source", "study", "valve"}
 """Parameters of a command that name files in which other files may be named."""
 
 

@@ -19,6 +19,7 @@ from valvesim.io import check_known
 from valvesim.units import exact_text, out_of_range, parse, parse_list, quantities
 
 TABLE, SUM = "table", "sum"
+MOST_TERMS = 500  # of a sum
 NAMES = (*COMMANDS, TABLE, SUM)
 
 
@@ -100,6 +101,8 @@ def _read_one(name: str, figures: Any, unit: str, where: str) -> Command:
 def _read_sum(entries: Any, unit: str, where: str, column: str, folder: Path) -> Sum:
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(f"expected a list of commands, [{{ ... }}, {{ ... }}], got {entries!r}", key=where)
+    if len(entries) > MOST_TERMS:
+        raise InputError(f"{len(entries)} commands are more than {MOST_TERMS}", key=where)
     terms = []
     for k, entry in enumerate(entries, start=1):
         terms.append(read_command(entry, unit, f"{where}.{k}", column=column, folder=folder))

@@ -26,7 +26,7 @@ from valvesim.valve.thermal_network import NODES, TemperaturePath, ThermalNetwor
 from valvesim.valve.valve_name import valve_name
 
 MOST_SAMPLES = 2e7  # of a result: 5 GB
-MOST_OIL_PIECES, MOST_OIL_TURNS = 100_000, 20_000  # of the oil temperature: each takes knots of every coefficient
+MOST_OIL_PIECES, MOST_OIL_TURNS = 100_000, 2_000  # of the oil temperature: each takes knots of every coefficient
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from valvesim.errors import InputError
 from valvesim.simulation.scenario import Scenario
 from valvesim.units import quantities
 from valvesim.valve.coefficients import PART_NAMES, Coefficients, PartTemperatures
@@ -14,6 +15,7 @@ from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath, first_knots
 
 KNOT_ERROR = 1e-6  # relative error of the coefficients between the knots of the temperature path
+MOST_KNOTS = 500_000  # of a run: some 2 kB each
 MOST_HALVINGS = 16  # of the time between two knots
 
 
@@ -40,11 +42,22 @@ def temperature_knots(
             return _at_knots(path, [0], scenario, valve)
         c = valve.at(path.parts, oil=scenario.oil, routes=scenario.thermal.routes)
         at = apart + 1 + np.arange(len(apart))  # where `tried` holds the middles
-        bent = _bend(c, at) > KNOT_ERROR
+        bend = _bend(c, at)
+        bent = bend > KNOT_ERROR
         if not bent.any():
             break
+        _check_number(len(knots), bend)
         knots = np.insert(knots, apart[bent] + 1, middles[bent])
     return _at_knots(path, np.delete(np.arange(len(tried)), at[~bent]), scenario, valve)
+
+
+def _check_number(count: int, bend: np.ndarray) -> None:
+    """InputError where more than `MOST_KNOTS` will be needed: each halving takes a bend to a quarter."""
+    halvings = np.ceil(np.log(np.maximum(bend / KNOT_ERROR, 1.0)) / np.log(4.0))
+    needed = count + float(np.sum(2.0 ** np.minimum(halvings, MOST_HALVINGS) - 1.0))
+    if needed > MOST_KNOTS:
+        problem = f"changes so often or so far that {needed:.2g} knots would be needed, more than {MOST_KNOTS}"
+        raise InputError(f"{problem}; shorten the run or smooth the course", key="thermal.oil_temperature")
 
 
 def _at_knots(
