@@ -13,7 +13,9 @@ from valvesim.cli.display import print_written
 from valvesim.cli.options import columns_option, output_file_option
 from valvesim.cli.output_folder import check_free_file
 
-PAGES = ("run.html", "report.html", "datasheet.html", "response.html", "study.html")  # of a folder, the first of these
+PAGES = (
+    "run.html", "report.html", "datasheet.html", "response.html", "study.html", "acceptance.html", "plan.html",
+)  # of a folder, the first of these; else the first page by name
 
 
 @click.command()
