@@ -719,3 +719,35 @@ def test_two_processes_give_the_same_store_as_one(finished, tmp_path):
     pytest.importorskip("distributed")
     study(small(), tmp_path, workers=2)
     assert same_files(finished.folder / NAME, tmp_path / NAME)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(vs.CATALOGUE))
+def test_every_effect_of_the_catalogue_varies_in_a_batch_as_it_does_alone(name):
+    """All its parameters by a tenth, beside the null gap; a sensor's effect on the spool position."""
+    effect = vs.CATALOGUE[name]
+    effect = effect if effect.reading is None else effect.on("spool_position")
+    warming = effect.temperatures is not None
+    case = vs.Scenario(
+        duration=0.03, thermal=vs.Thermal() if warming else ISOTHERMAL, output_rate=2000.0, tolerance=1e-7,
+        oil_temperature=vs.Ramp(start_value=20.0, end_value=60.0, rate=500.0) if warming else vs.Constant(value=40.0),
+        command=vs.Sine(amplitude=4e-3, frequency=50.0),
+        effects=(effect(**{effect.amplitude.name: effect.amplitude.typical}),),
+    )  # fmt: skip
+    variables = list(of("valve.null_gap", case=case))
+    for parameter in effect.parameters:
+        quantity = find_quantity(case, f"effects.{name}.{parameter.name}")
+        ends = np.clip(quantity.nominal * np.array([0.9, 1.1]), *quantity.bounds)
+        if parameter.name != "side" and np.ptp(ends) > 0.0:
+            variables.append(Variable(quantity, Distribution("uniform", min(ends), np.ptp(ends))))
+    own = small(
+        case=case, variables=tuple(variables), design=Design(members=9), percentiles=None, whole=None,
+        keep=("run.spool_position.rms", "run.load_flow.rms"),
+    )  # fmt: skip
+    draws = own.draws()
+    got = run_block(own, make_plan(own), 0, draws)
+    assert got.reasons == ("",) * 9
+    for draw, row in zip(draws[:2], got.figures, strict=False):
+        alone = vs.simulate(own.member(draw))
+        rms = [np.sqrt(np.mean(alone[channel].values ** 2)) for channel in ("spool_position", "load_flow")]
+        assert row == pytest.approx(rms, rel=1e-6)
