@@ -70,8 +70,8 @@ class HiddenValve:
         settled = np.concatenate([np.full(int(0.05 * rate) + 2, command[0]), command, command[-1:]])
         out = np.empty((len(settled) - 1, len(plant.RECORDED)))
         plant._integrate(
-            y, settled, rate, CONDITIONS["supply_pressure"], (0.0, 0.0, 0.0), CONDITIONS["return_pressure"], load, table,
-            now, now.view(float), knobs, each, each, out,
+            y, settled, rate, CONDITIONS["supply_pressure"], (0.0, 0.0, 0.0), CONDITIONS["return_pressure"], load,
+            table, now, now.view(float), knobs, each, each, out,
         )  # fmt: skip
         out = out[len(settled) - len(command) - 1 :][: len(command)]
         named = dict(zip(plant.RECORDED, out.T, strict=True))
@@ -262,7 +262,8 @@ def summary(cases: list[dict]) -> str:
         f"{len(figures)}; Bode at 25 % within 1 dB in {100 * np.mean(dB <= 1.0):.0f} %, within 10 degrees in "
         f"{100 * np.mean(deg <= 10.0):.0f} % of cases (worst {dB.max():.2f} dB, {deg.max():.1f} degrees); parameters "
         f"within a factor of two of the truth {100 * np.mean(np.abs(np.log(np.abs(ratios))) < np.log(2)):.1f} %; "
-        f"{np.median([c['processor'] for c in cases]):.1f} s of processor (most {max(c['processor'] for c in cases):.1f})"
+        f"{np.median([c['processor'] for c in cases]):.1f} s of processor (most "
+        f"{max(c['processor'] for c in cases):.1f})"
     )
 
 
@@ -282,7 +283,8 @@ def pages(folder: Path) -> None:
         )
         for f in answer.figures:
             asked = f.asked.value if np.isfinite(f.asked.value) else (f.asked.limit.low, f.asked.limit.high)
-            print(f"    {f.asked.limit.figure} {dict(f.asked.limit.conditions).get('amplitude', '')}: {asked} -> {f.value:.5g}")
+            amplitude = f.asked.limit.conditions.get("amplitude", "")
+            print(f"    {f.asked.limit.figure} {amplitude}: {asked} -> {f.value:.5g}")
 
 
 def main() -> None:
@@ -301,8 +303,8 @@ def main() -> None:
         cases.append(run_case(number))
         one = cases[-1]
         print(
-            f"case {number}: {one['flow']:g} L/min, inside {one['inside']:.2f}, figures {one['figures_inside']:.2f}, Bode "
-            f"{one['bode_dB']:.2f} dB {one['bode_degrees']:.1f} degrees, {one['processor']:.1f} s, {one['conflicts']}",
+            f"case {number}: {one['flow']:g} L/min, inside {one['inside']:.2f}, figures {one['figures_inside']:.2f}, "
+            f"Bode {one['bode_dB']:.2f} dB {one['bode_degrees']:.1f} degrees, {one['processor']:.1f} s, {one['conflicts']}",
             flush=True,
         )
         options.output.write_text(json.dumps(cases, indent=1), encoding="utf-8")

@@ -176,6 +176,7 @@ def test_the_command_writes_a_valve_and_tells_rows(tmp_path, found, monkeypatch)
     assert "measure next" in table.stdout and "assumed" in table.stdout
     refused = CliRunner().invoke(cli, command)
     assert "stands there already; name another file, or give --overwrite" in str(refused.exception)
-    rows = json.loads(CliRunner().invoke(cli, [*command, "--overwrite", "--format", "json"], catch_exceptions=False).stdout)
+    again = [*command, "--overwrite", "--format", "json"]
+    rows = json.loads(CliRunner().invoke(cli, again, catch_exceptions=False).stdout)
     assert {row["kind"] for row in rows} == {"figure", "parameter", "next figure"}
     assert vs.load_valve(tmp_path / "mine.toml") == found.valve

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.channels import STATE_CHANNELS
+from valvesim.characterisation.rest_curve import null_current, rest_curve_of
 from valvesim.inputs import PIECE_WIDTH, WAVE_WIDTH, Constant, largest
 from valvesim.simulation.result import Result
 from valvesim.simulation.scenario import Scenario, Thermal
@@ -23,13 +24,17 @@ STILL = 1e-3  # share of its scale below which a quantity counts as not moving
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Drift over time at one held current: `total[quantity]` and `by_route[route][quantity]`, each (n_t,)."""
+    """Drift over time at one held current: `total[quantity]` and `by_route[route][quantity]`, each (n_t,).
+
+    `null_shift` (n_t,) is where null is, from where it is at 20 °C, share of rated current.
+    """
 
     times: np.ndarray
     oil_temperature: np.ndarray
     current: float
     total: dict[str, np.ndarray]
     by_route: dict[str, dict[str, np.ndarray]]
+    null_shift: np.ndarray
 
     def since_start(self) -> dict[str, np.ndarray]:
         """Drift from the run's own start, by quantity, (n_t,)."""
@@ -71,7 +76,21 @@ def static_drift(result: Result, *, points: int = 101) -> Drift:
         current=current,
         total=drift(tuple(scenario.thermal.routes)),
         by_route={route: drift((route,)) for route in ROUTES if route in scenario.thermal.routes},
+        null_shift=_null_shift(scenario, parts),
     )
+
+
+def _null_shift(scenario: Scenario, parts: PartTemperatures) -> np.ndarray:
+    """Null along temperatures of the parts (n_t,), from null at 20 °C, share of rated current."""
+    valve = scenario.valve_at_start
+    supply, back = float(valve.supply_pressure), float(valve.return_pressure)
+
+    def null(temperatures: PartTemperatures) -> np.ndarray:
+        c = valve.at(temperatures, oil=scenario.oil, routes=scenario.thermal.routes)
+        return null_current(rest_curve_of(c, supply, back)) / float(valve.rated_current)
+
+    shift = null(parts) - null(PartTemperatures.uniform(REFERENCE_TEMPERATURE))
+    return np.broadcast_to(shift, np.shape(parts.oil))
 
 
 def nominal(scenario: Scenario) -> Scenario:

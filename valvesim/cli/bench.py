@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from valvesim.cli.display import print_figures, progress_bar
-from valvesim.cli.judging import end_on_failure, judged_by, read_specification
+from valvesim.cli.judging import end_on_failure, judged_by, read_specification, temperature_difference
 from valvesim.cli.options import (
     columns_option,
     format_option,
@@ -61,7 +61,8 @@ def bench(
         if given := [name for name, value in stated if value is not None]:
             raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
         own = read_tables(settings, valve=valve)
-        tests, written = _test_model(own, parse_list(oil_temperature, "degC", "--oil-temperature").tolist(), output)
+        temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
+        tests, written = _test_model(own, temperatures, output, temperature_difference(limits))
         judged = judged_by(limits, tests, valve=own.valve)
         print_figures(tests, form, judged, written)
         end_on_failure(judged)
@@ -80,7 +81,7 @@ def bench(
     end_on_failure(judged)
 
 
-def _test_model(own: Any, temperatures: list[float], output: Path) -> tuple[Tests, list[Path]]:
+def _test_model(own: Any, temperatures: list[float], output: Path, difference: float) -> tuple[Tests, list[Path]]:
     """All static tests on the model at each temperature, with a picture and a page each; what was written."""
     from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests
     from valvesim.reports.acceptance import acceptance_report
@@ -92,6 +93,7 @@ def _test_model(own: Any, temperatures: list[float], output: Path) -> tuple[Test
                 stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
                 result = acceptance_tests(
                     own.valve, oil_temperature=temperature, oil=own.oil, effects=own.effects,
+                    temperature_difference=difference,
                     progress=lambda share: bar.update(stage, completed=share),  # noqa: B023 - called within this turn
                 )  # fmt: skip
             written = acceptance_report(result, folder / f"bench_{temperature:g}_degC.png", date=date.today())

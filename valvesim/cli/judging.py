@@ -21,6 +21,14 @@ def read_specification(path: Path | None) -> Specification | None:
     return None if path is None else load_specification(path)
 
 
+def temperature_difference(specification: Specification | None) -> float:
+    """The temperature difference (K) of the null shift that a specification limits, else that of the standard."""
+    from valvesim.characterisation.acceptance.null_shift import TEMPERATURE_DIFFERENCE
+
+    limits = () if specification is None else specification.of("null_shift_temperature")
+    return next((one.conditions["temperature_difference"] for one in limits), TEMPERATURE_DIFFERENCE)
+
+
 def judged_by(
     specification: Specification | None, tests: Tests, *, valve: Valve | None = None
 ) -> tuple[Judgement, ...]:  # fmt: skip

@@ -212,6 +212,8 @@ def _print_run(result: Any, drift: Any, written: list[Path]) -> None:
         for against, shares in (("20 °C", drift.total), ("the start", drift.since_start())):
             total = ", ".join(f"{n.replace('_', ' ')} {100 * v[-1]:+.2f} %" for n, v in shares.items())
             screen.print(f"static drift at the end, against {against}, at {drift.current * 1e3:.3g} mA: {total}")
+        low, high = (100.0 * float(v) for v in (drift.null_shift.min(), drift.null_shift.max()))
+        screen.print(f"null, from where it is at 20 °C: {low:+.3g} to {high:+.3g} % of rated current")
     s = result.statistics
     screen.print(
         f"{s['accepted_steps']:.0f} steps ({s['rejected_steps']:.0f} rejected) in {s['solver_seconds']:.3f} s of solver"

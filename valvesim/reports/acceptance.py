@@ -28,6 +28,7 @@ from valvesim.reports.title_block import TitleBlock, valve_name
 
 if TYPE_CHECKING:
     from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests, MeasuredTest
+    from valvesim.characterisation.acceptance.null_shift import NullShiftCurve
 
 RISING, FALLING, MIDDLE, LINES = COLOURS[0], COLOURS[1], "0.25", COLOURS[3]
 
@@ -94,10 +95,21 @@ def load_chart(records: Sequence[AcceptanceRecord], x_channel: str) -> Chart:
 
 
 def acceptance_charts(result: AcceptanceTests) -> list[Chart]:
-    """Flow curve, pressure gain, leakage and flow over load pressure."""
+    """Flow curve, pressure gain, leakage, flow over load pressure, and the shift of null over each condition."""
     curves = (("flow", result.flow), ("pressure-gain", result.blocked), ("leakage", result.blocked))
     charts = [curve_chart(test, record) for test, record in curves if record is not None]
-    return [*charts, load_chart(result.flow_load, "load_pressure")] if result.flow_load else charts
+    charts += [load_chart(result.flow_load, "load_pressure")] if result.flow_load else []
+    return [*charts, *(null_shift_chart(curve) for curve in result.null_shift)]
+
+
+def null_shift_chart(curve: NullShiftCurve) -> Chart:
+    """Shift of null over oil temperature, supply or return pressure."""
+    factor, unit = (1.0, "°C") if curve.condition == "oil_temperature" else (1e-5, "bar")
+    name = curve.condition.replace("_", " ")
+    known = max(1e-4 * float(np.max(np.abs(100.0 * curve.shift))), 1e-6)
+    series = [Series("shift", "%", 100.0 * curve.shift, known, joined=True)]
+    label = "null [% of rated current]"
+    return Chart(f"Shift of null over {name}", curve.at * factor, series, name, unit, label, height=240)
 
 
 def measured_charts(measured: MeasuredTest) -> list[Chart]:

@@ -14,6 +14,8 @@ from valvesim.characterisation.acceptance.leakage import leakage_figures
 from valvesim.characterisation.acceptance.null_shift import (
     PRESSURE_CHANGE,
     TEMPERATURE_DIFFERENCE,
+    NullShiftCurve,
+    null_shift_curves,
     null_shift_figures,
 )
 from valvesim.characterisation.acceptance.pressure_gain import blocked_cycle, pressure_gain_figures
@@ -96,6 +98,8 @@ class AcceptanceTests(Shown):
     flow: AcceptanceRecord
     blocked: AcceptanceRecord | None
     flow_load: tuple[AcceptanceRecord, ...]
+    null_shift: tuple[NullShiftCurve, ...] = ()
+    temperature_difference: float = TEMPERATURE_DIFFERENCE
 
     @property
     def conditions(self) -> dict[str, float]:
@@ -103,7 +107,7 @@ class AcceptanceTests(Shown):
         valve = self.valve
         return {"supply_pressure": float(valve.supply_pressure), "return_pressure": float(valve.return_pressure),
                 "oil_temperature": self.oil_temperature, "pressure_drop": RATED_DROP,
-                "temperature_difference": TEMPERATURE_DIFFERENCE, "pressure_change": PRESSURE_CHANGE}  # fmt: skip
+                "temperature_difference": self.temperature_difference, "pressure_change": PRESSURE_CHANGE}  # fmt: skip
 
     def in_words(self) -> str:
         """How many figures of which valve, and the oil's temperature."""
@@ -114,7 +118,7 @@ class AcceptanceTests(Shown):
         return notebook().plot(self)
 
 
-@reads_units(oil_temperature="degC", period="s")
+@reads_units(oil_temperature="degC", period="s", temperature_difference="delta_degC")
 def acceptance_tests(
     valve: Valve | None = None,
     *,
@@ -123,11 +127,12 @@ def acceptance_tests(
     effects: Sequence[ActiveEffect] = (),
     period: float = 1e4,
     points: int = 8000,
+    temperature_difference: float = TEMPERATURE_DIFFERENCE,
     progress: Callable[[float], None] | None = None,
 ) -> AcceptanceTests:
     """Run every static test on the model, all parts at `oil_temperature` (°C), and reduce it as a measured one.
 
-    Of the reference valve unless another is given.
+    Of the reference valve unless another is given. `temperature_difference` (K) is that of the null shift.
 
     The current runs a triangle of `period` s over +-i_R, `points` samples each; the valve trails it by about 1/800 s.
     Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told the share that is done.
@@ -153,11 +158,13 @@ def acceptance_tests(
     flow_load = tuple(flow_load_record(rig, share * float(valve.rated_current)) for share in shares)
     figures += _flow_load_figures(rig, flow_load[-1], flow_load[0])
     tell(0.8)
-    figures += _named("null-shift", null_shift_figures(rig))
+    figures += _named("null-shift", null_shift_figures(rig, temperature_difference=temperature_difference))
     tell(1.0)
     return AcceptanceTests(
-        valve=valve, oil_temperature=oil_temperature, figures=figures, flow=flow, blocked=blocked, flow_load=flow_load
-    )
+        valve=valve, oil_temperature=oil_temperature, figures=figures, flow=flow, blocked=blocked, flow_load=flow_load,
+        null_shift=() if isinstance(valve, FmuValve) else null_shift_curves(rig),
+        temperature_difference=temperature_difference,
+    )  # fmt: skip
 
 
 RIG_TESTS = ("flow", *(BLOCKED_TESTS := ("pressure-gain", "leakage")), "flow-load", "null-shift")

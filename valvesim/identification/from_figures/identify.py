@@ -31,7 +31,9 @@ from valvesim.valve.valve_file import ValveFile
 CONDITIONS = {"supply_pressure": 21e6, "return_pressure": 0.5e6, "oil_temperature": 40.0}
 """What is assumed where a specification is silent (ISO 10770-1: 40 °C)."""
 IDENTIFIED = 0.8  # of its prior's deviation, below which a parameter is told to be identified
-DERIVED = ("coil_turns", "spring_tube_stiffness", "fixed_orifice_diameter", "spool_stroke")
+DERIVED = (
+    "coil_turns", "spring_tube_stiffness", "fixed_orifice_diameter", "spool_stroke", "null_opening", "land_overlap",
+)  # fmt: skip
 SCALED = ("air_gap_area", "magnet_reluctance")
 """Parameters that follow from what is fitted, and those that follow from the size alone."""
 TURNING_SHARE = 0.2  # of rated current: over which the loop of a magnetic hysteresis turns, as in the catalogue

@@ -26,8 +26,9 @@ from typing import Any
 
 import numpy as np
 
+from valvesim.characterisation.rest_curve import rest_curve
 from valvesim.errors import InputError, ValidityWarning
-from valvesim.identification.from_figures.static_figures import rest_curve, static_figures
+from valvesim.identification.from_figures.static_figures import static_figures
 from valvesim.valve.coefficients import PartTemperatures
 from valvesim.valve.equations import drive_torque, flapper_torques
 from valvesim.valve.fluid import Oil
@@ -70,15 +71,18 @@ UNKNOWNS = (
     Unknown("nozzle_diameter", "m", 0.2, (1.0, 0.0)),
     Unknown("null_gap", "m", 0.2, (1.0, 0.0)),
     Unknown("orifice_ratio", "1", 0.1),
-    Unknown("null_opening", "m", 0.7),
+    Unknown("land_opening_at_null", "m", 0.7),
     Unknown("radial_clearance", "m", 0.3),
-    Unknown("land_overlap", "m", 2e-6, around_zero=True),
+    Unknown("lap_ratio", "1", 0.4),
     Unknown("air_gap_difference", "m", 1e-6, around_zero=True),
     Unknown("null_gap_difference", "m", 0.5e-6, around_zero=True),
     Unknown("coil_resistance", "ohm", 0.5),
     Unknown("coil_inductance", "H", 0.5),
 )
-"""What is fitted. `orifice_ratio` is that of the fixed orifice's area to the nozzle's curtain, over the anchor's."""
+"""What is fitted. `orifice_ratio` is that of the fixed orifice's area to the nozzle's curtain, over the anchor's.
+
+`land_opening_at_null` is what leaks there, by rounded edges and underlap together: it alone sets null leakage and
+pressure gain, while they hardly tell `lap_ratio`, 1 + overlap over that opening."""
 
 AMPERE_TURNS_SPREAD = 0.3  # of the logarithm of turns times rated current, which follow from the full stroke
 
@@ -112,6 +116,7 @@ class SimilarValves:
         """The valves (k,) of `quantities`."""
         base, anchor, own = self.base, Valve(), dict(given)
         stroke, net, ratio = own.pop("full_stroke"), own.pop("net_stiffness"), own.pop("orifice_ratio")
+        own |= _lands(own.pop("land_opening_at_null"), own.pop("lap_ratio"))
         area = own["nozzle_diameter"] * own["null_gap"] / (anchor.nozzle_diameter * anchor.null_gap)
         own["fixed_orifice_diameter"] = anchor.fixed_orifice_diameter * np.sqrt(area * ratio)
         valve = replace(base, **own, spool_stroke=STOP * stroke)  # type: ignore[arg-type]
@@ -123,6 +128,13 @@ class SimilarValves:
         """ln of turns times rated current (k,) over what similarity gives, in prior standard deviations."""
         usual = Valve().coil_turns * Valve().rated_current * self.motor_scale**2
         return np.log(valve.coil_turns * valve.rated_current / usual) / AMPERE_TURNS_SPREAD
+
+
+def _lands(opening, lap_ratio) -> dict[str, np.ndarray]:
+    """Null opening and overlap of lands (m) with an `opening` at null (m): `laws.land_opening` solved for the first."""
+    overlap = opening * (lap_ratio - 1.0)
+    closed = (opening + np.sqrt(opening * (opening + 4.0 * np.maximum(overlap, 0.0)))) / 2.0
+    return {"null_opening": np.where(overlap > 0.0, closed, opening + overlap), "land_overlap": overlap}
 
 
 def _spring_beside_the_tube(valve: Valve, conditions: Mapping[str, float], oil: Oil) -> np.ndarray:
@@ -175,7 +187,7 @@ def similar_valves(
     own = {field.name: getattr(anchor, field.name) for field in fields(anchor)}
     own |= {
         "full_stroke": ANCHOR_STROKE, "net_stiffness": ANCHOR_STIFFNESS, "orifice_ratio": 1.0,
-        "null_opening": NULL_OPENING,
+        "land_opening_at_null": NULL_OPENING, "lap_ratio": 1.0,
         "coil_resistance": COIL_POWER / rated_current**2,
         "coil_inductance": COIL_POWER / rated_current**2 * anchor.coil_inductance / anchor.coil_resistance,
     }  # fmt: skip
