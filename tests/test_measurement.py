@@ -13,6 +13,7 @@ from valvesim.characterisation.acceptance.acceptance_tests import record_figures
 from valvesim.characterisation.acceptance.record import read_record
 from valvesim.errors import InputError
 from valvesim.identification.session_toml import load_session
+from valvesim.measurement.clock import even_clock
 from valvesim.measurement.columns_table import NOTHING_STATED, read_statements, statements_of, statements_text
 from valvesim.measurement.formats import FORMATS, read_tables
 from valvesim.measurement.headings import UNITS, channel_of, heading_of
@@ -560,3 +561,10 @@ def test_a_scenario_is_driven_by_a_record_of_another_format(tmp_path):
     with pytest.raises(InputError) as caught:
         vs.load_scenario(tmp_path / "s.toml")
     assert "unknown channel 'amps'" in str(caught.value)
+
+
+def test_times_of_single_precision_are_taken_as_even(tmp_path):
+    time = (300.0 + np.arange(3000) / 1e4).astype(np.float32).astype(float)
+    clock = even_clock(time, tmp_path, lambda row: None, lambda row, other: False)
+    assert not clock.interpolated and clock.count == 3000 and clock.step == pytest.approx(1e-4, rel=1e-4)
+    assert "times are written to 3.05e-05 s only" in clock.notes[0]

@@ -186,12 +186,13 @@ def _line(places: np.ndarray, t: np.ndarray) -> tuple[float, float]:
 
 
 def _grain(t: np.ndarray) -> float:
-    """The last decimal place that times are written to, s; 0 where they have more than nine."""
+    """The last decimal place that times are written to, s, or the spacing of single precision; 0 where it is finer."""
     part = t[:: max(len(t) // 2000, 1)]
+    single = float(np.spacing(np.float32(np.max(np.abs(part))))) if (part == part.astype(np.float32)).all() else 0.0
     for digits in range(-3, 10):
         if np.allclose(part, np.round(part, digits), rtol=1e-12, atol=1e-12):
-            return 10.0**-digits
-    return 0.0
+            return max(10.0**-digits, single)
+    return single
 
 
 def _gap_note(places: np.ndarray) -> tuple[str, ...]:
