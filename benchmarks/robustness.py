@@ -199,6 +199,7 @@ def inputs(cases: int, seed: int, keep: Path | None) -> collections.Counter[str]
                     found = "large"
             counts[found] += 1
             table[reader][found] += 1
+            so_far(k + 1, counts)
             if found not in GOOD:
                 report(f"{reader} {k}", found, told, keep and keep / f"{seed}_{k}_{reader}", files)
     for reader in sorted(table):
@@ -206,6 +207,12 @@ def inputs(cases: int, seed: int, keep: Path | None) -> collections.Counter[str]
     print(f"slowest refusal {slowest[0]:.2f} s ({slowest[1]})")
     print(f"largest refusal {largest[0] / 1e3:.0f} MB ({largest[1]})")
     return counts
+
+
+def so_far(cases: int, counts: collections.Counter[str]) -> None:
+    """Tell now and then how many cases are through: a run may be stopped."""
+    if cases % 50 == 0:
+        print(f"{cases}: {', '.join(f'{name} {count}' for name, count in sorted(counts.items()))}", file=sys.stderr)
 
 
 def write(files: dict[str, str | bytes], folder: Path) -> None:
@@ -255,6 +262,7 @@ def scenarios(cases: int, seed: int, keep: Path | None) -> collections.Counter[s
             else:
                 found = "traceback" if code not in (1, 2) or told.count("\n") != 1 else "left"
             counts[found] += 1
+            so_far(k + 1, counts)
             if found not in ("ok", "failed"):
                 report(f"scenario {k}", found, told, keep and keep / f"{seed}_{k}_run", {"case.toml": text})
     return counts

@@ -184,6 +184,7 @@ def test_a_terminal_of_ascii_gets_plain_characters():
 def test_control_characters_do_not_reach_the_terminal(capsys):
     display.print_table("a\x1b[31mred\x07", ["value"], [["\x1b]0;title\x07"]])
     display.print_written([Path("a\x1b[2J\nb")])
+    display.print_rows([{"a": "\x1b[31m\n"}], "csv")
     out = capsys.readouterr().out
     assert "\x1b" not in out and "\x07" not in out
     assert "a\\x1b[31mred" in out and "wrote a\\x1b[2J\\nb" in out

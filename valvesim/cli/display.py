@@ -100,6 +100,7 @@ def print_rows(rows: Sequence[Mapping[str, Any]], form: str) -> None:
 
     from valvesim.io import csv_text
 
+    rows = [{key: one_line(v) if isinstance(v, str) else v for key, v in row.items()} for row in rows]
     if form == "json":
         click.echo(json.dumps(rows, indent=1))
     else:

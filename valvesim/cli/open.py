@@ -30,7 +30,7 @@ def open(places: tuple[Path, ...], output: Path | None, columns: Path | None, br
     """
     import webbrowser
 
-    from valvesim.errors import InputError
+    from valvesim.errors import InputError, one_line
 
     pages = [page for place in places if (page := _page_of(place)) is not None]
     if pages and len(pages) < len(places):
@@ -44,7 +44,7 @@ def open(places: tuple[Path, ...], output: Path | None, columns: Path | None, br
         raise InputError("-o is for the page of measured files; a page of results stands where it is")
     for page in pages:
         if not browser or not webbrowser.open(page.absolute().as_uri()):
-            click.echo(page)
+            click.echo(one_line(str(page)))
 
 
 def _page_of(place: Path) -> Path | None:
