@@ -13,9 +13,15 @@ from valvesim.diagnosis.answer_tables import UNITS
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import Gain, Trace
 from valvesim.errors import InputError, SolveError
+from valvesim.identification.between_samples import EdgeTime, edges_of
 from valvesim.identification.fit import Fit
+from valvesim.identification.input_choice import edge_time
+from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
+from valvesim.identification.least_squares import bounded_step
+from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.nominal_fit import NominalFit
-from valvesim.identification.predictor import ModelVariant, prepare_record
+from valvesim.identification.predictor import ModelVariant, RecordPredictor, prepare_record
+from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.session import Record
 from valvesim.identification.study import Study, residual_of
 
@@ -43,7 +49,7 @@ def holdout_gain(
     for record in session.locked:
         try:
             predictor = prepare_record(session, record, universe, options=options.identification)
-            reads = [predictor.readings(predictor.run(variant), variant) for variant in variants]
+            reads = [_read_with_edges(study, predictor, variant) for variant in variants]
         except (InputError, SolveError) as reason:  # what was found in the others stands all the same
             failed.append(f"no gain is measured on a locked record that cannot be simulated: {reason}")
             continue
@@ -60,8 +66,8 @@ def holdout_gain(
         squares = np.concatenate([w**2 for w in white])
         change = squares[:, 1] - squares[:, 0]
         pooled.append(change)
-        low, high = np.quantile(_block_means(change, session.seed), options.hold_out.interval)
         error, extended_error = np.sqrt(squares.mean(axis=0))
+        low, high = _change_interval(squares, session.seed, options=options)
         gains.append(
             Gain(record=record.name, before=float(error), after=float(extended_error), floor=1.0,
                  change=float(change.mean()), low=float(low), high=float(high), claimed=bool(high < 0.0))
@@ -74,6 +80,47 @@ def holdout_gain(
             bool(np.mean(means < 0.0) >= options.hold_out.likely),
         )
     return tuple(gains), claimed, offered and not failed, tuple(traces), failed
+
+
+def _read_with_edges(study: Study, predictor: RecordPredictor, variant: ModelVariant) -> dict[str, np.ndarray]:
+    """What a variant reads in a locked record; where edges of the training records were fitted, those of this one are
+    too: when its command jumped is nothing that a model of the valve could know.
+    """
+    record = predictor.record
+    edges: tuple[NuisanceParameter, ...] = ()
+    if any(isinstance(p.input, EdgeTime) for p in study.nominal.parameters):
+        found = edges_of(record.name, record.command, record.values[record.command], options=study.options)
+        edges = tuple(edge_time(record, edge) for edge in found[: study.options.input.most_edges])
+    point = np.zeros(len(edges))
+    own = NominalModel(variant, edges, options=study.options)
+    for _ in range(study.options.input.holdout_steps if edges else 0):
+        now = own.at(point)
+        linear = linearise_record(predictor, now)
+        sensitivities = parameter_sensitivities(linear, own, perturbed_variants(own, now))
+        J, r = _white(study, record, sensitivities), _white(study, record, residual_of(record, linear.readings))[:, 0]
+        step = bounded_step(J.T @ J + np.eye(len(point)), J.T @ r - point, own.limits - point)
+        point = point + step
+    final = own.at(point)
+    return predictor.readings(predictor.run(final), final)
+
+
+def _white(study: Study, record: Record, columns: dict[str, np.ndarray]) -> np.ndarray:
+    """Whitened columns (rows, k) of the channels whose noise training has seen."""
+    keys = {name: _nearest_noise_key(study, name, record.pace) for name in record.outputs}
+    return np.concatenate(
+        [study.noise[key].whiten(columns[name], record.usable[name]) for name, key in keys.items() if key is not None]
+    )
+
+
+def _change_interval(squares: np.ndarray, seed: int, *, options: DiagnosisOptions) -> tuple[float, float]:
+    """The interval of the change of the mean square, from squares (n, 2) before and after.
+
+    Drawn as a ratio to what was there before in the same blocks: no error falls by more than all of it.
+    """
+    before, after = _block_means(squares[:, 0], seed), _block_means(squares[:, 1], seed)
+    ratio = np.divide(after, before, out=np.ones_like(after), where=before > 0.0)
+    low, high = np.quantile(ratio - 1.0, options.hold_out.interval) * squares[:, 0].mean()
+    return float(low), float(high)
 
 
 def _nearest_noise_key(study: Study, channel: str, rate: float) -> tuple[str, float] | None:

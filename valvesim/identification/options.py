@@ -139,6 +139,7 @@ class InputOptions:
     gain_share: float = option(
         0.02, "1", "the same as a share of what straight lines leave beyond the noise", "a cause may be hidden as well"
     )
+    holdout_steps: int = option(2, "1", "steps in which the edges of a hold-out record are fitted", JUDGEMENT)
     spread: float = option(
         0.1, "1", "share of what another way than straight lines changes of a reading that may be wrong", JUDGEMENT
     )

@@ -1,0 +1,139 @@
+"""The bench, not the valve; records that do not belong together; another valve: each told as what it is."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
+
+import valvesim as vs
+from valvesim.diagnosis import apart
+from valvesim.diagnosis.bench_faults import _frequencies, _gain, _shift, _wave
+from valvesim.diagnosis.diagnose import _far_off
+from valvesim.diagnosis.holdout_gain import _change_interval
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.result import NO_DISCREPANCY
+from valvesim.diagnosis.wording import summary_text
+from valvesim.identification.session import Record
+from valvesim.valve.catalogue import CATALOGUE
+
+TIME = np.arange(1000) / 1e3
+RECORDS = tuple(Record(name, TIME, {"spool_position": 0.0 * TIME, "current": TIME}, {"spool_position": TIME >= 0.0})
+                for name in ("a", "b"))  # fmt: skip
+
+
+def test_a_wave_has_any_amplitude_and_phase_in_each_record_and_is_told_by_its_amplitude():
+    fault = _wave(RECORDS, "supply_pressure", "the supply pressure ripples", 37.0, 1e6, "Pa")
+    assert len({p.name for p in fault.parameters}) == 4 and {p.input.record for p in fault.parameters} == {"a", "b"}
+    assert fault.words(np.array([3e5, 4e5, -4e5, 3e5])) == "the supply pressure ripples by 5 bar at 37 Hz"
+    first, second = (p.input.apply((TIME, 0.0 * TIME), (TIME, 0.0 * TIME), 1.0) for p in fault.parameters[:2])
+    assert np.interp(0.1, *first) ** 2 + np.interp(0.1, *second) ** 2 == pytest.approx(1.0, abs=0.02)
+    off = _shift(RECORDS, "oil_temperature", "the oil temperature is off", 2.0, "delta_degC", True)
+    assert off.words(np.array([1.0, -3.0])).startswith("the oil temperature is off by up to 3 ")
+
+
+def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
+    noise = np.random.default_rng(0).normal(size=(2, len(TIME)))
+    predictors, readings = [], []
+    for record, own in zip(RECORDS, noise, strict=True):
+        values = {**record.values, "spool_position": own + 1.5 * np.sin(2.0 * np.pi * 104.37 * TIME + own[0])}
+        predictors.append(SimpleNamespace(record=replace(record, values=values)))
+        readings.append({"spool_position": 0.0 * TIME})
+    study, nominal = SimpleNamespace(predictors=predictors), SimpleNamespace(fit=SimpleNamespace(readings=readings))
+    found = _frequencies(study, nominal, options=DIAGNOSIS)
+    assert found[0] == pytest.approx(104.37, abs=0.05) and len(found) == 1
+    quiet = [SimpleNamespace(record=replace(p.record, values={**p.record.values, "spool_position": own}))
+             for p, own in zip(predictors, noise, strict=True)]  # fmt: skip
+    assert _frequencies(SimpleNamespace(predictors=quiet), nominal, options=DIAGNOSIS) == []
+
+
+def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
+    rng = np.random.default_rng(1)
+    J, cause, wave = rng.normal(size=(500, 3)), rng.normal(size=(500, 1)), rng.normal(size=(500, 2))
+    noise = rng.normal(size=500)
+
+    def gain(residual, S):
+        nominal = SimpleNamespace(J=J, fit=SimpleNamespace(point=np.zeros(3), residual=residual))
+        return [_gain(nominal, S, cause[:, :k]) for k in (0, 1)]
+
+    assert min(gain(wave @ [0.5, 0.5] + noise, wave)) > DIAGNOSIS.bench.minimum_gain
+    like_the_cause = cause + 0.02 * wave[:, :1]
+    alone, beside = gain(cause[:, 0] + noise, like_the_cause)
+    assert alone > DIAGNOSIS.bench.minimum_gain > 20.0 > beside
+    assert max(gain(noise, wave)) < 20.0
+
+
+def test_a_figure_far_off_is_told_with_its_tolerances():
+    figures = [SimpleNamespace(name=name) for name in ("null_gap", "mass")]
+    study = SimpleNamespace(nominal=SimpleNamespace(parameters=figures))
+    limit = DIAGNOSIS.selection.most_shift
+    assert _far_off(study, np.array([0.9 * limit, -0.9 * limit]), options=DIAGNOSIS) == ""
+    assert _far_off(study, np.array([1.0, -48.0]), options=DIAGNOSIS) == "mass 24 tolerances off"
+
+
+@pytest.mark.parametrize("excess, alarm, odd", [((900.0, 20.0, 20.0), False, "a"), ((900.0, 20.0, 20.0), True, ""),
+                                               ((500.0, 400.0, 20.0), False, ""),
+                                               ((900.0, 20.0), False, "")])  # fmt: skip
+def test_a_record_that_carries_what_is_left_does_not_belong_where_the_others_are_explained(
+    monkeypatch, excess, alarm, odd
+):
+    names = "abc"[: len(excess)]
+    predictors = [SimpleNamespace(record=SimpleNamespace(test=name)) for name in names]
+    sizes = dict(zip(names, excess, strict=True))
+    white = {name: [np.full((100, 1), np.sqrt(1.0 + more / 100.0))] for name, more in sizes.items()}
+    study = SimpleNamespace(predictors=predictors, weights={}, nominal=SimpleNamespace(parameters=[]))
+    study.whiten = lambda predictor, residual: white[predictor.record.test]
+    study.unweighted = lambda: study
+    nominal = SimpleNamespace(study=study, fit=SimpleNamespace(readings=[{}] * len(names), point=np.zeros(0)))
+    left_out = []
+    monkeypatch.setattr(apart, "residual_of", lambda record, read: {})
+    monkeypatch.setattr(apart, "without_test", lambda study, test: left_out.append(test) or study)
+    monkeypatch.setattr(apart, "fit_nominal_near", lambda study, point, full_weight: nominal)
+    monkeypatch.setattr(apart, "score_test", lambda nominal, fit, options: None)
+    monkeypatch.setattr(apart, "detect", lambda scores: (alarm, 4.0))
+    assert apart.odd_test(nominal, options=DIAGNOSIS) == odd and set(left_out) <= {"a"}
+
+
+def test_no_error_falls_by_more_than_all_of_it():
+    squares = np.column_stack([np.random.default_rng(2).chisquare(1, 900) * 50.0, np.full(900, 0.5)])
+    low, high = _change_interval(squares, 0, options=DIAGNOSIS)
+    assert -squares[:, 0].mean() <= low < high < 0.0
+
+
+def test_a_healthy_valve_on_a_bad_bench_is_told_so():
+    said = summary_text(NO_DISCREPANCY, [], None, "the supply pressure ripples by 3 bar at 37 Hz")
+    assert said.startswith("The bench, not the valve: the supply pressure ripples by 3 bar at 37 Hz")
+
+
+def test_every_effect_says_what_to_do():
+    for name, effect in CATALOGUE.items():
+        advice = effect.advice
+        assert advice is not None and all((advice.part, advice.inspect, advice.confirm, advice.remedy)), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("imperfection", IMPERFECTIONS)
+def test_a_healthy_valve_raises_no_alarm_on_a_bench_with_an_imperfection(tmp_path, imperfection):
+    case, bench = draw_bench(701_000, "none", imperfections=(imperfection,))
+    write_bench_session(case, bench, tmp_path)
+    found = vs.diagnose(tmp_path)
+    assert found.verdict == NO_DISCREPANCY and not found.gain_claimed
+    if imperfection == "ripple":
+        (fault,) = found.bench
+        assert found.reason == "bench" and "the supply pressure ripples" in fault
+
+
+@pytest.mark.slow
+def test_records_of_another_valve_are_told_in_seconds(tmp_path, monkeypatch):
+    """Their readings the other way round: no search is made."""
+    case, bench = draw_bench(505, "none", duration=0.5)
+    write_bench_session(case, bench, tmp_path)
+    for path in tmp_path.glob("*.csv"):
+        header, *rows = path.read_text().splitlines()
+        table = np.array([[float(v) for v in row.split(",")] for row in rows])
+        table[:, [k for k, name in enumerate(header.split(",")) if name.split()[0] in case.channels]] *= -1.0
+        np.savetxt(path, table, "%.10g", ",", header=header, comments="")
+    monkeypatch.setattr("valvesim.diagnosis.isolation._first_hypotheses", None)
+    found = vs.diagnose(tmp_path)
+    assert found.reason == "other_valve" and not found.extension_offered
