@@ -50,8 +50,8 @@ def sessions(name: str) -> Iterator[tuple[int, str | None, tuple[str, ...]]]:
 def one_by_one() -> Iterator[tuple[int, str | None, tuple[str, ...]]]:
     """The same of the working set with one imperfection each, or none: on a healthy valve, then with friction."""
     first, _ = SETS["working"]
-    for k in range(8):
-        for hidden in (None, "spool_coulomb_friction"):
+    for hidden in (None, "spool_coulomb_friction"):
+        for k in range(8):
             yield first + 1000 + k, hidden, ()
             for imperfection in IMPERFECTIONS:
                 yield first + 1000 + k, hidden, (imperfection,)

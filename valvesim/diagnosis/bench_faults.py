@@ -15,6 +15,7 @@ import numpy as np
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.identification.between_samples import Shift, Wave
+from valvesim.identification.fit import rescored
 from valvesim.identification.fit_jacobian import all_candidate_sensitivities
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal_near
@@ -27,11 +28,15 @@ from valvesim.valve.effect import Parameter
 
 @dataclass(frozen=True, eq=False)
 class BenchFault:
-    """Something that the bench may do: what it is called, the parameters that say how much, and their size in words."""
+    """Something that the bench may do: what it is called, the parameters that say how much, and their size in words.
+
+    `gain` is the reduction of the chi-square that the linear answers promise.
+    """
 
     name: str
     parameters: tuple[NuisanceParameter, ...]
     words: Callable[[np.ndarray], str]
+    gain: float = 0.0
 
 
 def with_bench_faults(
@@ -48,6 +53,8 @@ def with_bench_faults(
         prepared = study.unweighted().with_nominal(extended)
         point = np.append(nominal.fit.point, np.zeros(len(fault.parameters)))
         better = fit_nominal_near(prepared, point, full_weight=not study.weights)
+        if nominal.fit.chi_square - rescored(study, better.fit).chi_square < 0.5 * fault.gain:
+            break  # the linear answers were wrong: it is something else
         nominal, scores = better, score_test(better, better.fit, options=options)
         found.append(fault)
     return nominal, scores, tuple(_words(nominal, fault) for fault in found)
@@ -79,7 +86,7 @@ def _likeliest(
     most = max(float(np.max(scores.z(), initial=0.0)) ** 2, fit.chi_square - fit.rows)
     least = max(options.bench.minimum_gain, options.bench.gain_share * most)
     best = int(np.argmax(gains))
-    return faults[best] if gains[best] > least else None
+    return replace(faults[best], gain=gains[best]) if gains[best] > least else None
 
 
 def _gain(nominal: NominalFit, S: np.ndarray, beside: np.ndarray) -> float:
