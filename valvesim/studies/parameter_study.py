@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from typing import Any
 
 import numpy as np
@@ -214,9 +214,14 @@ def channels_of(case: Case) -> tuple[Channel, ...]:
 
 
 def _words(value: Any) -> str:
-    """What a value is, in words of every digit: data by its fields, a function by its name and the code that it has."""
+    """What a value is, in words of every digit: data by its fields, a function by its name and, where it is not the
+    package's, the code that it has.
+
+    Fields at their defaults are left out: one that a later version adds makes no other study.
+    """
     if hasattr(value, "__dataclass_fields__"):
-        fields = [f"{name}={_words(getattr(value, name))}" for name in value.__dataclass_fields__]
+        own = {name: getattr(value, name) for name in value.__dataclass_fields__ if not _at_default(value, name)}
+        fields = [f"{name}={_words(given)}" for name, given in own.items()]
         return f"{type(value).__name__}({', '.join(fields)})"
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key}: {_words(value[key])}' for key in sorted(value))}}}"
@@ -226,7 +231,17 @@ def _words(value: Any) -> str:
         return repr(float(value) if isinstance(value, np.floating) else value)
     if isinstance(value, Iterable):
         return f"({', '.join(_words(one) for one in value)})"
-    return f"{getattr(value, '__qualname__', type(value).__name__)} {_code_hash(getattr(value, '__code__', None))}"
+    name = getattr(value, "__qualname__", type(value).__name__)
+    if str(getattr(value, "__module__", "")).startswith("valvesim."):
+        return name  # its text is told by the versions
+    return f"{name} {_code_hash(getattr(value, '__code__', None))}"
+
+
+def _at_default(value: Any, name: str) -> bool:
+    """Whether a field of a dataclass holds the default that it declares."""
+    declared = value.__dataclass_fields__[name].default
+    given = getattr(value, name)
+    return declared is not MISSING and (given is declared or type(given) is type(declared) and bool(given == declared))
 
 
 def _code_hash(code: Any) -> str:

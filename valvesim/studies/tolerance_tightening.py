@@ -13,17 +13,20 @@ Symbols
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from valvesim.errors import InputError
+from valvesim.studies.criteria import Criterion
 from valvesim.studies.designs import correlation_matrix
 from valvesim.studies.distributions import Distribution
 from valvesim.studies.study_result import StudyResult
 
 STEP = 0.75  # factor of one step of tightening
 LEAST_FACTOR = 0.2  # a tolerance of a fifth is another process
+SMOOTHING = 0.2  # of the deviation of a figure, over which a member is spread where gains are compared
 FEWEST = 4  # times as many members as quantities, for a plane
 MOST_STEPS = 60
 
@@ -60,22 +63,25 @@ class TighteningPlan:
 def tightening_plan(result: StudyResult, wanted: float) -> TighteningPlan:
     """How to reach a wanted yield (share), one step of one tolerance at a time, each the one that gains most.
 
+    Gains are compared by smoothed yields, for a few members more or less tell no two tolerances apart.
+
     Raises InputError without limits, for a table of one's own, where nothing that varies is continuous, and where too
     few members have the figures.
     """
     yields = TightenedYields(result)
     now = yields.at({})
-    halved = sorted((yields.at({key: 0.5}) for key in yields.keys), key=lambda one: -one.share)
+    order = sorted(yields.keys, key=lambda key: -yields.smoothed({key: 0.5}))
+    halved = [yields.at({key: 0.5}) for key in order]
     steps: list[Tightening] = []
     at = now
     while at.share < wanted and len(steps) < MOST_STEPS:
         tried = {
-            key: yields.moved(at.factors | {key: at.factors.get(key, 1.0) * STEP})
+            key: yields.smoothed(at.factors | {key: at.factors.get(key, 1.0) * STEP})
             for key in yields.keys
             if at.factors.get(key, 1.0) * STEP >= LEAST_FACTOR
         }
         best = max(tried, key=lambda key: tried[key], default=None)
-        if best is None or tried[best] <= at.share:
+        if best is None or tried[best] <= yields.smoothed(at.factors):
             break
         at = yields.at(at.factors | {best: at.factors.get(best, 1.0) * STEP})
         steps.append(at)
@@ -102,6 +108,7 @@ class TightenedYields:
         self._medians = {key: float(law.quantile(np.array(0.5))) for key, law in self._laws.items()}
         self._judged = [(c, result.column(c.figure.name)[here]) for c in result.criteria]
         self._slopes = [self._plane(values) for _, values in self._judged]
+        self._widths = [SMOOTHING * max(float(np.nanstd(values)), 1e-300) for _, values in self._judged]
         self._precision = None
         if study.design.correlations:
             R = correlation_matrix(study.design.correlations, study.keys)
@@ -121,21 +128,30 @@ class TightenedYields:
 
     def moved(self, factors: dict[str, float]) -> float:
         """Share of the members that pass where their tolerances bring them."""
-        passes = self._everything_else()
+        passes = np.ones(len(self._draws), dtype=bool)
+        for criterion, moved in self._moved(factors):
+            passes &= criterion.passes(moved)
+        return float(np.mean(passes))
+
+    def smoothed(self, factors: dict[str, float]) -> float:
+        """The same, each member spread over a share of its figure's deviation: it tells small gains apart."""
+        from scipy.special import ndtr
+
+        passes = np.ones(len(self._draws))
+        for (criterion, moved), width in zip(self._moved(factors), self._widths, strict=True):
+            judged = criterion.judged(moved)
+            within = ndtr((criterion.high - judged) / width) - ndtr((criterion.low - judged) / width)
+            passes *= np.nan_to_num(within)
+        return float(np.mean(passes))
+
+    def _moved(self, factors: dict[str, float]) -> Iterator[tuple[Criterion, np.ndarray]]:
+        """Each criterion with the figures of the moved members, NaN where there are none."""
         for (criterion, values), slopes in zip(self._judged, self._slopes, strict=True):
             moved = values.copy()
             for key, factor in factors.items():
                 k = self._places[key]
                 moved -= slopes[k] * (1.0 - factor) * (self._draws[:, k] - self._medians[key])
-            passes &= criterion.passes(moved)
-        return float(np.mean(passes))
-
-    def _everything_else(self) -> np.ndarray:
-        """Members that have every limited figure."""
-        have = np.ones(len(self._draws), dtype=bool)
-        for _, values in self._judged:
-            have &= np.isfinite(values)
-        return have
+            yield criterion, moved
 
     @property
     def keys(self) -> tuple[str, ...]:
