@@ -19,6 +19,7 @@ JITTER = 0.02  # share of the step by which times may be off the clock and still
 GAP = 1.5  # times the step from which a longer step is a gap: a lost sample makes one of 2
 UNEVEN = 0.1  # share of the steps that may be neither a step nor whole steps of the clock
 COARSE = 0.2  # share of the steps that are zero from which times are taken to be written with too few digits
+_PART = 1 << 20  # times at once
 FILLED = 20.0  # times the samples: a record with more gap than that is not one
 
 
@@ -27,19 +28,21 @@ class EvenClock:
     """An even clock (`start` s, `step` s, `count` samples) and how rows lie on it.
 
     `rows` are the rows of the table that are used, at `places` (len(rows),) in steps from the start; whole numbers
-    unless `interpolated`. `notes` say in words what was done.
+    unless `interpolated`. Both are None where every row is a sample. `notes` say in words what was done.
     """
 
     start: float
     step: float
     count: int
-    rows: np.ndarray
-    places: np.ndarray
-    interpolated: bool
-    notes: tuple[str, ...]
+    rows: np.ndarray | None = None
+    places: np.ndarray | None = None
+    interpolated: bool = False
+    notes: tuple[str, ...] = ()
 
     def row_of(self, sample: int) -> int:
         """The row of the table that is at a sample, or the one before where there is none."""
+        if self.rows is None or self.places is None:
+            return sample
         k = int(np.searchsorted(self.places, sample + 0.5)) - 1
         return int(self.rows[max(k, 0)])
 
@@ -50,6 +53,8 @@ class EvenClock:
 
     def lay(self, values: np.ndarray) -> np.ndarray:
         """A column (rows of the table,) on the clock (count,), NaN where nothing was measured."""
+        if self.rows is None or self.places is None:
+            return values
         values = values[self.rows]
         out = np.full(self.count, np.nan)
         if not self.interpolated:
@@ -76,6 +81,8 @@ def even_clock(
 
     Raises InputError, with the line, for times that fall, for two readings at one time, and for a clock that is uneven.
     """
+    if (step := _even_step(time)) is not None:
+        return EvenClock(float(time[0]), step, len(time))
     notes: list[str] = []
     rows = np.flatnonzero(np.isfinite(time))
     if len(rows) < len(time):
@@ -107,6 +114,19 @@ def even_clock(
             notes.append(f"{len(doubled)} times stand there twice: the later reading is used")
             rows = np.delete(rows, doubled)
     return _laid(time, rows, path, line_of, notes)
+
+
+def _even_step(time: np.ndarray) -> float | None:
+    """The step of an even clock that all times (n,) keep to, None where there is none. Of many it holds a part."""
+    n = len(time)
+    step = float(time[-1] - time[0]) / (n - 1) if n > 2 else 0.0
+    if not step > 0.0:
+        return None
+    for k in range(0, n, _PART):
+        part = time[k : k + _PART]
+        if not (np.abs(part - (time[0] + step * np.arange(k, k + len(part)))) <= 0.5 * JITTER * step).all():
+            return None
+    return step
 
 
 def _beside_a_gap(steps: np.ndarray, doubled: np.ndarray) -> int | None:

@@ -33,9 +33,10 @@ from valvesim.measurement.dialect import (
 from valvesim.measurement.table import MOST_BYTES, MOST_COLUMNS, MOST_SAMPLES, Choice, Column, MeasuredTable
 
 _CHUNK_ROWS = 500_000
-_CHUNK_BYTES = 1 << 24
+_CHUNK_BYTES = 1 << 23
 _MISSING = sorted({spelling for word in MISSING for spelling in (word, word.upper(), word.capitalize(), word.title())}
                   | {"NaN", "-NaN", "1.#QNAN", "-1.#IND"})  # fmt: skip
+_SPACES = np.frombuffer(b" \t\r\f\v", dtype=np.uint8)
 _NEWLINE, _RETURN, _QUOTE = (ord(c) for c in '\n\r"')
 
 
@@ -48,7 +49,7 @@ def read_csv(path: Path, choice: Choice, stated: Dialect) -> tuple[MeasuredTable
         if len(layout.kinds) > MOST_COLUMNS:
             raise InputError(f"{len(layout.kinds)} columns are more than {MOST_COLUMNS}", file=path)
         rows, end, notes = _count_rows(path, raw, layout)
-        raw = raw[:end]
+        raw = raw.until(end)
         try:
             wanted = sorted(choice(layout.headings))
         except InputError as error:
@@ -66,8 +67,8 @@ def read_csv(path: Path, choice: Choice, stated: Dialect) -> tuple[MeasuredTable
     )  # fmt: skip
 
 
-def _bytes_of(path: Path, stated: Dialect) -> tuple[np.ndarray, str]:
-    """The bytes of a file (n,), mapped and not held, and their encoding; of UTF-16 those of the same text in UTF-8."""
+def _bytes_of(path: Path, stated: Dialect) -> tuple[FileBytes, str]:
+    """The bytes of a file and their encoding; of UTF-16 those of the same text in UTF-8."""
     with open(path, "rb") as file:
         start = file.read(4096)
     if not start:
@@ -76,16 +77,39 @@ def _bytes_of(path: Path, stated: Dialect) -> tuple[np.ndarray, str]:
     return _mapped(path, encoding), "utf-8" if encoding.startswith("utf-16") else encoding
 
 
-def _mapped(path: Path, encoding: str) -> np.ndarray:
+def _mapped(path: Path, encoding: str) -> FileBytes:
     if encoding.startswith("utf-16"):
-        text = path.read_text(encoding=encoding).lstrip("\ufeff")
-        return np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
-    return np.memmap(path, dtype=np.uint8, mode="r")
+        return FileBytes(path, path.read_text(encoding=encoding).lstrip("\ufeff").encode("utf-8"))
+    return FileBytes(path)
 
 
-def _sample(path: Path, raw: np.ndarray, encoding: str) -> str:
+class FileBytes:
+    """The bytes of a file, of which only what is asked for is held; or those of its text in another encoding."""
+
+    def __init__(self, path: Path, held: bytes | None = None, end: int | None = None):
+        self.path, self.held = path, held
+        self.end = end if end is not None else path.stat().st_size if held is None else len(held)
+
+    def __len__(self) -> int:
+        return self.end
+
+    def until(self, end: int) -> FileBytes:
+        """The same without what comes after `end`."""
+        return FileBytes(self.path, self.held, end)
+
+    def part(self, start: int, stop: int) -> bytes:
+        """The bytes from `start` to `stop`."""
+        stop = min(stop, self.end)
+        if self.held is not None:
+            return self.held[start:stop]
+        with open(self.path, "rb") as file:
+            file.seek(start)
+            return file.read(max(stop - start, 0))
+
+
+def _sample(path: Path, raw: FileBytes, encoding: str) -> str:
     """The text of the beginning of a file, in whole lines."""
-    start = raw[:SAMPLE_BYTES].tobytes()
+    start = raw.part(0, SAMPLE_BYTES)
     if 0 in start:
         raise InputError("holds zero bytes: it is no text", file=path)
     if len(raw) > SAMPLE_BYTES:
@@ -93,26 +117,25 @@ def _sample(path: Path, raw: np.ndarray, encoding: str) -> str:
     return start.decode(encoding, errors="replace" if len(raw) > SAMPLE_BYTES and b"\n" not in start else "strict")
 
 
-def _lines(raw: np.ndarray) -> Iterator[np.ndarray]:
+def _lines(raw: FileBytes) -> Iterator[np.ndarray]:
     """Blocks of whole lines, (n,) bytes each; lines end with line feeds, or with carriage returns alone."""
-    ends = _line_end(raw)
+    ends = bytes([_line_end(raw)])
     start = 0
     while start < len(raw):
-        stop = min(start + _CHUNK_BYTES, len(raw))
-        if stop < len(raw):
-            last = np.flatnonzero(np.asarray(raw[start:stop]) == ends)
-            if not len(last):
-                raise InputError(f"a line of more than {_CHUNK_BYTES} bytes")
-            stop = start + int(last[-1]) + 1
-        yield np.asarray(raw[start:stop])
-        start = stop
+        block = raw.part(start, start + _CHUNK_BYTES)
+        if start + len(block) < len(raw):
+            block = block[: block.rfind(ends) + 1]
+        if not block:
+            raise InputError(f"a line of more than {_CHUNK_BYTES} bytes", file=raw.path)
+        yield np.frombuffer(block, dtype=np.uint8)
+        start += len(block)
 
 
-def _line_end(raw: np.ndarray) -> int:
-    return _NEWLINE if (np.asarray(raw[:_CHUNK_BYTES]) == _NEWLINE).any() else _RETURN
+def _line_end(raw: FileBytes) -> int:
+    return _NEWLINE if b"\n" in raw.part(0, _CHUNK_BYTES) else _RETURN
 
 
-def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, int, tuple[str, ...]]:
+def _count_rows(path: Path, raw: FileBytes, layout: Layout) -> tuple[int, int, tuple[str, ...]]:
     """(rows of data, bytes that hold them, notes); InputError for a row of other than all columns, and for too many.
 
     A last line without an end may have been cut off: it is left out where cells are missing, and told in any case.
@@ -131,7 +154,9 @@ def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, int, 
             stops = np.append(stops, len(block))
         starts = np.concatenate([[0], stops[:-1] + 1])
         cells = _cells(block, starts, stops, layout.separator)
-        blank = np.flatnonzero(cells == 1)
+        blank = np.flatnonzero(
+            (cells == 1) & ((stops - starts < 2) | np.isin(block[np.minimum(starts, len(block) - 1)], _SPACES))
+        )
         cells[[k for k in blank if not block[starts[k] : stops[k]].tobytes().strip()]] = 0
         numbers = line + np.arange(len(stops))
         data = (numbers >= layout.data_line) & (cells > 0)
@@ -159,6 +184,8 @@ def _count_rows(path: Path, raw: np.ndarray, layout: Layout) -> tuple[int, int, 
 def _check_returns(path: Path, block: np.ndarray, line: int) -> None:
     """InputError for a carriage return within a line, which some take for its end; `line` is the block's first."""
     returns = np.flatnonzero(block == _RETURN)
+    if not len(returns):
+        return
     within = returns[(returns + 1 < len(block)) & (block[np.minimum(returns + 1, len(block) - 1)] != _NEWLINE)]
     if len(within):
         number = line + int(np.count_nonzero(block[: within[0]] == _NEWLINE))
@@ -170,12 +197,12 @@ def _cells(block: np.ndarray, starts: np.ndarray, stops: np.ndarray, separator: 
     if (block == _QUOTE).any():
         text = [block[a:b].tobytes().decode("latin-1") for a, b in zip(starts, stops, strict=True)]
         return np.array([len(cells_of(line, separator)) for line in text])
-    separators = np.concatenate([[0], np.cumsum(block == ord(separator), dtype=np.int64)])
-    return separators[stops] - separators[starts] + 1
+    before = np.searchsorted(np.flatnonzero(block == ord(separator)), stops)
+    return np.diff(before, prepend=0) + 1
 
 
 def _columns(
-    path: Path, raw: np.ndarray, layout: Layout, wanted: Sequence[int], rows: int
+    path: Path, raw: FileBytes, layout: Layout, wanted: Sequence[int], rows: int
 ) -> tuple[tuple[Column, ...], float | None]:
     """The wanted columns (rows,) of numbers and times, and when the first row of times of day was."""
     numbers = [k for k in wanted if layout.kinds[k] == "number"]
@@ -193,7 +220,7 @@ def _columns(
     ), start  # fmt: skip
 
 
-def _numbers(path: Path, raw: np.ndarray, layout: Layout, wanted: Sequence[int], rows: int) -> dict[int, np.ndarray]:
+def _numbers(path: Path, raw: FileBytes, layout: Layout, wanted: Sequence[int], rows: int) -> dict[int, np.ndarray]:
     """Columns of numbers by index; where anything is odd, cell by cell, for the line of what makes no sense."""
     values = {k: np.full(rows, np.nan) for k in wanted}
     if not values:
@@ -225,7 +252,7 @@ def _check_count(path: Path, found: int, rows: int, *, whole: bool) -> None:
         raise InputError(f"{found} rows were read of {rows}: it is no plain table of columns", file=path)
 
 
-def _number(path: Path, raw: np.ndarray, layout: Layout, cell: str, k: int, row: int) -> float:
+def _number(path: Path, raw: FileBytes, layout: Layout, cell: str, k: int, row: int) -> float:
     if is_number(cell, layout.decimal):
         return float(cell.strip().replace(",", "."))
     if is_missing(cell):
@@ -236,7 +263,7 @@ def _number(path: Path, raw: np.ndarray, layout: Layout, cell: str, k: int, row:
     raise InputError(told, file=path, line=_line_of(raw, layout, row))
 
 
-def _chunks(raw: np.ndarray, layout: Layout, wanted: Sequence[int], kind: type) -> Iterator[Any]:
+def _chunks(raw: FileBytes, layout: Layout, wanted: Sequence[int], kind: type) -> Iterator[Any]:
     """Data frames of the rows of data, a part at a time."""
     import pandas
 
@@ -272,15 +299,15 @@ def _no_table(error_of_pandas: type[Exception]) -> Iterator[None]:
 class _Bytes(io.RawIOBase):
     """Mapped bytes as a file, of which only what is being read is held."""
 
-    def __init__(self, raw: np.ndarray):
+    def __init__(self, raw: FileBytes):
         self.raw, self.at = raw, 0
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: Any) -> int:
-        part = self.raw[self.at : self.at + len(buffer)]
-        buffer[: len(part)] = part.tobytes()
+        part = self.raw.part(self.at, self.at + len(buffer))
+        buffer[: len(part)] = part
         self.at += len(part)
         return len(part)
 
@@ -294,7 +321,7 @@ def _line_in_file(path: Path, layout: Layout, row: int) -> int | None:
         return None
 
 
-def _line_of(raw: np.ndarray, layout: Layout, row: int) -> int:
+def _line_of(raw: FileBytes, layout: Layout, row: int) -> int:
     """The line of a row of data, counted from 0."""
     line, seen, end = 0, -1, bytes([_line_end(raw)])
     for block in _lines(raw):

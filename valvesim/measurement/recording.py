@@ -26,6 +26,7 @@ def no_line(sample: int) -> None:
     """Of a file that has no lines."""
 
 
+_PART = 1 << 20  # readings at once
 _MISSPELLED = 0.85  # likeness to a channel's name from which another name is taken for a misspelling
 
 
@@ -213,11 +214,16 @@ def _si(path: Path, table: MeasuredTable, channel: str, statement: ColumnStateme
     if not statement.unit:
         told = f"{where} needs a name and a unit, such as '{channel} [{UNITS[channel]}]', or its unit in [columns]"
         raise InputError(told, file=path, line=table.header_line)
-    values = statement.sign * (statement.scale * column.values + statement.offset)
+    values = np.empty(len(column.values))
+    scaled = (statement.scale, statement.offset, statement.sign) != (1.0, 0.0, 1.0)
     try:
-        return np.asarray(convert(values, spelled(statement.unit), UNITS[channel], where), dtype=float)
+        for k in range(0, len(values), _PART):  # of many readings a part at once
+            part = column.values[k : k + _PART]
+            part = statement.sign * (statement.scale * part + statement.offset) if scaled else part
+            values[k : k + _PART] = convert(part, spelled(statement.unit), UNITS[channel], where)
     except InputError as error:
         raise error.at(file=path, line=table.header_line) from None
+    return values
 
 
 def _clock(path: Path, table: MeasuredTable, chosen: dict[str, ColumnStatement], stated: Statements) -> EvenClock:
@@ -236,8 +242,7 @@ def _clock(path: Path, table: MeasuredTable, chosen: dict[str, ColumnStatement],
         return even_clock(times, path, table.line_of, same)
     if time.rate is not None:
         count = len(table.columns[0].values)
-        rows = np.arange(count)
-        return EvenClock(0.0, 1.0 / time.rate, count, rows, rows.astype(float), False, ())
+        return EvenClock(0.0, 1.0 / time.rate, count)
     names = [heading.name for heading in table.headings]
     advice = f"no column 'time'{nearest('time', names)}; state its column, or a rate, in [columns]"
     raise InputError(advice, file=path, line=table.header_line)
