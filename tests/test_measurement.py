@@ -568,3 +568,14 @@ def test_times_of_single_precision_are_taken_as_even(tmp_path):
     clock = even_clock(time, tmp_path, lambda row: None, lambda row, other: False)
     assert not clock.interpolated and clock.count == 3000 and clock.step == pytest.approx(1e-4, rel=1e-4)
     assert "times are written to 3.05e-05 s only" in clock.notes[0]
+
+
+def test_columns_of_one_name_are_told_by_number(tmp_path):
+    content = table(TIME, CURRENT, SPOOL, CURRENT, head="time [s],Untitled,Untitled,Untitled")
+    stated = {"current": {"column": 2, "unit": "A"}, "spool_position": {"column": 3, "unit": "m"}}
+    recording = read(tmp_path, content, stated=statements_of(stated, {}))
+    assert np.array_equal(recording.values["spool_position"], SPOOL) and recording.left_out == ("Untitled",)
+    assert recording.sources["spool_position"].statement.column == 3
+    stated["spool_position"]["column"] = "Untitled"
+    told = refused(tmp_path, content, stated=statements_of(stated, {}))
+    assert "line 1: columns.spool_position.column: there are 3 columns 'Untitled': give its number" in told

@@ -215,7 +215,7 @@ def _columns(
             values[k], start = clock_seconds(texts, path, lambda row: _line_of(raw, layout, row))
     headings = layout.headings
     return tuple(
-        Column(type(headings[k])(headings[k].name, "s") if layout.kinds[k] == "clock" else headings[k], values[k])
+        Column(k, type(headings[k])(headings[k].name, "s") if layout.kinds[k] == "clock" else headings[k], values[k])
         for k in wanted if k in values
     ), start  # fmt: skip
 

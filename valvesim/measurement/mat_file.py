@@ -74,7 +74,7 @@ def _tables(leaves: list[tuple[str, Any]], choice: Choice) -> tuple[MeasuredTabl
     for (owner, _), members in groups.items():
         headings = tuple(_heading(name, units) for name, _ in members)
         wanted = sorted(choice(headings))
-        columns = tuple(Column(headings[k], as_numbers(members[k][1][()])) for k in wanted)
+        columns = tuple(Column(k, headings[k], as_numbers(members[k][1][()])) for k in wanted)
         tables.append(MeasuredTable(owner or "variables", headings, columns))
     if not tables:
         raise InputError("holds no vector of numbers")

@@ -35,10 +35,10 @@ def read_mdf(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
                     values = as_numbers(signal.samples)
                     if invalid is not None:
                         values = np.where(np.asarray(invalid, dtype=bool), np.nan, values)
-                    columns.append(Column(headings[k], values))
+                    columns.append(Column(k, headings[k], values))
                     times = signal.timestamps
             if times is not None:
-                columns.append(Column(headings[-1], as_numbers(times)))
+                columns.append(Column(len(channels), headings[-1], as_numbers(times)))
                 columns = [column for column in columns if len(column.values) == len(times)]
             tables.append(MeasuredTable(f"group {index + 1}", tuple(headings), tuple(columns)))
     return tuple(tables)

@@ -25,7 +25,7 @@ def read_netcdf(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
             columns, start = [], None
             for k in wanted:
                 values, own = _values(variables[k])
-                columns.append(Column(headings[k] if own is None else Heading(headings[k].name, "s"), values))
+                columns.append(Column(k, headings[k] if own is None else Heading(headings[k].name, "s"), values))
                 start = own if own is not None else start
             tables.append(MeasuredTable(name, headings, tuple(columns), start=start))
     return tuple(tables)

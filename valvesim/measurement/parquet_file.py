@@ -27,9 +27,9 @@ def read_parquet(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
         column = file.read(columns=[schema.field(k).name]).column(0)
         if pyarrow.types.is_timestamp(kind) or pyarrow.types.is_duration(kind):
             seconds, start = from_stamps(column.to_numpy())
-            columns.append(Column(Heading(headings[k].name, "s"), seconds))
+            columns.append(Column(k, Heading(headings[k].name, "s"), seconds))
         elif pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind) or pyarrow.types.is_decimal(kind):
-            columns.append(Column(headings[k], as_numbers(column.cast(pyarrow.float64()).to_numpy())))
+            columns.append(Column(k, headings[k], as_numbers(column.cast(pyarrow.float64()).to_numpy())))
     return (MeasuredTable(path.name, headings, tuple(columns), start=start),)
 
 

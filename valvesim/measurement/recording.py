@@ -76,8 +76,8 @@ def read_recording(
     tables = [(path, table, chosen) for path in paths for table, chosen in _tables(path, wanted, stated)]
     _check_stated(paths, tables, stated)
     for path, table, chosen in tables:
-        used = {s.column for s in chosen.values()}
-        left_out += [h.name for h in table.headings if h.name and h.name not in used]
+        used = {_place(table.headings, statement) for statement in chosen.values()}
+        left_out += [h.name for k, h in enumerate(table.headings) if h.name and k not in used]
         channels = {name: statement for name, statement in chosen.items() if name != "time"}
         if not channels:
             continue
@@ -135,10 +135,13 @@ def understood(
     taken = set()
     for channel, statement in stated.columns.items():
         if statement.column is not None and channel in (*wanted, "time"):
-            k = next((k for k, h in enumerate(headings) if _is_column(k, h, statement.column)), None)
-            if k is not None:
-                found[channel] = replace(statement, column=headings[k].name, unit=statement.unit or headings[k].unit)
-                taken.add(k)
+            places = [k for k, h in enumerate(headings) if _is_column(k, h, statement.column)]
+            if len(places) > 1:
+                told = f"there are {len(places)} columns {statement.column!r}: give its number, such as {places[1] + 1}"
+                raise InputError(told, key=f"columns.{channel}.column")
+            if places:
+                found[channel] = _taken(statement, headings, places[0])
+                taken.add(places[0])
     for own in (True, False):
         for channel in (*wanted, "time"):
             statement = stated.columns.get(channel, ColumnStatement())
@@ -153,10 +156,16 @@ def understood(
                 told = told if own else f"{names} may both be {channel}: state which in [columns]"
                 raise InputError(told, file=path, line=line)
             if places:
-                heading = headings[places[0]]
-                found[channel] = replace(statement, column=heading.name, unit=statement.unit or heading.unit)
+                found[channel] = _taken(statement, headings, places[0])
                 taken.add(places[0])
     return found
+
+
+def _taken(statement: ColumnStatement, headings: Sequence[Heading], place: int) -> ColumnStatement:
+    """A statement with the column that it is: by name, or by number where two have that name."""
+    name, unit = headings[place].name, headings[place].unit
+    column = name if name and [heading.name for heading in headings].count(name) == 1 else place + 1
+    return replace(statement, column=column, unit=statement.unit or unit)
 
 
 def _shown(heading: Heading) -> str:
@@ -170,7 +179,8 @@ def _is_column(k: int, heading: Heading, column: str | int) -> bool:
 
 
 def _place(headings: Sequence[Heading], statement: ColumnStatement) -> int:
-    return next(k for k, heading in enumerate(headings) if heading.name == statement.column)
+    column = statement.column
+    return next(k for k, heading in enumerate(headings) if column is not None and _is_column(k, heading, column))
 
 
 def _check_stated(paths: Sequence[Path], tables: Sequence[tuple], stated: Statements) -> None:
@@ -202,7 +212,8 @@ def _check_spelling(path: Path, tables: Sequence[tuple], wanted: Collection[str]
 
 
 def _column(table: MeasuredTable, statement: ColumnStatement) -> Column | None:
-    return next((column for column in table.columns if column.heading.name == statement.column), None)
+    place = _place(table.headings, statement)
+    return next((column for column in table.columns if column.place == place), None)
 
 
 def _si(path: Path, table: MeasuredTable, channel: str, statement: ColumnStatement) -> np.ndarray:

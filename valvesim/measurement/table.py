@@ -26,8 +26,10 @@ Choice = Callable[[Sequence[Heading]], Collection[int]]
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """A column of a file: `values` (n,) in the heading's unit, NaN where nothing was measured."""
+    """A column of a file: its `place` among the headings, and `values` (n,) in the heading's unit, NaN where nothing
+    was measured."""
 
+    place: int
     heading: Heading
     values: np.ndarray
 

@@ -53,15 +53,15 @@ def _table(name: str, clock: tuple[Any, ...], members: list[Any], choice: Choice
     columns, start = [], None
     for k in sorted(choice(headings)):
         if k == len(members):
-            columns.append(Column(headings[k], offset + increment * np.arange(length)))
+            columns.append(Column(k, headings[k], offset + increment * np.arange(length)))
             start = None if begun is None else from_stamps(np.array([begun], dtype="datetime64[us]"))[1]
             continue
         values = members[k][:]
         if np.issubdtype(values.dtype, np.datetime64):
             seconds, start = from_stamps(values)
-            columns.append(Column(Heading(headings[k].name, "s"), seconds))
+            columns.append(Column(k, Heading(headings[k].name, "s"), seconds))
         elif np.issubdtype(values.dtype, np.number) and not np.iscomplexobj(values):
-            columns.append(Column(headings[k], as_numbers(values)))
+            columns.append(Column(k, headings[k], as_numbers(values)))
     return MeasuredTable(name, tuple(headings), tuple(columns), start=start, notes=notes)
 
 

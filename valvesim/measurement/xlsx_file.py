@@ -39,7 +39,7 @@ def _table(name: str, rows: list[list[Any]], choice: Choice) -> MeasuredTable | 
         if found is None:
             continue
         values, own = found
-        columns.append(Column(headings[k] if own is None else Heading(headings[k].name, "s"), values))
+        columns.append(Column(k, headings[k] if own is None else Heading(headings[k].name, "s"), values))
         start = own if own is not None else start
     return MeasuredTable(
         name, headings, tuple(columns), start=start, header_line=first, line_of=lambda row: first + 1 + row
