@@ -223,6 +223,38 @@ def test_a_worker_of_another_version_runs_nothing():
         engine.checked_block(other, small(), None, 0, None)
 
 
+class Workers:
+    """A client whose workers answer with their versions."""
+
+    def __init__(self, **answers):
+        self.answers = answers
+
+    def run(self, function, on_error):
+        return self.answers
+
+
+def test_workers_that_are_missing_or_others_are_refused_by_their_address():
+    own = engine.versions()
+    engine.check_workers(Workers(one=own, two=dict(own)))
+    for client, message in (
+        (Workers(), "no worker; start one"),
+        (Workers(one=own, two={**own, "code": "x", "numpy": "1.0"}), "worker two has code x instead of .*, numpy 1.0"),
+        (Workers(one=ModuleNotFoundError("No module named 'valvesim'")), "worker one cannot run a study: ModuleNot"),
+    ):
+        with pytest.raises(InputError, match=message):
+            engine.check_workers(client)
+
+
+@pytest.mark.parametrize(
+    "address", ["nonsense", "tcp://host", "tcp://host:99999", "tcp://a b:8786", "http://host:8786/x"]
+)
+def test_what_is_no_address_of_a_scheduler_is_told_at_once_and_nothing_is_written(address, tmp_path):
+    pytest.importorskip("distributed")
+    with pytest.raises(InputError, match="is no address such as"):
+        study(small(), tmp_path / "new", scheduler=address)
+    assert not (tmp_path / "new").exists()
+
+
 def test_the_forecast_counts_members_and_bytes():
     told = engine.forecast(small(), seconds=0.0)
     assert (told.members, told.blocks, told.block_size) == (12, 3, 5)

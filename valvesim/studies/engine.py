@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 import tempfile
 import time
 import warnings
@@ -79,18 +80,22 @@ def run_study(
         plan = make_plan(study)
     criteria_of(plan.figures, plan.nominal, study.limits, study.specification)  # what makes no sense is told now
     told: set[str] = set()
-    store = open_store(Path(folder), study, plan)
-    pending = store.pending
-    done, count = study.members - _members(store, pending), study.members
-    if progress is not None:
-        progress(done, count)
-    _warn(warned, told)
-    for result in _results(study, plan, store, pending, workers, scheduler):
-        store.write(result)
-        _warn(result.warnings, told)
-        done += len(result.figures)
+    with contextlib.ExitStack() as stack:
+        client = None if scheduler is None else stack.enter_context(_served(scheduler))  # before anything is written
+        store = open_store(Path(folder), study, plan)
+        pending = store.pending
+        done, count = study.members - _members(store, pending), study.members
         if progress is not None:
             progress(done, count)
+        _warn(warned, told)
+        if client is None and workers != 0 and pending:
+            client = stack.enter_context(_local(min(workers or cores(), len(pending))))
+        for result in _results(client, study, plan, store, pending):
+            store.write(result)
+            _warn(result.warnings, told)
+            done += len(result.figures)
+            if progress is not None:
+                progress(done, count)
 
 
 def _warn(messages: Iterable[str], told: set[str]) -> None:
@@ -106,56 +111,58 @@ def _members(store: StudyStore, blocks: list[int]) -> int:
     return sum(region.stop - region.start for region in regions)
 
 
-def _results(
-    study: ParameterStudy, plan: Plan, store: StudyStore, pending: list[int], workers: int | None, scheduler: str | None
-) -> Iterator[BlockResult]:  # fmt: skip
-    """The results of blocks as they come."""
-    if not pending:
-        return
-    if scheduler is None and workers == 0:
-        for block in pending:
-            yield run_block(study, plan, block, store.draws(block))
-        return
-    with _client(scheduler, min(workers or cores(), len(pending))) as client:
-        yield from _distributed(client, study, plan, store, pending)
+@contextlib.contextmanager
+def _served(scheduler: str) -> Iterator[Any]:
+    """A client of the Dask scheduler at an address. InputError where there is none, or none of its workers will do."""
+    distributed = _distributed()
+    place = re.fullmatch(r"(?:\w+://)?[^/\s:]+:(\d{1,5})", scheduler)
+    if place is None or int(place[1]) > 65535:  # which Dask would wait for
+        raise InputError(f"{scheduler!r} is no address such as tcp://host:8786", key="scheduler")
+    try:
+        client = distributed.Client(scheduler, timeout=10, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(f"no Dask scheduler at {scheduler!r} ({error})", key="scheduler") from None
+    with client:
+        check_workers(client)
+        yield client
 
 
 @contextlib.contextmanager
-def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
-    """A Dask client: of the scheduler at an address, or of a cluster of its own that ends with it."""
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise InputError(
-            "Dask is not installed: pip install 'valvesim[fleet]', or workers = 0 for one process alone", key="workers"
-        ) from None
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout=10, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"no Dask scheduler at {scheduler!r} ({error})", key="scheduler") from None
-        with client:
-            yield client
-        return
+def _local(workers: int) -> Iterator[Any]:
+    """A client of a Dask cluster of so many processes, which ends with it."""
+    distributed = _distributed()
     with (
         temporary_folder(Path(tempfile.gettempdir()), "valvesim-study-") as scratch,
-        LocalCluster(
+        distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=WORKER_MEMORY,
             local_directory=scratch, silence_logs=logging.ERROR,
         ) as cluster,
-        Client(cluster, set_as_default=False) as client,
+        distributed.Client(cluster, set_as_default=False) as client,
     ):  # fmt: skip
         yield client
 
 
-def _distributed(
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise InputError(
+            "Dask is not installed: pip install 'valvesim[fleet]', or workers = 0 for one process alone", key="workers"
+        ) from None
+    return distributed
+
+
+def _results(
     client: Any, study: ParameterStudy, plan: Plan, store: StudyStore, pending: list[int]
 ) -> Iterator[BlockResult]:  # fmt: skip
-    """The results of blocks from the workers of a client, a few blocks in flight."""
+    """The results of blocks as they come: from the workers of a client, a few blocks in flight, or of this process."""
+    if client is None:
+        for block in pending:
+            yield run_block(study, plan, block, store.draws(block))
+        return
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
 
-    check_workers(client)
     own, queue = versions(), iter(pending)
 
     def submit(block: int) -> Any:
@@ -188,9 +195,11 @@ def checked_block(
 
 
 def check_workers(client: Any) -> None:
-    """InputError where a worker has no valvesim, or other versions than this process."""
-    own = versions()
-    for address, told in client.run(versions, on_error="return").items():
+    """InputError where there is no worker, or one has no valvesim or other versions than this process."""
+    own, answers = versions(), client.run(versions, on_error="return")
+    if not answers:
+        raise InputError("the scheduler has no worker; start one: dask worker ADDRESS --nthreads 1", key="scheduler")
+    for address, told in answers.items():
         if isinstance(told, BaseException):
             raise InputError(f"worker {address} cannot run a study: {told!r}", key="scheduler")
         if differs := difference(own, told):
