@@ -1,5 +1,7 @@
 """What a user of the library touches: units everywhere, short names, what objects show of themselves, plots."""
 
+import re
+
 import pint
 import pytest
 from hypothesis import given
@@ -109,7 +111,12 @@ def test_what_is_looked_at_is_one_line_or_a_page_of_plain_words(swept):
         page = thing._repr_html_()
         assert page == html(thing) and page.count("<div") == page.count("</div>") and "<html" not in page
     assert "&lt;Sweep&gt;" in swept._repr_html_() and "<Sweep>" not in swept._repr_html_()
-    assert "spool position" in swept._repr_html_() and "null_gap" in valve._repr_html_()
+    assert "spool position" in swept._repr_html_() and "<td>null_gap</td><td class=\"number\">0.03</td>" in html(valve)
+
+
+def test_what_hardly_moves_is_told_to_five_digits_and_not_to_its_rounding():
+    still = vs.simulate(vs.Scenario(command=5e-3, duration=0.02, thermal=ISOTHERMAL, output_rate=1e4))
+    assert not re.search(r"\d\.\d{8}", html(still)) and ">0.19" in html(still)
 
 
 def test_a_result_plots_itself_and_its_sweep(swept):

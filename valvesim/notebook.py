@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any
 
+import numpy as np
+
 from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests
 from valvesim.characterisation.datasheet import Datasheet
 from valvesim.characterisation.figure_of_merit import table
@@ -28,7 +30,7 @@ from valvesim.reports.run import draw_channels, draw_run, draw_sweep
 from valvesim.reports.run_table import RUN_HEADINGS, run_rows
 from valvesim.simulation.result import Result
 from valvesim.simulation.scenario import Scenario
-from valvesim.units import quantities, symbol
+from valvesim.units import DISPLAY, quantities, symbol
 from valvesim.valve.parameters import Valve, reference_valve
 
 
@@ -44,8 +46,10 @@ def _(valve: Valve) -> str:
     rows: list[tuple[str, ...]] = []
     for name, field in quantities(valve).items():
         value, usual, data = getattr(valve, name), getattr(reference, name), field.metadata
-        changed = bool((value != usual) if isinstance(value, float) else True)
-        row = (name, _figure(value), symbol(data["unit"]), _figure(usual) if changed else "", data["doc"])
+        changed = bool(np.ndim(value) or value != usual)
+        unit, factor = DISPLAY.get(data["unit"], (data["unit"], 1.0))
+        before = _figure(usual, factor) if changed else ""
+        row = (name, _figure(value, factor), symbol(unit), before, data["doc"])
         rows.insert(sum(bool(one[3]) for one in rows) if changed else len(rows), row)
     headings = ("parameter", "value", "unit", "reference", "meaning")
     return fragment((section("", Text(f"Valve: {valve.in_words()}", strong=True), Table(headings, rows, (1, 3))),))
@@ -114,5 +118,6 @@ def bode(result: Result, output: str) -> Figure:
     return draw_sweep(result, response)
 
 
-def _figure(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, (int, float)) else f"{len(value)} values"
+def _figure(value: Any, factor: float) -> str:
+    """A quantity in the unit that people read; of a batch how many there are."""
+    return f"{len(value)} values" if np.ndim(value) else f"{float(value) * factor:.6g}"

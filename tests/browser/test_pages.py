@@ -250,6 +250,16 @@ def test_records_side_by_side_move_together(visit, records):
     assert scale(page, 0) == scale(page, 1) == scale(page, 3) and scale(page, 0)[1] < 1.9
 
 
+def test_a_zoom_and_back_leaves_the_very_picture(visit, lines):
+    page = visit(lines)
+    chart = page.locator("figure.chart canvas").first
+    before = chart.screenshot()
+    page.get_by_role("button", name="Zoom in: First").click()
+    inside = chart.screenshot()
+    page.get_by_role("button", name="Show the whole: First").click()
+    assert chart.screenshot() == before != inside
+
+
 def test_the_charts_draw_something_in_each_colour(visit, lines):
     page = visit(lines)
     found = page.evaluate(

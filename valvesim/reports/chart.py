@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 MOST_POINTS = 100_000  # of a line: beyond it the extremes of each stretch are kept, as they follow each other
+RESOLVED = 1e-6  # of its size, what is told of a value at most: it travels in single precision
 EVEN = 1e-6  # of its step, by which a clock may be off and still is told by start and step
 
 
@@ -134,5 +135,5 @@ def thinned(x: np.ndarray, columns: Sequence[np.ndarray]) -> tuple[np.ndarray, l
 def _digits(uncertainty: float, values: np.ndarray) -> int:
     """Digits after the point that show what is known of values."""
     size = float(np.max(np.abs(values), initial=0.0))
-    least = uncertainty if uncertainty > 0.0 and np.isfinite(uncertainty) else 1e-4 * size
+    least = max(uncertainty, RESOLVED * size) if uncertainty > 0.0 and np.isfinite(uncertainty) else 1e-4 * size
     return int(np.clip(np.ceil(-np.log10(least)), 0, 9)) if least > 0.0 else 0

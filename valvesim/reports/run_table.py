@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valvesim.units import symbol
+from valvesim.units import DISPLAY, symbol
 
 if TYPE_CHECKING:
     from valvesim.simulation.result import Result
@@ -18,6 +18,8 @@ CHANNELS = (
     "current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle", "nozzle_pressure_1",
     "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage",
 )  # fmt: skip
+ROUNDING = 1e-9  # share of a channel's usual size below which a value is nothing
+STILL = 1e-3  # share of its size by which a channel must move for the tolerance to tell its digits
 
 
 def run_rows(result: Result, names: Sequence[str] = CHANNELS) -> list[tuple[str, ...]]:
@@ -25,7 +27,11 @@ def run_rows(result: Result, names: Sequence[str] = CHANNELS) -> list[tuple[str,
     rows = []
     for name in names:
         values, unit = result.display(name)
-        known = result.scenario.tolerance * float(np.ptp(values))
+        (channel,) = result.select((name,)).channels
+        nothing = ROUNDING * channel.scale * DISPLAY.get(channel.unit, (unit, 1.0))[1]
+        values = np.where(np.abs(values) > nothing, values, 0.0)
+        span, size = float(np.ptp(values)), float(np.max(np.abs(values)))
+        known = result.scenario.tolerance * span if span > STILL * size else 0.0
         shown = (figure_text(float(v), known) for v in (values.min(), values.max(), values[-1]))
         rows.append((name.replace("_", " "), symbol(unit), *shown))
     return rows
