@@ -94,6 +94,16 @@ def test_the_answer_is_written_and_said(call, found, session, tmp_path):
     assert os.listdir(folder.parent) == ["out"]  # the folder beside it is gone
 
 
+def test_code_that_a_diagnosis_wrote_itself_is_trusted_at_once(call, found, session, tmp_path):
+    named = 'duration = "1 ms"\neffects_files = ["recovered_term.py"]\n[command]\ncurrent = "1 mA"\n'
+    found(replace(PLAIN, extended_scenario=named, extended_effects={"recovered_term.py": EFFECT + f"# {tmp_path}"}))
+    assert call(session, "-o", tmp_path / "out")[0] == 0
+    assert vs.load_scenario(tmp_path / "out" / "extended.toml").duration == 1e-3
+    (tmp_path / "out" / "recovered_term.py").write_text(EFFECT + "# another's")
+    with pytest.raises(vs.InputError, match="was not trusted before"):
+        vs.load_scenario(tmp_path / "out" / "extended.toml")
+
+
 @pytest.mark.parametrize("verdict", [NO_DISCREPANCY, AMBIGUOUS, UNKNOWN])
 def test_any_verdict_is_a_success(call, found, session, tmp_path, verdict):
     found(replace(PLAIN, verdict=verdict))
