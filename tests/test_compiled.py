@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from valvesim.channels import INPUT_CHANNELS, Inputs, State
 from valvesim.errors import ValidityWarning
 from valvesim.inputs import Constant, Sine, merge
+from valvesim.simulation.scenario_toml import load_scenario
+from valvesim.simulation.temperature_knots import KNOT_ERROR, temperature_knots
 from valvesim.solver import codegen as compiled
 from valvesim.solver import rodas5p as rosenbrock
 from valvesim.solver.codegen import compile_model, derivatives
@@ -272,6 +274,21 @@ def test_compiled_run_is_the_plain_run(before, amplitude):
     plain, plain_count = run(rosenbrock.integrate, *functions, equations.coefficients, **own)
     assert fast == pytest.approx(plain, abs=1e-4)
     assert np.abs(fast_count - plain_count).max() <= 1
+
+
+def test_what_is_computed_ahead_is_as_straight_between_knots_as_the_coefficients():
+    scenario = load_scenario("cold_start")
+    path, c = temperature_knots(scenario)
+    knots = np.stack(np.broadcast_arrays(*c), axis=-1)
+    equations = compiled.print_equations(NOMINAL)
+    prepare = as_python(equations.lines)["prepare"]
+    at, between = np.empty((len(knots), equations.coefficients)), np.empty((len(knots) - 1, equations.coefficients))
+    for k, flat_coefficients in enumerate(knots):
+        prepare(flat_coefficients, at[k])
+    for k in range(len(between)):
+        prepare((knots[k] + knots[k + 1]) / 2.0, between[k])
+    bend = np.abs(between - (at[1:] + at[:-1]) / 2.0) / np.maximum(np.abs(at).max(axis=0), 1e-300)
+    assert len(path.times) > 100 and bend.max() < 3 * KNOT_ERROR
 
 
 def test_model_is_compiled_once():
