@@ -88,11 +88,12 @@ def _regression(result: StudyResult, figure: str, values: np.ndarray) -> Sensiti
         raise InputError(f"too few members have {figure}, or it does not vary: no shares", key=figure)
     z = (x[:, moving] - x[:, moving].mean(axis=0)) / spread[moving]
     centred = (y - y.mean()) / y.std()
-    slopes, _, rank, _ = np.linalg.lstsq(z, centred, rcond=None)
+    gram = z.T @ z  # of a million members the products are held, not a second copy of them
+    slopes, _, rank, _ = np.linalg.lstsq(gram, z.T @ centred, rcond=1e-12)
     left = centred - z @ slopes
     explained = 1.0 - float(left @ left) / n
     freedom = max(n - int(rank) - 1, 1)
-    error = np.sqrt(np.diag(np.linalg.pinv(z.T @ z)) * float(left @ left) / freedom)
+    error = np.sqrt(np.diag(np.linalg.pinv(gram)) * float(left @ left) / freedom)
     reach = float(t.ppf(0.5 + CONFIDENCE / 2.0, freedom)) * error
     first, first_error = np.zeros(d), np.zeros(d)
     total = float(slopes @ slopes + left @ left / n)

@@ -137,8 +137,14 @@ class StudyResult:
 
     @functools.cached_property
     def reasons(self) -> np.ndarray:
-        """Why a figure is missing, (members,) of text."""
-        return np.char.decode(np.asarray(self.group[REASONS][:]), "utf-8")
+        """Why a figure is missing, (members,) of text; most share one that is empty."""
+        told = np.full(len(self.ran), "", dtype=object)
+        size = self.attributes["block_size"]
+        for first in range(0, len(told), size):
+            given = np.asarray(self.group[REASONS][first : first + size])
+            for k in np.flatnonzero(given != b""):
+                told[first + k] = given[k].decode()
+        return told
 
     @functools.cached_property
     def independent(self) -> np.ndarray:

@@ -27,6 +27,7 @@ from valvesim.studies.study_result import StudyResult
 STEP = 0.75  # factor of one step of tightening
 LEAST_FACTOR = 0.2  # a tolerance of a fifth is another process
 SMOOTHING = 0.2  # of the deviation of a figure, over which a member is spread where gains are compared
+MOST = 100_000  # members: more tell no two tolerances apart any better
 FEWEST = 4  # times as many members as quantities, for a plane
 MOST_STEPS = 60
 
@@ -97,7 +98,7 @@ class TightenedYields:
             raise InputError("a table of one's own has no tolerances to tighten", key="design.table")
         if not result.criteria:
             raise InputError("no limits: a yield needs [limits] or a specification", key="limits")
-        here = result.independent
+        here = np.flatnonzero(result.independent)[:MOST]
         self._draws, self._passes = result.draws[here], result.passes[here]
         own = [(k, v.key, v.distribution) for k, v in enumerate(study.variables)
                if isinstance(v.distribution, Distribution)]  # fmt: skip
@@ -170,11 +171,15 @@ class TightenedYields:
         return Tightening(factors, moved, share, error, total**2 / float(w @ w))
 
     def _weights(self, factors: dict[str, float]) -> np.ndarray:
-        moved, log_ratio = self._draws.copy(), np.zeros(len(self._draws))
+        moved, log_ratio = self._draws, np.zeros(len(self._draws))
+        if self._precision is not None:
+            moved = moved.copy()
         for key, factor in factors.items():
             k, law = self._places[key], self._laws[key]
-            moved[:, k] = self._medians[key] + (self._draws[:, k] - self._medians[key]) / factor
-            log_ratio += law.log_density(moved[:, k]) - law.log_density(self._draws[:, k]) - np.log(factor)
+            column = self._medians[key] + (self._draws[:, k] - self._medians[key]) / factor
+            log_ratio += law.log_density(column) - law.log_density(self._draws[:, k]) - np.log(factor)
+            if self._precision is not None:
+                moved[:, k] = column
         if self._precision is not None and factors:
             log_ratio += _copula(self._normal_scores(moved), self._precision)
             log_ratio -= _copula(self._scores, self._precision)
