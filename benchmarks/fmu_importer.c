@@ -416,7 +416,7 @@ static void fuzz(unsigned seed, int count)
             case 2: status = CALL2(ExitInitializationMode, instance); break;
             case 3: case 4: status = CALL2(SetReal, instance, refs, n, values); break;
             case 5: case 6: status = CALL2(GetReal, instance, refs, n, values); break;
-            case 7: status = CALL2(DoStep, instance, (rand() % 2) ? 0.0 : values[0], fabs(values[1]) < 1.0 ? values[1] : 1e-4, 1); break;
+            case 7: status = CALL2(DoStep, instance, (rand() % 2) ? 0.0 : values[0], (fabs(values[1]) < 1e-3 || rand() % 9 == 0) ? fmin(values[1], 1e-3) : 1e-5, 1); break;
             case 8: status = CALL2(EnterEventMode, instance); break;
             case 9: status = CALL2(NewDiscreteStates, instance, &info); break;
             case 10: status = CALL2(EnterContinuousTimeMode, instance); break;
@@ -439,7 +439,7 @@ static void fuzz(unsigned seed, int count)
             case 2: status = CALL3(ExitInitializationMode, instance); break;
             case 3: case 4: status = CALL3(SetFloat64, instance, refs, n, values, n); break;
             case 5: case 6: status = CALL3(GetFloat64, instance, refs, n, values, (rand() % 9) ? n : few); break;
-            case 7: status = CALL3(DoStep, instance, (rand() % 2) ? 0.0 : values[0], fabs(values[1]) < 1.0 ? values[1] : 1e-4, true, &flags[0], &flags[1], &flags[2], &values[2]); break;
+            case 7: status = CALL3(DoStep, instance, (rand() % 2) ? 0.0 : values[0], (fabs(values[1]) < 1e-3 || rand() % 9 == 0) ? fmin(values[1], 1e-3) : 1e-5, true, &flags[0], &flags[1], &flags[2], &values[2]); break;
             case 8: status = CALL3(EnterEventMode, instance); break;
             case 9: status = CALL3(UpdateDiscreteStates, instance, &flags[0], &flags[1], &flags[2], &flags[3], &flags[4], &values[0]); break;
             case 10: status = CALL3(EnterContinuousTimeMode, instance); break;

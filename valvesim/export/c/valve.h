@@ -38,7 +38,7 @@ typedef enum {
     VALVE_TOO_MANY_STEPS,    /* culprit: the state that moves fastest */
     VALVE_STEP_TOO_SMALL,    /* culprit: the state that moves fastest */
     VALVE_NOT_FINITE,        /* a fixed step left the range of numbers; culprit: the state */
-    VALVE_DURATION           /* the duration or the count of steps is not positive and finite */
+    VALVE_DURATION           /* the duration (1 ps or more) or the count of steps is not positive and finite */
 } ValveStatus;
 
 typedef struct {

@@ -10,8 +10,9 @@
 
 #define N VALVE_COUPLED
 #define NODES VALVE_NODES_OF_STEP /* times within a step at which its stages look */
-#define MOST_HALVINGS 16 /* of an advance, between two knots */
-#define MOST_STEPS 50000000.0
+#define MOST_HALVINGS 12 /* of an advance, between two knots */
+#define SHORTEST 1e-12 /* s, of an advance */
+#define MOST_STEPS 10000000.0
 #define RATE_SPAN 0.02 /* share of a step over which the rate of inputs is taken that a caller gives */
 
 static const double node_shares[NODES] = VALVE_NODE_SHARES;
@@ -284,10 +285,10 @@ static int is_driven(const Valve *valve, const ValveHooks *hooks)
     return 0;
 }
 
-/* Temperatures and coefficients at the end of a stretch of `length`, and whether a straight line leads there. */
+/* Temperatures and coefficients at the end of a stretch of `length`; *bend above 1: no straight line leads there. */
 static ValveStatus look_ahead(Valve *valve, const ValveHooks *hooks, double begin, double length,
                               const double c_begin[VALVE_COEFFICIENTS], double c_end[VALVE_COEFFICIENTS],
-                              const double before[], double after[], Stretch *stretch, int *straight)
+                              const double before[], double after[], Stretch *stretch, double *bend)
 {
     double u[VALVE_INPUTS], middle[VALVE_SLOW_ROOM], c_middle[VALVE_COEFFICIENTS], last[VALVE_PREPARED], oil[3];
     int k, moved;
@@ -303,7 +304,7 @@ static ValveStatus look_ahead(Valve *valve, const ValveHooks *hooks, double begi
         moved = moved || (fabs(after[k] - before[k]) > 1e-12);
     }
     stretch->bent = moved;
-    *straight = 1;
+    *bend = 0.0;
     for (k = 0; k < VALVE_PREPARED; k++) {
         stretch->rate[k] = 0.0;
     }
@@ -324,8 +325,8 @@ static ValveStatus look_ahead(Valve *valve, const ValveHooks *hooks, double begi
     for (k = 0; k < VALVE_COEFFICIENTS; k++) {
         const double size = larger(fabs(c_begin[k]), fabs(c_end[k]));
         const double least = (k >= VALVE_FIRST_TEMPERATURE) ? 100.0 : 0.0;
-        const double bend = fabs(c_middle[k] - 0.5 * (c_begin[k] + c_end[k]));
-        *straight = *straight && (bend <= VALVE_KNOT_ERROR * larger(size, least));
+        const double off = fabs(c_middle[k] - 0.5 * (c_begin[k] + c_end[k]));
+        *bend = larger(*bend, (off > 0.0) ? off / (VALVE_KNOT_ERROR * larger(size, least)) : 0.0);
     }
     valve_model_prepare(c_end, last);
     for (k = 0; k < VALVE_PREPARED; k++) {
@@ -396,9 +397,9 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
     Stretch stretch;
     double y[N], u[VALVE_INPUTS], temperatures[VALVE_SLOW_ROOM], after[VALVE_SLOW_ROOM];
     double c_begin[VALVE_COEFFICIENTS], c_end[VALVE_COEFFICIENTS];
-    double begin = 0.0, length = duration, reached = 0.0;
-    int k, straight, halvings = 0, stopped = 0;
-    ValveStatus status = (isfinite(duration) && (duration > 0.0)) ? valve_check(valve) : VALVE_DURATION;
+    double begin = 0.0, length = duration, reached = 0.0, bend;
+    int k, halvings = 0, stopped = 0;
+    ValveStatus status = (isfinite(duration) && (duration >= SHORTEST)) ? valve_check(valve) : VALVE_DURATION;
     if (status == VALVE_OK) {
         status = valve_pass_jump(valve);
     }
@@ -427,11 +428,11 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
     stretch.hooks = hooks;
     stretch.driven = is_driven(valve, hooks);
     while ((begin < duration) && !stopped) {
-        status = look_ahead(valve, hooks, begin, length, c_begin, c_end, temperatures, after, &stretch, &straight);
+        status = look_ahead(valve, hooks, begin, length, c_begin, c_end, temperatures, after, &stretch, &bend);
         if (status != VALVE_OK) {
             break;
         }
-        if (!straight && (halvings < MOST_HALVINGS)) {
+        if ((bend > 1.0) && (halvings < MOST_HALVINGS)) {
             length *= 0.5;
             halvings++;
             continue;
@@ -458,7 +459,7 @@ ValveStatus valve_advance(Valve *valve, double duration, const ValveHooks *hooks
             stretch.first[k] += stretch.rate[k] * (stretch.end - stretch.begin);
         }
         begin = stretch.end;
-        if (halvings > 0) {
+        if ((halvings > 0) && (bend < 0.2)) { /* twice as long bends four times as far */
             length *= 2.0;
             halvings--;
         }
@@ -485,8 +486,10 @@ ValveStatus valve_advance_fixed(Valve *valve, double duration, int steps)
     Work work;
     double y[N], new_y[N], after[VALVE_SLOW_ROOM], c_end[VALVE_COEFFICIENTS];
     double *temperatures = &valve->states[N];
-    int k, i, straight;
-    ValveStatus status = (isfinite(duration) && (duration > 0.0) && (steps > 0)) ? valve_check(valve) : VALVE_DURATION;
+    double bend;
+    int k, i;
+    ValveStatus status =
+        (isfinite(duration) && (duration >= SHORTEST) && (steps > 0)) ? valve_check(valve) : VALVE_DURATION;
     if (status == VALVE_OK) {
         status = valve_pass_jump(valve);
     }
@@ -498,7 +501,7 @@ ValveStatus valve_advance_fixed(Valve *valve, double duration, int steps)
     }
     if (status == VALVE_OK) {
         status = look_ahead(valve, NULL, 0.0, duration, valve->coefficients, c_end, temperatures, after, &stretch,
-                            &straight); /* a line all the same: the caller chooses how long it is */
+                            &bend); /* a line all the same: the caller chooses how long it is */
     }
     if (status != VALVE_OK) {
         return status;
