@@ -286,3 +286,19 @@ def test_the_library_that_draws_stands_in_a_page_with_its_licence_and_only_where
         text = page(block, (section("H", Charts(charts)),))
         assert ("Permission is hereby granted" in text) is there is ("uPlot=function" in text.replace(" ", ""))
         assert "<b>" not in text and "<i>" not in text and text.count("</script>") == (2 if there else 0)
+
+
+@given(
+    st.lists(st.floats(), min_size=1, max_size=40), st.floats(-1e6, 1e6), st.floats(1e-9, 1e6), st.floats(0.0),
+    st.booleans(),
+)  # fmt: skip
+@settings(max_examples=60, deadline=None)
+def test_a_chart_of_any_numbers_is_told_and_written(values, start, step, uncertainty, log_x):
+    x = np.geomspace(1e-3, 1e3, len(values)) if log_x else start + step * np.arange(len(values))
+    chart = Chart("any", x, [Series("y", "", np.array(values), uncertainty)], log_x=log_x)
+    spec = json.loads(json.dumps(chart.spec, allow_nan=False))
+    told = np.array(values)
+    told = np.where(np.abs(told) < 1e38, told, np.nan)
+    kept = unpacked(spec["series"][0]["data"], spec["n"])
+    assert kept == pytest.approx(told, rel=1e-6, abs=1e-38, nan_ok=True)
+    assert 0 <= spec["series"][0]["digits"] <= 9 and chart.in_words.startswith("any, over time ")

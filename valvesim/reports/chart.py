@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 MOST_POINTS = 100_000  # of a line: beyond it the extremes of each stretch are kept, as they follow each other
+LARGEST = 1e38  # that a page shows: single precision ends there
 RESOLVED = 1e-6  # of its size, what is told of a value at most: it travels in single precision
 EVEN = 1e-6  # of its step, by which a clock may be off and still is told by start and step
 
@@ -55,7 +56,8 @@ class Chart:
         """What the chart shows, for who cannot see it."""
         told = []
         for one in self.series:
-            known = one.values[np.isfinite(one.values)]
+            values = _shown(one.values)
+            known = values[np.isfinite(values)]
             if len(known):
                 digits = _digits(one.uncertainty or 1e-4 * float(np.ptp(known)), known)
                 reach = f"{known.min():.{digits}f} to {known.max():.{digits}f} {one.unit}".rstrip()
@@ -66,7 +68,7 @@ class Chart:
     @property
     def spec(self) -> dict[str, Any]:
         """The chart as the page's script reads it."""
-        x, columns = thinned(np.asarray(self.x, dtype=float), [np.asarray(one.values, float) for one in self.series])
+        x, columns = thinned(np.asarray(self.x, dtype=float), [_shown(one.values) for one in self.series])
         steps = np.diff(x)
         axis: dict[str, Any] = {"label": self.x_label, "unit": self.x_unit, "log": self.log_x}
         axis["digits"] = _digits(float(np.median(steps)) if len(steps) else 1.0, x)
@@ -130,6 +132,12 @@ def thinned(x: np.ndarray, columns: Sequence[np.ndarray]) -> tuple[np.ndarray, l
         kept.append(np.append(np.take_along_axis(rows, pick, axis=1).ravel(), y[-1]))
     starts = x[:whole].reshape(-1, stretch)[:, [0, stretch // 2]]
     return np.append(starts.ravel(), x[-1]), kept
+
+
+def _shown(values: np.ndarray) -> np.ndarray:
+    """The values as a page can show them: NaN for what single precision does not hold."""
+    own = np.asarray(values, dtype=float)
+    return np.where(np.abs(own) < LARGEST, own, np.nan)
 
 
 def _digits(uncertainty: float, values: np.ndarray) -> int:
