@@ -333,6 +333,9 @@ def test_code_is_kept_in_the_named_folder_and_found_again(tmp_path, monkeypatch,
     assert first.run.stats.cache_misses and again.run.stats.cache_hits and not again.run.stats.cache_misses
     assert kept == {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     assert not list(temporary.iterdir())
+    monkeypatch.setattr(compiled.cache, "_package_text", lambda: b"an edit of an effect that this model does not have")
+    traced = compiled._load(NOMINAL)
+    assert traced.run.stats.cache_hits and not traced.run.stats.cache_misses and len(entries(folder)) == 1
 
 
 @pytest.mark.parametrize("below", [pytest.param("", marks=pytest.mark.slow), "below"])
