@@ -11,6 +11,7 @@ import pytest
 
 import valvesim as vs
 from valvesim.identification.session_toml import load_session
+from valvesim.studies.study_toml import load_study
 from valvesim.valve.effect_files import load_effects_files
 from valvesim.valve.effect_trust import LIST, hash_of, permitting, remember
 from valvesim.valve.valve_file import load_valve
@@ -100,6 +101,21 @@ def test_a_session_and_a_valve_file_ask_as_a_scenario_does(own, ran):
     assert load_session(folder, trust=True).user_effects and ran()
 
 
+def test_a_study_asks_before_it_runs_figures_of_ones_own(tmp_path, ran):
+    mine = tmp_path / "mine.py"
+    mine.write_text(f"open({str(tmp_path / 'was_run')!r}, 'w').close()\ndef figures(case):\n    return {{'one': 1.0}}\n")
+    study = tmp_path / "study.toml"
+    study.write_text(
+        '[scenario]\nduration = "1 ms"\n[scenario.command]\ncurrent = "1 mA"\n[design]\nmembers = 4\n'
+        '[vary]\ntolerances = true\n[figures]\nkeep = ["own.*"]\nfunctions = ["mine.py"]\n'
+    )
+    told = refused(load_study, study)
+    assert f"figures.functions: '{mine}' is Python code that would run with your rights" in told and not ran()
+    assert load_study(study, trust=True).options.functions and ran()
+    mine.write_text("raise SystemExit(3)")
+    assert "SystemExit: 3" in refused(load_study, study, trust=True)
+
+
 def _write_record(path):
     t = np.arange(200) / 1e3
     rows = (f"{a:.3f},{5 * np.sin(60 * a):.6f},{0.2 * np.sin(60 * a):.6f}" for a in t)
@@ -164,12 +180,12 @@ def test_records_outside_the_sessions_folder_are_read_where_it_is_said(tmp_path)
     (folder / "session.toml").write_text('[[records]]\nfile = "../a.csv"\n')
     told = refused(load_session, folder)
     assert told.startswith(
-        f"{folder / 'session.toml'}, line 2: records.1.file: '../a.csv' stands outside the session's"
+        f"{folder / 'session.toml'}, line 2: records.1.file: '../a.csv' stands outside the folder"
     )
     assert len(load_session(folder, outside=True).records) == 1
     (folder / "session.toml").write_text("")
     (folder / "b.csv").symlink_to(tmp_path / "a.csv")
-    assert "'b.csv' stands outside the session's folder" in refused(load_session, folder)
+    assert "'b.csv' stands outside the folder" in refused(load_session, folder)
     assert len(load_session(folder, outside=True).records) == 1
 
 

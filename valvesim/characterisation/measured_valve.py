@@ -41,6 +41,7 @@ from valvesim.io import check_known, check_printable, check_tables, located, rea
 from valvesim.measurement.headings import UNITS
 from valvesim.measurement.recording import read_recording
 from valvesim.units import parse
+from valvesim.valve.effect_trust import check_inside
 
 CYCLES = ("flow", "pressure-gain", "leakage", "flow-load")
 TESTS = (*CYCLES, "threshold", "step", "chirp", "sine", "coil")
@@ -163,6 +164,8 @@ def _reduce(
     names = read_names(given, f"{where}.files", "file")
     if not names:
         raise InputError("needs a file", key=where, joint=" ")
+    for name in names:
+        check_inside(name, folder, f"{where}.file")
     may = (*COMMON, "pressure_drop", "frequency")
     own = {n: read_condition(n, entry[n], f"{where}.{n}") for n in may if n in entry}
     options = {n: parse(entry[n], _OPTIONS[n], f"{where}.{n}") for n in ("lag", "dead_zone") if n in entry}

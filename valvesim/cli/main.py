@@ -1,8 +1,8 @@
 """The command line: `valvesim run | static | response | bench | datasheet | diagnose | ...`.
 
 Exit codes: 0 done; 1 a solve failed, or the system refused memory or standard output; 2 the input is wrong, or its
-results cannot be written; 128 + its number where a signal ended it (130 Ctrl-C, 143 SIGTERM, 141 a closed pipe).
-Tables go to standard output, all else to standard error.
+results cannot be written; 3 a measured valve fails its specification; 128 + its number where a signal ended it (130
+Ctrl-C, 143 SIGTERM, 141 a closed pipe). Tables go to standard output, all else to standard error.
 Each command stands in the module of its name, which is loaded when it is asked for and imports what it needs when it
 runs.
 """

@@ -31,13 +31,13 @@ from valvesim.identification.record_audit import (
     usable_record,
 )
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session
-from valvesim.io import check_known, check_printable, check_tables, is_inside, located, read_toml
+from valvesim.io import check_known, check_printable, check_tables, located, read_toml
 from valvesim.measurement.columns_table import NOTHING_STATED, Statements, statements_of
 from valvesim.measurement.formats import LISTED
 from valvesim.measurement.recording import Recording, read_recording
 from valvesim.simulation.scenario_toml import Reader, valve_argument
 from valvesim.units import parse
-from valvesim.valve.effect_trust import outside_permitted, permitting
+from valvesim.valve.effect_trust import check_inside, permitting
 from valvesim.valve.parameters import REFERENCE_TEMPERATURE
 from valvesim.valve.valve_toml import read_tolerance
 
@@ -260,9 +260,7 @@ def _files(folder: Path, entry: dict[str, Any], where: str, have: Sequence[str])
 
 def _inside(file: str, folder: Path, where: str) -> str:
     """The name of a record's file; InputError where it stands elsewhere and nobody said that it may."""
-    if not is_inside(folder / file, folder) and not outside_permitted():
-        problem = f"{file!r} stands outside the session's folder"
-        raise InputError(f"{problem}; give --outside (in Python: outside=True) to read it", key=where)
+    check_inside(file, folder, where)
     return file
 
 

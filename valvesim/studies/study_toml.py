@@ -38,8 +38,6 @@ from valvesim.characterisation.position_loop import PositionLoop, scheduled_for
 from valvesim.characterisation.specification import load_specification
 from valvesim.errors import InputError, unknown_name
 from valvesim.io import (
-    MOST_TEXT,
-    check_file,
     check_known,
     check_tables,
     located,
@@ -66,6 +64,7 @@ from valvesim.studies.variables import (
     variable_of,
 )
 from valvesim.units import change, parse, parse_list
+from valvesim.valve.effect_trust import check_trusted, code_of, permitting
 from valvesim.valve.valve_file import ValveFile
 from valvesim.valve.valve_toml import read_oil_table
 
@@ -77,8 +76,13 @@ _DISTRIBUTION = (
 SCHEDULE = np.arange(20.0, 271.0, 25.0)  # °C, of the controller's gain where a loop says no other
 
 
-def load_study(path: str | Path, *, settings: Sequence[str] = ()) -> ParameterStudy:
+def load_study(
+    path: str | Path, *, settings: Sequence[str] = (), trust: bool = False, outside: bool = False
+) -> ParameterStudy:
     """Read a study file; `settings` such as `design.members=100` override or add keys.
+
+    With `trust` the Python files that it names are run, with `outside` also those outside its folder
+    (`valve/effect_trust`).
 
     Raises InputError (file, line, key) for anything that makes no sense.
     """
@@ -88,7 +92,8 @@ def load_study(path: str | Path, *, settings: Sequence[str] = ()) -> ParameterSt
         table["scenario"] = {"file": table["scenario"]}
     for setting in settings:
         override(table, setting)
-    with located(path, text, document="study", settings=settings):
+    allowed = permitting(trust=trust, outside=outside)
+    with located(path, text, document="study", settings=settings), allowed:
         return read_study(table, path.parent)
 
 
@@ -369,7 +374,7 @@ def _table_design(table: Mapping[str, Any], case: Case, folder: Path) -> tuple[t
 def _options(table: Mapping[str, Any], folder: Path) -> FigureOptions:
     options: dict[str, Any] = {}
     files = read_names(table.get("functions", []), "figures.functions", "file")
-    options["functions"] = tuple(_own_function(folder / name) for name in files)
+    options["functions"] = tuple(_own_function(folder / name, folder) for name in files)
     for key, unit in (("start", "s"), ("bench_temperature", "degC")):
         if key in table:
             options[key] = parse(table[key], unit, f"figures.{key}")
@@ -378,13 +383,17 @@ def _options(table: Mapping[str, Any], folder: Path) -> FigureOptions:
     return FigureOptions(**options)
 
 
-def _own_function(path: Path) -> OwnFigures:
-    """The function `figures` of a user's Python file, run as it is, as files of effects are."""
-    check_file(path, MOST_TEXT)
+def _own_function(path: Path, folder: Path) -> OwnFigures:
+    """The function `figures` of a user's Python file, run where it is trusted, as files of effects are."""
+    try:
+        content = code_of(path)
+    except InputError as error:
+        raise InputError(str(error), key="figures.functions") from None
+    check_trusted(path, content, folder, key="figures.functions")
     names: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
     try:
-        exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), names)
-    except Exception as error:
+        exec(compile(content.decode("utf-8-sig"), str(path), "exec"), names)
+    except (Exception, SystemExit) as error:
         raise InputError(f"{path}: {type(error).__name__}: {error}", key="figures.functions") from None
     function = names.get("figures")
     if not callable(function):

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from valvesim.channels import INPUT_CHANNELS, STATE_CHANNELS, Inputs, State
 from valvesim.errors import InputError
-from valvesim.io import MOST_TEXT, check_file, reason
 from valvesim.units import parse
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import CHANNEL, Effect, Ports, Situation
-from valvesim.valve.effect_trust import check_trusted
+from valvesim.valve.effect_trust import check_trusted, code_of
 from valvesim.valve.equations import AT_20
 from valvesim.valve.parameters import Valve
 
@@ -24,15 +23,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     Raises InputError for a file that fails to run (with its line), holds no `Effect`, or has a name of the catalogue,
     and for an effect with a name that files cannot hold, an unknown unit, or a balance of another form.
     """
-    return _run(Path(path), _content(Path(path)))
-
-
-def _content(path: Path) -> bytes:
-    check_file(path, MOST_TEXT)
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read ({reason(error)})", file=path) from None
+    return _run(Path(path), code_of(Path(path)))
 
 
 def _run(path: Path, content: bytes) -> tuple[Effect, ...]:
@@ -104,7 +95,7 @@ def load_effects_files(
     effects: dict[str, Effect] = {}
     for file, named in [*((file, True) for file in files), *((file, False) for file in given)]:
         try:
-            content = _content(folder / file)
+            content = code_of(folder / file)
         except InputError as error:
             raise InputError(str(error), key="effects_files") from None
         if named:

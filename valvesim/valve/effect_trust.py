@@ -1,7 +1,7 @@
 """Whether Python code that a file names is run: where the user trusts it, by its content.
 
-A scenario, a session or a valve file may name files of effects (`effects_files`), and these run with the user's rights.
-Such a file is run where its very content was trusted before (SHA-256 in `trusted_effects.txt` of the user's data
+A scenario, a session, a plan or a valve file may name files of effects (`effects_files`), a study files of figures of
+merit (`figures.functions`), and these run with the user's rights. Such a file is run where its very content was trusted before (SHA-256 in `trusted_effects.txt` of the user's data
 folder, which `VALVESIM_DATA_DIR` moves), or where the caller says so: `trust=True`, `--trust`, or a yes to the question
 of the command line. One outside the folder of the file that names it needs `outside=True` or `--outside` too, unless it
 was trusted at that place.
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from valvesim.errors import InputError
-from valvesim.io import UnsafeFile, check_own, is_inside
+from valvesim.io import MOST_TEXT, UnsafeFile, check_file, check_own, is_inside, reason
 
 LIST = "trusted_effects.txt"
 MOST_LISTED = 10_000_000  # bytes of the list that are read
@@ -66,15 +66,31 @@ def outside_permitted() -> bool:
     return _GIVEN.get().outside
 
 
-def check_trusted(file: Path, content: bytes, folder: Path) -> None:
-    """InputError unless the code in a `file` that a file in `folder` names may be run."""
+def check_trusted(file: Path, content: bytes, folder: Path, *, key: str = "effects_files") -> None:
+    """InputError unless the code in a `file` that a file in `folder` names at `key` may be run."""
     known = _trusted(content)
     if not is_inside(file, folder) and not outside_permitted() and file.resolve() not in known:
         problem = f"{str(file)!r} stands outside the folder {str(folder)!r}"
-        raise InputError(f"{problem}; copy it there, or give --outside (in Python: outside=True)", key="effects_files")
+        raise InputError(f"{problem}; copy it there, or give --outside (in Python: outside=True)", key=key)
     if not known and not _GIVEN.get().ask(file, content):
         problem = f"{str(file)!r} is Python code that would run with your rights, and it was not trusted before"
-        raise InputError(f"{problem}; read it, then give --trust (in Python: trust=True)", key="effects_files")
+        raise InputError(f"{problem}; read it, then give --trust (in Python: trust=True)", key=key)
+
+
+def check_inside(file: str, folder: Path, key: str) -> None:
+    """InputError where a record that a file in `folder` names at `key` stands elsewhere, and nobody said that it may."""
+    if not is_inside(folder / file, folder) and not outside_permitted():
+        problem = f"{file!r} stands outside the folder of the file that names it"
+        raise InputError(f"{problem}; give --outside (in Python: outside=True) to read it", key=key)
+
+
+def code_of(file: Path) -> bytes:
+    """The content of a file of Python code. InputError where it cannot be read."""
+    check_file(file, MOST_TEXT)
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({reason(error)})", file=file) from None
 
 
 def remember(file: Path, content: bytes) -> None:
