@@ -543,3 +543,8 @@ def test_more_of_an_error_that_the_session_states_is_seen_beside_it():
     predictor = bench_of("fast")
     read = [predictor.readings(predictor.run(variant), variant)["load_flow"] for variant in (more, own)]
     assert read[0] - read[1] == pytest.approx(5e-6)
+
+
+def test_variants_that_do_not_differ_answer_with_nothing(linear):
+    for columns in linear.linear_difference([nominal_variant(), nominal_variant()]).values():
+        assert columns.shape[1] == 2 and not columns.any()

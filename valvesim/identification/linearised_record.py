@@ -109,7 +109,7 @@ class LinearisedRecord:
             rates, signals = self.forcing(batch)
             together = group[-1] - group[0] == len(group) - 1
             at = slice(group[0], group[-1] + 1) if together else group  # a list takes six times as long
-            g[:, :, at] = rates.reshape(n, -1, len(group))
+            g[:, :, at] = rates.reshape(n, len(self.tangent.scale), -1)  # one where none of them acts
             for name, part in signals.items():
                 direct[name][:, at] = part.reshape(n, -1)
         return g, direct
