@@ -2,6 +2,7 @@
 
 import filecmp
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -206,6 +207,17 @@ def test_a_store_that_another_version_began_is_not_finished_by_this_one_but_read
     with pytest.raises(InputError, match="other versions: here code .* instead of other"):
         study(small(), tmp_path, workers=0)
     assert not open_result(small(), tmp_path).ran.any()
+
+
+@pytest.mark.parametrize("array", ["figure", "draw", "counts", "done", "whole"])
+def test_a_damaged_store_is_told_by_its_array(finished, tmp_path, array):
+    shutil.copytree(finished.folder / NAME, tmp_path / NAME)
+    for chunk in (tmp_path / NAME / array).iterdir():
+        if chunk.name[0].isdigit():
+            chunk.write_bytes(chunk.read_bytes()[:7])
+    result = open_result(small(), tmp_path)
+    with pytest.raises(InputError, match=f"array '{array}' cannot be read .*damaged"):
+        _ = result.dataset
 
 
 def test_what_is_no_store_is_refused(tmp_path):

@@ -37,7 +37,11 @@ class StudyStore:
     @property
     def pending(self) -> list[int]:
         """Numbers of the blocks that are not done."""
-        return [int(k) for k in np.flatnonzero(~np.asarray(self.group[DONE][:]))]
+        try:
+            return [int(k) for k in np.flatnonzero(~np.asarray(self.group[DONE][:]))]
+        except Exception as error:  # a codec has errors of many kinds for what it did not write
+            problem = f"array {DONE!r} cannot be read ({error}): the store is damaged; remove it and run again"
+            raise InputError(problem) from None
 
     def draws(self, block: int) -> np.ndarray:
         """Draws (k, variables) of the members of a block."""

@@ -104,6 +104,14 @@ class StudyResult:
     group: Any
     attributes: dict[str, Any]
 
+    def _read(self, name: str, where: Any = slice(None)) -> np.ndarray:
+        """An array of the store, or a part of it. InputError where its file is damaged."""
+        try:
+            return np.asarray(self.group[name][where])
+        except Exception as error:  # a codec has errors of many kinds for what it did not write
+            problem = f"array {name!r} cannot be read ({error}): the store is damaged; remove it and run again"
+            raise InputError(problem, file=self.folder / NAME) from None
+
     @property
     def figures(self) -> tuple[Figure, ...]:
         """The figures of merit that were kept."""
@@ -117,7 +125,7 @@ class StudyResult:
     @functools.cached_property
     def ran(self) -> np.ndarray:
         """Whether each member has run, (members,)."""
-        done = np.asarray(self.group[DONE][:])
+        done = self._read(DONE)
         return np.repeat(done, self.attributes["block_size"])[: self.attributes["members"]]
 
     @property
@@ -128,12 +136,12 @@ class StudyResult:
     @functools.cached_property
     def draws(self) -> np.ndarray:
         """What each member has, (members, variables)."""
-        return np.asarray(self.group[DRAWS][:])
+        return self._read(DRAWS)
 
     @functools.cached_property
     def values(self) -> np.ndarray:
         """Figures of merit (members, figures), NaN where there are none."""
-        return np.asarray(self.group[FIGURES][:])
+        return self._read(FIGURES)
 
     @functools.cached_property
     def reasons(self) -> np.ndarray:
@@ -141,7 +149,7 @@ class StudyResult:
         told = np.full(len(self.ran), "", dtype=object)
         size = self.attributes["block_size"]
         for first in range(0, len(told), size):
-            given = np.asarray(self.group[REASONS][first : first + size])
+            given = self._read(REASONS, slice(first, first + size))
             for k in np.flatnonzero(given != b""):
                 told[first + k] = given[k].decode()
         return told
@@ -248,17 +256,17 @@ class StudyResult:
             own = told["percentiles"]
             columns["percentile"] = (("channel", "level", "sample_time"), self._percentiles(own))
             columns["nominal_run"] = (("channel", "sample_time"), np.array(own["nominal"]))
-            time = np.asarray(self.group[TIME][:])[own["samples"]]
+            time = self._read(TIME)[own["samples"]]
             coordinates |= {
                 "channel": [c["name"] for c in own["channels"]], "level": own["levels"], "sample_time": time,
                 "channel_unit": ("channel", [c["unit"] for c in own["channels"]]),
             }  # fmt: skip
         if "whole" in told:
             own = told["whole"]
-            columns["run"] = (("kept_member", "kept_channel", "time"), np.asarray(self.group[WHOLE][:]))
+            columns["run"] = (("kept_member", "kept_channel", "time"), self._read(WHOLE))
             coordinates |= {
                 "kept_member": own["members"], "kept_channel": [c["name"] for c in own["channels"]],
-                "time": np.asarray(self.group[TIME][:]),
+                "time": self._read(TIME),
                 "kept_channel_unit": ("kept_channel", [c["unit"] for c in own["channels"]]),
             }  # fmt: skip
         attributes = {"title": told["title"], "source": "valvesim", "seed": told["seed"], "design": told["design"]}
@@ -268,8 +276,8 @@ class StudyResult:
         """(channels, levels, n_t), from the counts of all blocks added up one at a time."""
         counts = np.zeros(self.group[COUNTS].shape[1:], dtype=np.int64)
         for block in range(self.group[COUNTS].shape[0]):
-            counts += self.group[COUNTS][block]
-        lowest, highest = np.min(self.group[LOWEST][:], axis=0), np.max(self.group[HIGHEST][:], axis=0)
+            counts += self._read(COUNTS, block)
+        lowest, highest = np.min(self._read(LOWEST), axis=0), np.max(self._read(HIGHEST), axis=0)
         reference = channel_histogram.Reference(np.array(own["nominal"]), np.array(own["spans"]))
         return channel_histogram.percentiles(counts, reference, lowest, highest, np.array(own["levels"]))
 
