@@ -98,7 +98,8 @@ def judged(seed: int) -> dict:
             break
     groups = cause_groups(plan.planned.candidates)
     cause = promised[rng.integers(len(promised))]
-    candidate = plan.planned.candidates[groups[cause.label][0]]
+    own = [plan.planned.candidates[k] for k in groups[cause.label]]
+    candidate = next(c for c in own if set(cause.shape) <= set(c.fixed))
     found = {"seed": seed, "cause": cause.label, "sensors": list(table["sensors"]), "tests": len(plan.tests),
              "aim": [one.label for one in plan.outlook.causes], "limit": cause.limit, "isolated": cause.isolated,
              "nearest": cause.nearest, "nearest_isolated": cause.nearest_isolated,

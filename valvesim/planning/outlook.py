@@ -25,7 +25,7 @@ from valvesim.diagnosis.power import (
     separated_share,
     separation_power,
 )
-from valvesim.identification.candidates import Candidate
+from valvesim.identification.candidates import WHOLE, Candidate
 from valvesim.identification.projection import GramMatrix, ProjectedScores, alarm_level, inverse_of, project
 from valvesim.planning.bench import Aim
 from valvesim.planning.sensitivities import PlannedSensitivities
@@ -44,10 +44,12 @@ class CauseOutlook:
     `limit` is the amplitude that passes the alarm nine times in ten (None where none within reach does), `power` how
     surely `size` does; `isolated` the amplitude from which it is named nine times in ten, and neither another cause of
     the aim nor noise beside it, `rival` the hardest of these; `nearest` the hardest of all that a diagnosis looks for,
-    told from it from `nearest_isolated` on.
+    told from it from `nearest_isolated` on. `shape` are the shape parameters at which it shows most, and for which all
+    this holds.
     """
 
     label: str
+    shape: tuple[tuple[str, float], ...]
     location: str
     parameter: str
     unit: str
@@ -236,7 +238,8 @@ def _cause(
 
     assert candidate.effect is not None  # noqa: S101 - causes of an aim are effects
     return CauseOutlook(
-        label=label, location=candidate.location(), parameter=candidate.effect.amplitude.name, unit=candidate.unit,
+        label=label, shape=tuple((name, value) for name, value in candidate.fixed if name not in WHOLE),
+        location=candidate.location(), parameter=candidate.effect.amplitude.name, unit=candidate.unit,
         size=size, limit=limit if np.isfinite(limit) else None, power=judged.power(k, size),
         isolated=within(max(aimed[rival], named)) if rival else within(named), rival=rival, nearest=nearest,
         nearest_isolated=within(max(others[nearest], named)) if nearest else within(named),

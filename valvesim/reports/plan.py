@@ -92,7 +92,8 @@ def cause_row(one: CauseOutlook) -> tuple[str, ...]:
     """A cause with what is to be expected of it."""
     limit = "not within its limits" if one.limit is None else _amount(one.limit, one.unit)
     isolated = "not within its limits" if one.isolated is None else _amount(one.isolated, one.unit)
-    return one.label, _amount(one.size, one.unit), limit, f"{one.power:.0%}", isolated, one.rival
+    shape = "".join(f" ({name.replace('_', ' ')} {value:g})" for name, value in one.shape)
+    return one.label + shape, _amount(one.size, one.unit), limit, f"{one.power:.0%}", isolated, one.rival
 
 
 def parameter_row(one: ParameterOutlook) -> tuple[str, ...]:
