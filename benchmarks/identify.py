@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import hidden_plant as plant  # noqa: E402
 
 import valvesim as vs  # noqa: E402
+from valvesim.characterisation.measured_valve import load_measured_valve  # noqa: E402
 from valvesim.characterisation.specification import FIGURES, Limit, Specification, load_specification  # noqa: E402
 from valvesim.identification.from_figures.dynamic_figures import Bench, Sines  # noqa: E402
 from valvesim.identification.from_figures.identify import Identification, identify  # noqa: E402
@@ -92,11 +94,13 @@ def hide(flow: float, current: float, dice: np.random.Generator) -> HiddenValve:
     similar = similar_valves(
         rated_flow=flow / 6e4, pressure_drop=7e6, rated_current=current, conditions=CONDITIONS, oil=OIL
     )
-    points = dice.normal(size=(400, len(UNKNOWNS)))
+    points = dice.normal(size=(1500, len(UNKNOWNS)))
     points = points[np.abs(points).max(axis=1) < 2.8]
     drawn = similar.valves(points)
     rated = static_figures(drawn, {"rated_flow"}, {**CONDITIONS, "pressure_drop": 7e6}, OIL)["rated_flow"]
-    first = int(np.argmax(np.abs(np.log(rated / (flow / 6e4))) < 0.05))  # of this size, as its maker would name it
+    of_size = np.abs(np.log(rated / (flow / 6e4))) < 0.05  # as its maker would name it
+    believable = dice.uniform(size=len(points)) < np.exp(-0.5 * similar.ampere_turns(drawn) ** 2)  # the prior's own
+    first = int(np.argmax(of_size & believable))
     batch = similar.valves(points[first : first + 1])
     valve = replace(similar.base, **{n: float(np.ravel(getattr(batch, n))[0]) for n in quantities(batch)})
     c = valve.at(PartTemperatures.uniform(40.0), oil=OIL)
@@ -208,6 +212,56 @@ def specification(hidden: HiddenValve, figures: dict[tuple[str, float], float], 
     return Specification(title="hidden", limits=tuple(limits), conditions=CONDITIONS, oil=OIL)
 
 
+# --------------------------------------------------------------------------- its records
+
+READING = 0.002  # share of a channel's greatest: one standard deviation of a reading
+
+
+def write_records(hidden: HiddenValve, figures: dict[tuple[str, float], float], folder: Path, dice) -> None:
+    """A folder with acceptance.toml: flow curve, blocked ports, chirp at 40 % and step at 100 % of rated current."""
+    valve, rated = hidden.valve, hidden.valve.rated_current
+    supply, slowest = CONDITIONS["supply_pressure"], figures["frequency_minus_3_db", TOLD[0]]
+    hidden = replace(hidden, cycle=max(0.6, 40.0 / slowest))
+    cycle = hidden.run(slow(hidden), RATE)
+    at, pressure, leak = blocked(hidden)
+    both = np.concatenate([at[::-1], at])  # of a slow cycle
+    steady = {"time": np.linspace(0.0, 400.0, len(both)), "current": both,
+              "load_pressure": np.concatenate([pressure[::-1], pressure]),
+              "internal_leakage": np.concatenate([leak[::-1], leak])}  # fmt: skip
+    top = 2.5 * figures["frequency_minus_90_deg", TOLD[0]]
+    low, duration = slowest / 20.0, min(max(60.0 / slowest, 1.0), 6.0)
+    t = np.arange(int(duration * 20.0 * top)) / (20.0 * top)
+    phase = 2.0 * np.pi * (low * t + (top - low) * t**2 / (2.0 * duration))
+    rest = np.zeros(int(len(t) / 12))
+    chirp = hidden.run(np.concatenate([rest, TOLD[0] * rated * np.sin(phase), rest]), 20.0 * top)
+    late = figures["time_to_90_percent", 1.0]
+    rate = 200.0 / late
+    step = hidden.run(np.where(np.arange(int(10 * late * rate)) / rate < 0.5 * late, 0.0, rated), rate)
+    current = rated * np.sin(2.0 * np.pi * 5.0 * (when := np.linspace(0.0, 1.0, 2001)))
+    voltage = valve.coil_resistance * current + valve.coil_inductance * np.gradient(current, when)
+    for name, run, columns in (
+        ("flow", cycle, ("load_flow",)), ("blocked", steady, ("load_pressure", "internal_leakage")),
+        ("chirp", chirp, ("spool_position",)), ("step", step, ("spool_position",)),
+        ("coil", {"time": when, "current": current, "voltage": voltage}, ("voltage",)),
+    ):  # fmt: skip
+        table = [run["time"], run["current"]]
+        for column in columns:
+            noise = READING * np.abs(run[column]).max() * (0.1 if name == "blocked" else 1.0)
+            table.append(run[column] + noise * dice.normal(size=len(run["time"])))
+        units = {"load_flow": "m^3/s", "load_pressure": "Pa", "internal_leakage": "m^3/s", "spool_position": "m",
+                 "voltage": "V"}  # fmt: skip
+        header = ",".join(["time [s]", "current [A]", *(f"{column} [{units[column]}]" for column in columns)])
+        path = folder / f"{name}.csv"
+        np.savetxt(path, np.column_stack(table), delimiter=",", header=header, comments="", fmt="%.9g")
+    tests = (("flow", "flow", ""), ("blocked", "pressure-gain", ""), ("blocked", "leakage", 'lag = "0 s"'),
+             ("chirp", "chirp", ""), ("step", "step", ""), ("coil", "coil", 'oil_temperature = "20 degC"'))  # fmt: skip
+    listed = "\n".join(f'[[records]]\nfile = "{file}.csv"\ntest = "{test}"\n{more}\n' for file, test, more in tests)
+    (folder / "acceptance.toml").write_text(
+        f'title = "hidden"\nrated_current = "{rated!r} A"\n[conditions]\nsupply_pressure = "{supply!r} Pa"\n'
+        f'oil_temperature = "40 degC"\n[instruments]\nflow = "1 %"\ncurrent = "0.5 %"\n{listed}', encoding="utf-8",
+    )  # fmt: skip
+
+
 # --------------------------------------------------------------------------- cases
 
 
@@ -221,22 +275,30 @@ def bode_misfit(hidden: HiddenValve, answer: Identification, top: float) -> tupl
     return float(np.abs(ratio).max()), float(np.abs(np.rad2deg(np.angle(own / true))).max())
 
 
-def run_case(number: int) -> dict:
+def run_case(number: int, *, records: bool = False) -> dict:
     """One hidden valve: what of the truth is inside the intervals, and how far its Bode is off."""
     dice = np.random.default_rng([27, number])
     flow, current = SIZES[number % len(SIZES)]
     hidden = hide(flow, current, dice)
     figures = true_figures(hidden)
+    told_by, measured = specification(hidden, figures, dice), None
+    if records:
+        with tempfile.TemporaryDirectory() as folder:
+            write_records(hidden, figures, Path(folder), dice)
+            measured = load_measured_valve(folder)
+        rated = [one for one in told_by.limits if one.figure in ("rated_current", "rated_flow")]
+        told_by = replace(told_by, limits=tuple(rated))
     begin, used = time.perf_counter(), time.process_time()
-    answer = identify(specification(hidden, figures, dice), seed=number)
+    answer = identify(told_by, measured=measured, seed=number)
     seconds, processor = time.perf_counter() - begin, time.process_time() - used
     parameters = {
         p.name: (getattr(hidden.valve, p.name), p.value, p.low, p.high, p.identified) for p in answer.parameters
     }
     told = {}
     for f in answer.figures:
-        key = (f.asked.limit.figure, f.asked.limit.conditions.get("amplitude", 0.0))
-        told[f"{key[0]}@{key[1]:g}"] = (figures[key], f.value, f.deviation)
+        key = (f.asked.limit.figure, round(f.asked.limit.conditions.get("amplitude", 0.0), 2))
+        if key in figures:  # of records also what nobody has worked out of the plant
+            told[f"{key[0]}@{key[1]:g}"] = (figures[key], f.value, f.deviation)
     inside = [low <= true <= high for true, _, low, high, _ in parameters.values()]
     figures_inside = [abs(value - true) <= 1.96 * sd for true, value, sd in told.values()]
     top = figures["frequency_minus_90_deg", HIDDEN]
@@ -292,6 +354,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=60)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--pages", action="store_true")
+    parser.add_argument("--records", action="store_true")
     parser.add_argument("-o", "--output", type=Path, default=Path("results/identify.json"))
     options = parser.parse_args()
     if options.pages:
@@ -300,7 +363,7 @@ def main() -> None:
     cases = []
     options.output.parent.mkdir(parents=True, exist_ok=True)
     for number in range(options.first, options.first + options.cases):
-        cases.append(run_case(number))
+        cases.append(run_case(number, records=options.records))
         one = cases[-1]
         print(
             f"case {number}: {one['flow']:g} L/min, inside {one['inside']:.2f}, figures {one['figures_inside']:.2f}, "

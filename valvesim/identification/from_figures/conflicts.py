@@ -11,7 +11,7 @@ from valvesim.identification.from_figures.posterior import Posterior, descend
 from valvesim.identification.from_figures.prediction import Asked, FigurePredictor
 from valvesim.identification.from_figures.similarity import UNKNOWNS
 
-REFIT = 6  # evaluations of a fit without one of the figures
+REFIT = 12  # evaluations of a fit without one of the figures
 FAR = 2.5  # prior deviations from similarity that are worth a word
 
 _LAWS = (
@@ -52,15 +52,16 @@ def conflicts_of(
 ) -> tuple[Conflict, ...]:  # fmt: skip
     """Every figure that the fit leaves out of its limits, with the figures that keep it there.
 
-    Each other figure is left out in turn and the rest fitted again from where the fit ended.
+    Each other figure is left out in turn and the rest fitted again.
     """
     out = [k for k, (a, v) in enumerate(zip(posterior.asked, posterior.predicted, strict=True)) if not a.reached(v)]
     if not out:
         return ()
     against: dict[int, list[Asked]] = {k: [] for k in out}
+    start = np.zeros(len(posterior.point))  # where the fit ended, figures that exclude each other have bent it
     for j, left_out in enumerate(posterior.asked):
         rest = tuple(asked for asked in posterior.asked if asked is not left_out)
-        refit = descend(posterior.similar, replace(predictor, asked=rest), posterior.point, evaluations=REFIT)
+        refit = descend(posterior.similar, replace(predictor, asked=rest), start, evaluations=REFIT)
         for k in out:
             asked = posterior.asked[k]
             if k != j and asked.reached(refit.predicted[rest.index(asked)]):

@@ -9,7 +9,7 @@ import numpy as np
 from valvesim.characterisation.figure_of_merit import FigureOfMerit
 from valvesim.characterisation.measured_valve import MeasuredValve
 from valvesim.characterisation.specification import CONDITIONS, COVERAGE, FIGURES, Limit, Specification
-from valvesim.identification.from_figures.prediction import FITTED, FigurePredictor, asked_of
+from valvesim.identification.from_figures.prediction import CENTRED, FITTED, FigurePredictor, asked_of
 from valvesim.valve.valve_file import ValveFile
 
 LEAST_DEVIATION = 1e-3  # share of a figure: no measurement is taken to be better
@@ -18,6 +18,13 @@ ASKED = {"coil.coil_resistance_at_20": "coil_resistance", "coil.coil_inductance"
     if not shown.startswith(("valve.", "coil."))
 }  # fmt: skip
 """A measured figure -> the figure of a specification that it shows."""
+TELLING = (
+    "coil_resistance", "coil_inductance", "rated_flow", "flow_gain", "null_bias", "pressure_gain", "null_leakage",
+    "tare_leakage", "null_shift_temperature", "null_shift_supply", "null_shift_return", "frequency_minus_3_db",
+    "frequency_minus_90_deg", "time_to_90_percent",
+)  # fmt: skip
+"""Measured figures that identify a valve: each tells something of its own, and its uncertainty is known."""
+LEAST_SHIFT = 5e-4  # share of rated current: no null is taken to be known better
 
 
 def measured_limits(measured: MeasuredValve) -> list[Limit]:
@@ -25,13 +32,14 @@ def measured_limits(measured: MeasuredValve) -> list[Limit]:
     groups: dict[tuple[str, tuple[tuple[str, float], ...]], list[FigureOfMerit]] = {}
     for figure, at in measured.figures:
         name = ASKED.get(figure.name)
-        if name is None or not isinstance(figure, FigureOfMerit):
+        if name not in TELLING or not isinstance(figure, FigureOfMerit):
             continue
         groups.setdefault((name, tuple(sorted(_conditions(name, at).items()))), []).append(figure)
     limits = []
     for (name, conditions), figures in groups.items():
         values = np.array([abs(f.value) if name.startswith(("flow_gain", "rated_flow")) else f.value for f in figures])
-        errors = np.array([max(f.uncertainty or 0.0, LEAST_DEVIATION * abs(f.value)) for f in figures])
+        floor = LEAST_SHIFT if name in CENTRED else 0.0
+        errors = np.array([max(f.uncertainty or 0.0, LEAST_DEVIATION * abs(f.value), floor) for f in figures])
         weights = errors**-2
         value = float(np.sum(weights * values) / np.sum(weights))
         # instruments are shared, so that two figures of one meter are no better than the best of them

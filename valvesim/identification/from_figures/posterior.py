@@ -25,6 +25,7 @@ FARTHEST = 4.0  # prior deviations from similarity: no believable valve is beyon
 EVALUATIONS = 25  # of the fit, each with a Jacobian
 ENOUGH = 1e-3  # `ftol` of the penalised chi-square
 RESTARTS = 2  # from drawn points, where a fit leaves a figure out of its limits
+LAP = [unknown.name for unknown in UNKNOWNS].index("lap")
 NO_VALVE = 1e3  # deviations: the misfit of a point at which there is no valve
 
 
@@ -45,14 +46,25 @@ class Posterior:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance (n, n) of the point in prior standard deviations; a kept limit says nothing of the valve."""
+        """Covariance (n, n) of the point in prior standard deviations; a kept limit says nothing of the valve.
+
+        The lap keeps its prior unless it was asked for: figures are nearly even in it, so that their slope is that of
+        one of two valves.
+        """
         whitened = _whitened(self.asked, self.predicted, self.slopes, self.turns_slopes)
-        return np.linalg.inv(np.eye(len(self.point)) + whitened.T @ whitened)
+        if all(asked.limit.figure != "lap" for asked in self.asked):
+            whitened[:, LAP] = 0.0
+        return _covariance(whitened)
 
     @property
     def deviations(self) -> np.ndarray:
         """One standard deviation (q,) of each figure by what all figures together say, SI."""
-        return np.sqrt(np.einsum("qn,nm,qm->q", self.slopes, self.covariance, self.slopes))
+        C = _covariance(_whitened(self.asked, self.predicted, self.slopes, self.turns_slopes))
+        return np.sqrt(np.einsum("qn,nm,qm->q", self.slopes, C, self.slopes))
+
+
+def _covariance(whitened: np.ndarray) -> np.ndarray:
+    return np.linalg.inv(np.eye(whitened.shape[1]) + whitened.T @ whitened)
 
 
 def fit(

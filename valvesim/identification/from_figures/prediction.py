@@ -83,11 +83,21 @@ class Asked:
         return low - rounding <= size <= high + rounding
 
 
+MODEL_ERROR = {
+    "frequency_minus_90_deg": 0.03, "phase_lag": 0.03, "frequency_minus_3_db": 0.01, "time_to_90_percent": 0.015,
+    "rise_time": 0.015, "pressure_gain": 0.02, "pressure_gain_share": 0.02, "null_leakage": 0.01, "tare_leakage": 0.005,
+    "rated_flow": 0.002, "flow_at_rated": 0.002, "flow_gain": 0.002,
+}  # fmt: skip
+"""One standard deviation, as a share, by which a figure of the model may be off that of a valve with the same
+dimensions: a second mode of the armature, lines, rounded edges. Measured against the plant of the tests (estimates)."""
+
+
 def asked_of(limit: Limit) -> Asked:
     """What a limit asks for: its nominal value with its spread, or with a single limit that it be kept."""
     if not math.isnan(limit.nominal):
-        deviation = limit.deviation if limit.deviation > 0.0 else 1e-3 * abs(limit.nominal)
-        return Asked(limit, limit.nominal, deviation)
+        size = abs(limit.nominal)
+        spread = limit.deviation if limit.deviation > 0.0 else 1e-3 * size
+        return Asked(limit, limit.nominal, math.hypot(spread, MODEL_ERROR.get(limit.figure, 0.0) * size))
     if limit.figure in CENTRED and math.isinf(limit.low):
         return Asked(limit, 0.0, limit.high / 2.0)
     end = limit.high if math.isfinite(limit.high) else limit.low

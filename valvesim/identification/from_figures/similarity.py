@@ -29,6 +29,7 @@ import numpy as np
 from valvesim.characterisation.rest_curve import rest_curve
 from valvesim.errors import InputError, ValidityWarning
 from valvesim.identification.from_figures.static_figures import static_figures
+from valvesim.units import quantities
 from valvesim.valve.coefficients import PartTemperatures
 from valvesim.valve.equations import drive_torque, flapper_torques
 from valvesim.valve.fluid import Oil
@@ -73,7 +74,7 @@ UNKNOWNS = (
     Unknown("orifice_ratio", "1", 0.1),
     Unknown("land_opening_at_null", "m", 0.7),
     Unknown("radial_clearance", "m", 0.3),
-    Unknown("lap_ratio", "1", 0.4),
+    Unknown("lap", "m", 3e-6, around_zero=True),
     Unknown("air_gap_difference", "m", 1e-6, around_zero=True),
     Unknown("null_gap_difference", "m", 0.5e-6, around_zero=True),
     Unknown("coil_resistance", "ohm", 0.5),
@@ -82,7 +83,7 @@ UNKNOWNS = (
 """What is fitted. `orifice_ratio` is that of the fixed orifice's area to the nozzle's curtain, over the anchor's.
 
 `land_opening_at_null` is what leaks there, by rounded edges and underlap together: it alone sets null leakage and
-pressure gain, while they hardly tell `lap_ratio`, 1 + overlap over that opening."""
+pressure gain, while they hardly tell the `lap`: overlap, and below zero underlap, which never exceeds that opening."""
 
 AMPERE_TURNS_SPREAD = 0.3  # of the logarithm of turns times rated current, which follow from the full stroke
 
@@ -109,20 +110,21 @@ class SimilarValves:
         return {unknown.name: values[:, k] for k, unknown in enumerate(UNKNOWNS)}
 
     def valves(self, points: np.ndarray) -> Valve:
-        """The valves (k,) at points (k, n). Raises InputError where one leaves its physical bounds."""
+        """The valves (k,) at points (k, n), each inside its physical bounds."""
         return self.valves_of(self.quantities(points))
 
     def valves_of(self, given: Mapping[str, np.ndarray]) -> Valve:
         """The valves (k,) of `quantities`."""
         base, anchor, own = self.base, Valve(), dict(given)
         stroke, net, ratio = own.pop("full_stroke"), own.pop("net_stiffness"), own.pop("orifice_ratio")
-        own |= _lands(own.pop("land_opening_at_null"), own.pop("lap_ratio"))
+        own |= _lands(own.pop("land_opening_at_null"), own.pop("lap"))
         area = own["nozzle_diameter"] * own["null_gap"] / (anchor.nozzle_diameter * anchor.null_gap)
         own["fixed_orifice_diameter"] = anchor.fixed_orifice_diameter * np.sqrt(area * ratio)
-        valve = replace(base, **own, spool_stroke=STOP * stroke)  # type: ignore[arg-type]
-        valve = replace(valve, spring_tube_stiffness=net - _spring_beside_the_tube(valve, self.conditions, self.oil))
-        turns: Any = _turns(valve, stroke, self.conditions, self.oil)
-        return replace(valve, coil_turns=turns)
+        valve = replace(base, **_within_bounds(own | {"spool_stroke": STOP * stroke}))
+        spring = net - _spring_beside_the_tube(valve, self.conditions, self.oil)
+        valve = replace(valve, **_within_bounds({"spring_tube_stiffness": spring}))
+        turns = _turns(valve, stroke, self.conditions, self.oil)
+        return replace(valve, **_within_bounds({"coil_turns": turns}))
 
     def ampere_turns(self, valve: Valve) -> np.ndarray:
         """ln of turns times rated current (k,) over what similarity gives, in prior standard deviations."""
@@ -130,9 +132,15 @@ class SimilarValves:
         return np.log(valve.coil_turns * valve.rated_current / usual) / AMPERE_TURNS_SPREAD
 
 
-def _lands(opening, lap_ratio) -> dict[str, np.ndarray]:
+def _within_bounds(given: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Quantities of a valve held inside their declared bounds."""
+    bounds = {name: field.metadata["bounds"] for name, field in quantities(Valve).items()}
+    return {name: np.clip(values, *bounds[name]) for name, values in given.items()}
+
+
+def _lands(opening, lap) -> dict[str, np.ndarray]:
     """Null opening and overlap of lands (m) with an `opening` at null (m): `laws.land_opening` solved for the first."""
-    overlap = opening * (lap_ratio - 1.0)
+    overlap = np.where(lap > 0.0, lap, opening * np.expm1(np.minimum(lap, 0.0) / opening))
     closed = (opening + np.sqrt(opening * (opening + 4.0 * np.maximum(overlap, 0.0)))) / 2.0
     return {"null_opening": np.where(overlap > 0.0, closed, opening + overlap), "land_overlap": overlap}
 
@@ -187,7 +195,7 @@ def similar_valves(
     own = {field.name: getattr(anchor, field.name) for field in fields(anchor)}
     own |= {
         "full_stroke": ANCHOR_STROKE, "net_stiffness": ANCHOR_STIFFNESS, "orifice_ratio": 1.0,
-        "land_opening_at_null": NULL_OPENING, "lap_ratio": 1.0,
+        "land_opening_at_null": NULL_OPENING, "lap": 0.0,
         "coil_resistance": COIL_POWER / rated_current**2,
         "coil_inductance": COIL_POWER / rated_current**2 * anchor.coil_inductance / anchor.coil_resistance,
     }  # fmt: skip
