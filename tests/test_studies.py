@@ -1,8 +1,11 @@
 """Studies of many valves: what varies, the same answer on any number of processes, and what is kept of each member."""
 
+import copy
 import filecmp
+import random
 import re
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +28,7 @@ from valvesim.studies.sensitivity_indices import sensitivity_indices
 from valvesim.studies.store import NAME
 from valvesim.studies.study import study
 from valvesim.studies.study_result import capability_of, open_result, yield_of
-from valvesim.studies.study_toml import load_study
+from valvesim.studies.study_toml import load_study, read_study
 from valvesim.studies.tolerance_tightening import TightenedYields, tightening_plan
 from valvesim.studies.variables import Variable, apply, find_quantity, tolerated, variable_of
 
@@ -400,6 +403,9 @@ def test_a_distribution_that_leaves_the_bounds_of_its_quantity_is_refused():
         (lambda: small(block=0), "block = 0"),
         (lambda: small(whole=WholeChannels(members=(12,), channels=("spool_position",))), "12 is no member"),
         (lambda: small(percentiles=ChannelPercentiles(channels=("spool",))), "unknown channel 'spool'"),
+        (lambda: ChannelPercentiles(channels=()), "percentiles.channels names no channel"),
+        (lambda: WholeChannels(members=(0,), channels=()), "whole.channels names no channel"),
+        (lambda: WholeChannels(members=(), channels=("spool_position",)), "whole.members names no member"),
         (lambda: ChannelPercentiles(channels=("spool_position",), levels=(101.0,)), "within 0 and 100"),
         (lambda: ChannelPercentiles(channels=("spool_position",), start=2.0, end=1.0), "start = 2 s must be before"),
         (lambda: small(percentiles=ChannelPercentiles(channels=("spool_position",), start=0.02)), "behind the end"),
@@ -819,3 +825,37 @@ def test_every_effect_of_the_catalogue_varies_in_a_batch_as_it_does_alone(name):
         alone = vs.simulate(own.member(draw))
         rms = [np.sqrt(np.mean(alone[channel].values ** 2)) for channel in ("spool_position", "load_flow")]
         assert row == pytest.approx(rms, rel=1e-6)
+
+
+JUNK = (
+    None, True, 0, -1, 2**70, 1.5, float("nan"), "", "x", "-5 bar", "1e400 m", [], [1], ["a"], [[]], [{}], {}, {"a": 1},
+    {"tolerance": "1 %"}, {"values": []}, {"values": ["1 um"]}, {"distribution": "norm"}, {"file": 3}, "\x00",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_study_with_anything_in_the_place_of_anything_is_read_or_refused_in_one_line(seed, tmp_path):
+    more = (
+        '[percentiles]\nchannels = ["spool_position"]\npoints = 7\n[whole]\nmembers = [0]\nchannels = ["load_flow"]\n'
+    )
+    table, dice, refused = tomllib.loads(STUDY + more), random.Random(seed), 0
+
+    def places(inner, path=()):
+        for key, value in inner.items() if isinstance(inner, dict) else enumerate(inner):
+            yield (*path, key)
+            if isinstance(value, (dict, list)):
+                yield from places(value, (*path, key))
+
+    for _ in range(60):
+        changed = copy.deepcopy(table)
+        path = dice.choice(list(places(changed)))
+        inner = changed
+        for key in path[:-1]:
+            inner = inner[key]
+        inner[path[-1]] = copy.deepcopy(dice.choice(JUNK))
+        try:
+            read_study(changed, tmp_path)
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error) and str(error)
+    assert refused > 30

@@ -41,6 +41,8 @@ class ChannelPercentiles:
     end: float = float("inf")
 
     def __post_init__(self):
+        if not self.channels:
+            raise InputError("names no channel", key="percentiles.channels", joint=" ")
         if not 0.0 <= self.start < self.end:
             problem = f"{self.start:g} s must be before the end of {self.end:g} s"
             raise InputError(problem, key="percentiles.start", joint=" = ")
@@ -56,6 +58,11 @@ class WholeChannels:
 
     members: tuple[int, ...]
     channels: tuple[str, ...]
+
+    def __post_init__(self):
+        if not self.members or not self.channels:
+            problem = "names no member" if self.channels else "names no channel"
+            raise InputError(problem, key=f"whole.{'members' if self.channels else 'channels'}", joint=" ")
 
 
 @dataclass(frozen=True, kw_only=True)
