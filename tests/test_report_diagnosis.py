@@ -24,6 +24,7 @@ from valvesim.diagnosis.result import (
     Shift,
     Term,
     Trace,
+    WhatToDo,
 )
 from valvesim.errors import InputError
 from valvesim.reports.diagnosis import page as diagnosis_page
@@ -786,3 +787,14 @@ def test_the_texts_of_every_picture_are_plain_and_inside_it(verdict):
 def test_the_page_carries_title_version_valve_and_date(tmp_path):
     assert "Diagnosis: Valve 17 reference valve · valvesim " in (text := report(empty(), tmp_path).text)
     assert " · 2026-01-02 No discrepancy found" in text
+
+
+def test_the_page_ends_with_what_to_do_and_what_the_bench_did(tmp_path):
+    todo = WhatToDo(label="spool_lap", part="lands", inspect="edges", confirm="flow about null", remedy="another spool")
+    found = replace(cause(), what_to_do=(todo,), bench=("the supply pressure ripples by 3 bar at 37 Hz",))
+    report(found, tmp_path)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for said in ("What to do", "lands", "flow about null", "another spool", "The bench: the supply pressure ripples"):
+        assert said in text
+    report(cause(), tmp_path)
+    assert "What to do" not in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -121,7 +121,7 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
                      else "These records show none of the candidates well enough to set an alarm level."),
         ),
         _shifts(diagnosis.shifts), _noise(diagnosis.noise), _limits(diagnosis.detection_limits),
-        section("Notes", Bullets(diagnosis.notes)), _extended(diagnosis), glossary(diagnosis),
+        section("Notes", Bullets(diagnosis.notes)), _extended(diagnosis), _what_to_do(diagnosis), glossary(diagnosis),
     ]  # fmt: skip
 
 
@@ -308,3 +308,11 @@ def _limits(limits: Sequence[DetectionLimit]) -> Section:
 def _extended(diagnosis: Diagnosis) -> Section:
     model = "extended model" if diagnosis.extension_offered else "refitted model"
     return section(f"The {model}", Listing("extended.toml", f", which runs the {model}", diagnosis.extended_scenario))
+
+
+def _what_to_do(diagnosis: Diagnosis) -> Section:
+    """Part, inspection, confirmation and remedy of each cause of the answer set, and what the bench did."""
+    rows = [(spoken(one.label), one.part, one.inspect, one.confirm, one.remedy) for one in diagnosis.what_to_do]
+    table = [Table(("cause", "part", "inspect", "to confirm", "remedy"), rows)] if rows else []
+    bench = [Bullets([f"The bench: {fault}." for fault in diagnosis.bench])] if diagnosis.bench else []
+    return section("What to do", *table, *bench)
