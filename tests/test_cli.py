@@ -387,7 +387,7 @@ def test_the_program_alone_shows_its_help_with_every_command(call):
 @pytest.mark.parametrize(
     "words, told",
     [
-        (("run", "."), ".: cannot be read (it is a folder, not a file)"),
+        (("run", "."), ".: cannot be read (it is a folder, not a file; `valvesim scenarios` lists"),
         (("static", "--current", "1 mA", "--oil-temperature", "20 C"), "did you mean 'degC'?"),
         (("bench", "--set", "valve.null_gap=0,03 mm"), "has a decimal comma; write a point, such as '0.03 mm'"),
         (("datasheet", "--set", "valve.supply_pressure=3000 psig"), "pressures are absolute: add 14.696 psi"),
@@ -426,7 +426,8 @@ def test_an_error_of_the_module_is_one_line_without_a_traceback(tmp_path):
         [sys.executable, "-m", "valvesim.cli.main", "run", str(tmp_path / "none.toml")], capture_output=True, text=True
     )
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == f"error: {tmp_path / 'none.toml'}: no such file\n"
+    told = "`valvesim scenarios` lists those that come along"
+    assert done.stderr == f"error: {tmp_path / 'none.toml'}: no such file; {told}\n"
 
 
 def test_figures_are_finite_at_every_current_and_temperature_in_use(call):

@@ -524,7 +524,7 @@ def test_broken_toml_is_refused_with_its_place(refused, text):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"none\.toml: no such file$"):
+    with pytest.raises(InputError, match=r"none\.toml: no such file; `valvesim scenarios` lists"):
         vs.load_scenario(tmp_path / "none.toml")
 
 

@@ -68,7 +68,7 @@ def load_scenario(
 
 
 def _load(path: Path, settings: Sequence[str], valve: str | Path | None) -> Scenario:
-    text, table = read_toml(path)
+    text, table = read_toml(path, "`valvesim scenarios` lists those that come along")
     if valve is not None:
         table["valve"] = valve_argument(valve)
     for setting in settings:
