@@ -26,6 +26,7 @@ from valvesim.inputs import (
     extremes,
     largest,
     merge,
+    piece_motion,
     piece_value,
     read_table,
 )
@@ -430,7 +431,7 @@ def test_a_hundred_thousand_times_are_no_hundred_thousand_calls(pulse):
 def test_a_piece_compiles_as_it_stands_and_agrees():
     from numba import njit
 
-    compiled = njit(piece_value)
+    compiled = njit(piece_motion)
     command = Sum((
         Ramp(end_value=2.0, rate=3.0, time=0.1),
         Sine(amplitude=1.0, frequency=3.0, time=0.2),
@@ -439,7 +440,7 @@ def test_a_piece_compiles_as_it_stands_and_agrees():
     ))  # fmt: skip
     for row in command.pieces(END):
         for t in row[0] + np.linspace(0.0, 0.5, 11):
-            assert compiled(row, t) == pytest.approx(piece_value(row, t), rel=1e-12, abs=1e-12)
+            assert compiled(row, t) == pytest.approx(piece_motion(row, t), rel=1e-12, abs=1e-12)
 
 
 # ---------------------------------------------------------------- what is refused
