@@ -436,3 +436,17 @@ def test_an_fmu_without_co_simulation_is_flown_by_cvode(archives, tmp_path, numb
     for name in ("spool_position", "nozzle_pressure_1", "load_flow"):
         width = np.ptp(run.values[name])
         assert np.max(np.abs(flown.values[name] - run.values[name])) < 1e-3 * width, name
+
+
+@pytest.mark.slow
+@needs_compiler
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if name != "sensor_delay"])
+def test_the_c_code_passes_its_own_test_with_each_effect(tmp_path, name):
+    effect = CATALOGUE[name]
+    bound = effect.on("spool_position") if effect.reading is not None else effect
+    drive = vs.VoltageDrive() if name == "coil_resistance_drift" else vs.CurrentDrive()
+    case = replace(CASE, effects=(bound(**{bound.amplitude.name: bound.amplitude.typical}),), drive=drive)
+    sources = [path.name for path in export_c(case, tmp_path) if path.suffix == ".c"]
+    subprocess.run([find_compiler(), "-std=c99", "-O1", *sources, "-lm", "-o", "run"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./run"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
