@@ -450,3 +450,23 @@ def test_the_c_code_passes_its_own_test_with_each_effect(tmp_path, name):
     subprocess.run([find_compiler(), "-std=c99", "-O1", *sources, "-lm", "-o", "run"], cwd=tmp_path, check=True)
     done = subprocess.run(["./run"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
+
+
+def test_the_commands_write_what_they_say_and_refuse_in_one_line(call, tmp_path):
+    fmu_path, folder = tmp_path / "a.fmu", tmp_path / "c"
+    code, out, err = call("export", "fmu", "step", "-o", fmu_path, "--compiler", "", "--reference", "--fmi", "2.0")
+    assert code == 0, err
+    assert "FMI 2.0, model exchange and co-simulation: 5 inputs, 6 states" in out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.fmu", "a_in.csv", "a_ref.csv", "a_ref.opt"]
+    assert "StopTime, 0.06\n" in (tmp_path / "a_ref.opt").read_text()
+    assert (tmp_path / "a_ref.csv").read_text().startswith('"time","armature_angle"')
+    code, out, _ = call("export", "c", "reference", "-o", folder, "--effect", "spool_lap")
+    assert code == 0 and "valve_test.c" in out
+    assert "effects.spool_lap.overlap" in (folder / "valve_model.c").read_text()
+    for words, told in (
+        (("fmu", "step", "-o", tmp_path / "a_in.csv"), "is no FMU of valvesim; name another file, or give --overwrite"),
+        (("fmu", "stpe"), "nor a scenario that comes along"),
+        (("c", "step", "-o", folder, "--effect", "sensor_delay.load_flow"), "cannot be exported"),
+    ):
+        code, _, err = call("export", *words)
+        assert code == 2 and told in err and err.count("\n") == 1, err
