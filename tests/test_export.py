@@ -470,3 +470,18 @@ def test_the_commands_write_what_they_say_and_refuse_in_one_line(call, tmp_path)
     ):
         code, _, err = call("export", *words)
         assert code == 2 and told in err and err.count("\n") == 1, err
+
+
+def test_terminals_and_build_description_fit_the_schemas_of_the_standard(tmp_path):
+    import fmpy
+    from lxml import etree
+
+    export_fmu(CASE, tmp_path / "a.fmu", compiler="")
+    schemas = Path(fmpy.__file__).parent / "schema" / "fmi3"
+    with zipfile.ZipFile(tmp_path / "a.fmu") as archive:
+        for name, schema in (
+            ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
+            ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
+        ):
+            etree.XMLSchema(etree.parse(str(schemas / schema))).assertValid(etree.fromstring(archive.read(name)))
+        assert {"terminalsAndIcons/icon.png", "terminalsAndIcons/terminal.png"} <= set(archive.namelist())

@@ -97,8 +97,8 @@ def export_fmu(
     else:
         files["sources/buildDescription.xml"] = build_description(head, names)
         files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(variables, scenario.drive.command_name)
-        files["terminalsAndIcons/icon.png"] = icon
-        files["terminalsAndIcons/icon.svg"] = (C_FOLDER / "icon.svg").read_bytes()
+        for name in ("icon.png", "icon.svg", "terminal.png", "terminal.svg"):
+            files[f"terminalsAndIcons/{name}"] = (C_FOLDER / name).read_bytes()
     written = write_atomically(Path(path), lambda temporary: _pack(Path(temporary), files))
     return ExportedFmu(
         path=written, version=version, token=token, binary=inside, parameters=len(valve.parameters),

@@ -156,7 +156,7 @@ def terminals(variables: Sequence[FmiVariable], command: str) -> bytes:
                 )  # fmt: skip
         SubElement(
             terminal, "TerminalGraphicalRepresentation", x1=f"{x - 8:g}", y1=f"{y - 8:g}", x2=f"{x + 8:g}",
-            y2=f"{y + 8:g}", defaultConnectionColor="0 0 0",
+            y2=f"{y + 8:g}", defaultConnectionColor="0 0 0", iconBaseName="terminal",
         )  # fmt: skip
     return _text(root)
 
