@@ -211,6 +211,22 @@ def test_a_name_that_no_system_can_hold_is_refused(tmp_path):
         load_session(tmp_path)
 
 
+NAMED = {  # a place where a file gives a name, in a scenario
+    "flow law": BASE + "[valve]\nflow_law = %s\n",
+    "oil": BASE + "[oil]\nname = %s\n",
+    "route": BASE + "[thermal]\nroutes = [%s]\n",
+    "effect": BASE + "[[effects]]\nname = %s\n",
+    "channel of an effect": BASE + "[[effects.sensor_bias]]\nchannel = %s\n",
+    "channel": BASE + "[outputs]\nchannels = [%s]\n",
+}
+
+
+@pytest.mark.parametrize("text", NAMED.values(), ids=NAMED.keys())
+def test_what_is_no_name_is_refused_where_a_name_is_expected(refused, text):
+    for value in ("{}", "[]", "[1]", "1", "true", "{ a = 1 }", "1979-05-27"):
+        refused(text % value)
+
+
 # --- what is no file -------------------------------------------------------------------------------------------------
 
 

@@ -237,6 +237,7 @@ def test_the_session_folder_is_a_session_once_its_records_are_there(plan_file, t
         ({"bench": {"oil_temperature": ["60 degC", "20 degC"]}}, "bench.oil_temperature: expected one temperature"),
         ({"bench": {"tests": ["slow triangle"]}}, "bench.tests: unknown test 'slow triangle'"),
         ({"bench": {"command": "force"}}, "bench.command: unknown command 'force'"),
+        ({"bench": {"command": {}}}, "bench.command: unknown command"),
         ({"tests": {}}, "tests: expected [[tests]]"),
         ({"tests": [{"name": "a"}]}, "tests.1: a test needs a duration and a command"),
         ({"tests": [{"name": "a", "duration": "1 ms", "command": {"current": "1 mA"}}]}, "tests.1.duration: 1 sampl"),

@@ -158,7 +158,7 @@ def _reduce(
 ) -> MeasuredResult:  # fmt: skip
     check_known(entry, ("file", "files", "test", "frequency", *COMMON, "pressure_drop", "lag", "dead_zone"), where)
     test = entry.get("test")
-    if test not in TESTS:
+    if not isinstance(test, str) or test not in TESTS:
         raise unknown_name("test", str(test), TESTS, f"{where}.test")
     given = entry.get("files", [entry["file"]] if "file" in entry else [])
     names = read_names(given, f"{where}.files", "file")

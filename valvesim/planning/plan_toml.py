@@ -69,7 +69,7 @@ def read_plan(folder: Path, table: dict[str, Any], *, options: DiagnosisOptions 
     check_known(bench, ("rate", "oil_temperature", "setup", "tests", "command"), "bench")
     sensors = _with_noise(stated_sensors(table.get("sensors", {})), "sensors")
     command = bench.get("command", "current")
-    if command not in DRIVES:
+    if not isinstance(command, str) or command not in DRIVES:
         raise unknown_name("command", str(command), DRIVES, "bench.command")
     if not sensors:
         raise InputError(f"a bench needs sensors: [sensors.NAME] with a noise, of {', '.join(OUTPUTS)}", key="sensors")

@@ -35,7 +35,7 @@ def read_valve(table: Mapping[str, Any], base: Valve | None = None) -> Valve:
     name = figures.pop("name", valve.name)
     check_printable(name, "valve.name")
     law = figures.pop("flow_law", None)
-    if law is not None and law not in FLOW_LAWS:
+    if law is not None and not (isinstance(law, str) and law in FLOW_LAWS):
         raise unknown_name("flow law", str(law), FLOW_LAWS, "valve.flow_law")
     flow_law = valve.flow_coefficients if law is None else FLOW_LAWS[law]
     if valve.name and name == valve.name and table:
