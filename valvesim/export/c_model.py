@@ -10,11 +10,12 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from valvesim.errors import InputError
-from valvesim.export.traced_valve import INPUTS, TracedValve, Variable, node_names
+from valvesim.export.traced_valve import INPUTS, TracedValve, Variable
 from valvesim.simulation import driver, run, temperature_knots
 from valvesim.solver import rodas5p
 from valvesim.solver.elimination import print_elimination
 from valvesim.valve.coefficients import PART_NAMES
+from valvesim.valve.thermal_network import NODES
 
 ARGUMENTS = {
     "coefficients": ("p", "T", "u"),
@@ -66,7 +67,7 @@ def _header(valve: TracedValve, digest: str) -> str:
         "STATES": len(valve.states), "OUTPUTS": len(valve.outputs), "COEFFICIENTS": len(valve.coefficient_names),
         "PREPARED": valve.equations.coefficients,
         "FIRST_TEMPERATURE": valve.coefficient_names.index(f"{PART_NAMES[0]}_temperature"),
-        "CLEARANCES": len(valve.clearances), "NODES": len(node_names()), "LAGGED_PARTS": int(valve.lagged_parts),
+        "CLEARANCES": len(valve.clearances), "NODES": len(NODES), "LAGGED_PARTS": int(valve.lagged_parts),
         "USES_RATE": int(valve.uses_rate),
         "SETTLES": int(valve.settles),
     }  # fmt: skip

@@ -10,7 +10,6 @@ Symbols
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -440,9 +439,3 @@ def _needs_a_series(active: ActiveEffect) -> InputError:
         "cannot be exported: it works on a whole record, and a model in another program has the present alone",
         key=f"effects.{active.effect.name}", joint=" ",
     )  # fmt: skip
-
-
-@functools.cache
-def node_names() -> tuple[str, ...]:
-    """Names of the parts with a temperature state, in order."""
-    return NODES
