@@ -170,8 +170,11 @@ def _frequencies(study: Study, nominal: NominalFit, *, options: DiagnosisOptions
         if over[k] < options.bench.peak or len(found) == options.bench.frequencies:
             break
         if all(abs(grid[k] - other) > 3.0 / longest for other in found):
-            fine = grid[k] + np.linspace(-0.5, 0.5, 41) / longest
-            found.append(float(fine[int(np.argmax(_power(study, nominal, fine)))]))
+            best = float(grid[k])
+            for reach in (0.5, 0.025):  # a thousandth of a turn counts where the ripple stands far above the noise
+                fine = best + reach * np.linspace(-1.0, 1.0, 41) / longest
+                best = float(fine[int(np.argmax(_power(study, nominal, fine)))])
+            found.append(best)
     return found
 
 

@@ -35,7 +35,7 @@ from valvesim.diagnosis.second_cause import (
 )
 from valvesim.diagnosis.starts import single_starts, start_points
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import Fit, evaluate_fit
+from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
 from valvesim.identification.nominal_fit import NominalFit, refit_nominal, unweighted
 
@@ -70,7 +70,13 @@ def isolate(
     progress("looking for causes", 0.0)
     scores, bench = score_test(nominal, nominal.fit, options=options), tuple[str, ...]()
     if detect(scores)[0]:
+        study, before = nominal.study, nominal.fit.chi_square
         nominal, scores, bench = with_bench_faults(nominal, scores, options=options)
+        # no model is the plant: what is little beside what the bench explains may be the bench too
+        explained = before - rescored(study, nominal.fit).chi_square if bench else 0.0
+        if bench and nominal.fit.chi_square - nominal.fit.rows < options.isolation.unexplained_share * explained:
+            level = scores.level(options.detection.false_alarm)
+            return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
     return replace(_isolated(nominal, scores, progress, known, options=options), bench=bench)
 
 

@@ -106,7 +106,7 @@ class Wave:
 
     def apply(self, points: Points, samples: Points, amount: float) -> Points:
         t, u = points
-        fine = np.union1d(t, np.arange(t[0], t[-1], 1.0 / (24.0 * self.frequency)))
+        fine = np.union1d(t, np.arange(t[0], t[-1], 1.0 / (96.0 * self.frequency)))
         return fine, np.interp(fine, t, u) + amount * np.cos(2.0 * np.pi * self.frequency * fine - self.phase)
 
 
