@@ -11,6 +11,7 @@ from valvesim.identification.from_figures.posterior import Posterior, descend
 from valvesim.identification.from_figures.prediction import Asked, FigurePredictor
 from valvesim.identification.from_figures.similarity import UNKNOWNS
 
+MOST_LEFT_OUT = 6  # figures, each left out once
 REFIT = 12  # evaluations of a fit without one of the figures
 FAR = 2.5  # prior deviations from similarity that are worth a word
 
@@ -52,14 +53,17 @@ def conflicts_of(
 ) -> tuple[Conflict, ...]:  # fmt: skip
     """Every figure that the fit leaves out of its limits, with the figures that keep it there.
 
-    Each other figure is left out in turn and the rest fitted again.
+    Of those that the fit misses most each is left out in turn, and the rest fitted again.
     """
     out = [k for k, (a, v) in enumerate(zip(posterior.asked, posterior.predicted, strict=True)) if not a.reached(v)]
     if not out:
         return ()
     against: dict[int, list[Asked]] = {k: [] for k in out}
     start = np.zeros(len(posterior.point))  # where the fit ended, figures that exclude each other have bent it
-    for j, left_out in enumerate(posterior.asked):
+    misfits = [abs(a.misfit(float(v))) for a, v in zip(posterior.asked, posterior.predicted, strict=True)]
+    foremost = np.argsort(-np.array(misfits))[:MOST_LEFT_OUT].tolist()
+    for done, j in enumerate(foremost, start=1):
+        left_out = posterior.asked[j]
         rest = tuple(asked for asked in posterior.asked if asked is not left_out)
         refit = descend(posterior.similar, replace(predictor, asked=rest), start, evaluations=REFIT)
         for k in out:
@@ -67,7 +71,7 @@ def conflicts_of(
             if k != j and asked.reached(refit.predicted[rest.index(asked)]):
                 against[k].append(left_out)
         if progress is not None:
-            progress((j + 1) / len(posterior.asked))
+            progress(done / len(foremost))
     return tuple(
         Conflict(posterior.asked[k], float(posterior.predicted[k]), tuple(against[k]),
                  _reason(posterior, posterior.asked[k], against[k]))
