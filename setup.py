@@ -1,4 +1,4 @@
-"""The scenarios stand once, in the top folder; a wheel has them inside, as `valvesim/scenarios`. All else: pyproject.toml."""
+"""The scenarios stand once, in the top folder; a wheel has them as `valvesim/scenarios`. All else: pyproject.toml."""
 
 from setuptools import find_packages, setup
 

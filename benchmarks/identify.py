@@ -367,7 +367,8 @@ def main() -> None:
         one = cases[-1]
         print(
             f"case {number}: {one['flow']:g} L/min, inside {one['inside']:.2f}, figures {one['figures_inside']:.2f}, "
-            f"Bode {one['bode_dB']:.2f} dB {one['bode_degrees']:.1f} degrees, {one['processor']:.1f} s, {one['conflicts']}",
+            f"Bode {one['bode_dB']:.2f} dB {one['bode_degrees']:.1f} degrees, {one['processor']:.1f} s, "
+            f"{one['conflicts']}",
             flush=True,
         )
         options.output.write_text(json.dumps(cases, indent=1), encoding="utf-8")

@@ -144,7 +144,8 @@ def test_a_staircase_and_a_table_of_too_many_points_are_refused(tmp_path):
 
 def test_an_oil_that_would_take_too_many_knots_is_refused_before_they_are_made():
     hot = vs.Sine(amplitude=20.0, frequency=15.0, offset=60.0)
-    with pytest.raises(InputError, match=r"oil_temperature: changes so often .* knots would be needed, more than 500000"):
+    told = r"oil_temperature: changes so often .* knots would be needed, more than 500000"
+    with pytest.raises(InputError, match=told):
         temperature_knots(vs.Scenario(duration=100.0, oil_temperature=hot))
     mild = vs.Sine(amplitude=20.0, frequency=0.1, offset=60.0)
     assert len(temperature_knots(vs.Scenario(duration=10.0, oil_temperature=mild))[0].times) < 10_000

@@ -103,7 +103,8 @@ def test_a_session_and_a_valve_file_ask_as_a_scenario_does(own, ran):
 
 def test_a_study_asks_before_it_runs_figures_of_ones_own(tmp_path, ran):
     mine = tmp_path / "mine.py"
-    mine.write_text(f"open({str(tmp_path / 'was_run')!r}, 'w').close()\ndef figures(case):\n    return {{'one': 1.0}}\n")
+    runs = f"open({str(tmp_path / 'was_run')!r}, 'w').close()\n"
+    mine.write_text(f"{runs}def figures(case):\n    return {{'one': 1.0}}\n")
     study = tmp_path / "study.toml"
     study.write_text(
         '[scenario]\nduration = "1 ms"\n[scenario.command]\ncurrent = "1 mA"\n[design]\nmembers = 4\n'

@@ -104,7 +104,8 @@ def test_base_valve_meets_flow_gain_and_leakage_but_not_pressure_gain(identified
 
 @needs_data
 def test_session_learns_from_the_slow_sweep_and_locks_the_fast_one(example, identified, tmp_path):
-    session = load_session(example.write_session(DATA, tmp_path / "session", identified.valve, [example.SLOW]), trust=True)
+    folder = example.write_session(DATA, tmp_path / "session", identified.valve, [example.SLOW])
+    session = load_session(folder, trust=True)
     assert [record.name for record in session.training] == ["leakage_sweep_500s"]
     assert [record.name for record in session.locked] == ["leakage_sweep_100s"]
     assert [active.effect.name for active in session.effects] == ["blocked_ports"]

@@ -24,7 +24,7 @@ PAGES = (
 @columns_option
 @click.option("--browser/--no-browser", default=True, help="Show the page in the browser, or name it only.")
 def open(places: tuple[Path, ...], output: Path | None, columns: Path | None, browser: bool) -> None:
-    """Show the page of a results folder, or result.nc and measured files (CSV, MAT, TDMS and others) as one, side by side.
+    """Show the page of a results folder, or result.nc and measured files (CSV, MAT, TDMS and others) as one.
 
     Pages need no network and no server: any browser shows them, also from a mail.
     """

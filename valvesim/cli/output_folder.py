@@ -1,9 +1,9 @@
 """A folder of results: all that a command writes appears in it together, or nothing; what else stands there is kept.
 
-`manifest.json` in the folder tells what each command wrote, with hashes, and by which version, when and by which words it
-did. By it a command knows its own earlier results, which the new ones replace. A folder without it that holds anything,
-a file of ours that was changed since, and a file of somebody else where a result is to stand are left as they are,
-unless the command line says `--overwrite`.
+`manifest.json` in the folder tells what each command wrote, with hashes, and by which version, when and by which words
+it did. By it a command knows its own earlier results, which the new ones replace. A folder without it that holds
+anything, a file of ours that was changed since, and a file of somebody else where a result is to stand are left as they
+are, unless the command line says `--overwrite`.
 """
 
 from __future__ import annotations

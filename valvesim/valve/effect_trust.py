@@ -1,10 +1,10 @@
 """Whether Python code that a file names is run: where the user trusts it, by its content.
 
 A scenario, a session, a plan or a valve file may name files of effects (`effects_files`), a study files of figures of
-merit (`figures.functions`), and these run with the user's rights. Such a file is run where its very content was trusted before (SHA-256 in `trusted_effects.txt` of the user's data
-folder, which `VALVESIM_DATA_DIR` moves), or where the caller says so: `trust=True`, `--trust`, or a yes to the question
-of the command line. One outside the folder of the file that names it needs `outside=True` or `--outside` too, unless it
-was trusted at that place.
+merit (`figures.functions`), and these run with the user's rights. Such a file is run where its very content was trusted
+before (SHA-256 in `trusted_effects.txt` of the user's data folder, which `VALVESIM_DATA_DIR` moves), or where the
+caller says so: `trust=True`, `--trust`, or a yes to the question of the command line. One outside the folder of the
+file that names it needs `outside=True` or `--outside` too, unless it was trusted at that place.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def check_trusted(file: Path, content: bytes, folder: Path, *, key: str = "effec
 
 
 def check_inside(file: str, folder: Path, key: str) -> None:
-    """InputError where a record that a file in `folder` names at `key` stands elsewhere, and nobody said that it may."""
+    """InputError where a record that a file in `folder` names at `key` stands elsewhere and nobody said that it may."""
     if not is_inside(folder / file, folder) and not outside_permitted():
         problem = f"{file!r} stands outside the folder of the file that names it"
         raise InputError(f"{problem}; give --outside (in Python: outside=True) to read it", key=key)

@@ -67,8 +67,8 @@ def cycle(record: AcceptanceRecord, channel: str, *, resolution: float | None = 
     """The branches of a record whose current runs slowly from end to end; all of one direction are put together.
 
     A quantised current is smoothed over two of its steps; the ends that this bends are left out. A branch counts where
-    it spans 80 % of the whole range, alone or together with the others of its direction. InputError without a branch each way, with fewer than 50 points in one, or with a
-    current that is clipped or held.
+    it spans 80 % of the whole range, alone or together with the others of its direction. InputError without a branch
+    each way, with fewer than 50 points in one, or with a current that is clipped or held.
     """
     t, i, y = record.channel("time"), record.channel("current"), record.channel(channel)
     span = float(np.ptp(i))
