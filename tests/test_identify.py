@@ -109,6 +109,7 @@ def test_the_figures_told_fast_are_those_of_the_bench():
         assert fast[name][0] == pytest.approx(np.mean(shown), rel=near), name
 
 
+@pytest.mark.slow
 def test_a_batch_is_predicted_as_each_valve_alone():
     similar = similar_valves(
         rated_flow=15.0 / 6e4, pressure_drop=7e6, rated_current=0.02, conditions=CONDITIONS, oil=vs.MIL_PRF_5606
