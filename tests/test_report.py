@@ -21,7 +21,7 @@ from valvesim.reports import run as report
 from valvesim.reports.chart import MOST_POINTS as MOST_CHART_POINTS
 from valvesim.reports.chart import Chart, Charts, Series, thinned
 from valvesim.reports.html_page import page, section
-from valvesim.reports.plotting import MOST_POINTS, Figure, label_decades, thin
+from valvesim.reports.plotting import MOST_POINTS, Figure, label_decades, swings, thin
 from valvesim.reports.run_table import figure_text
 from valvesim.reports.title_block import TitleBlock, package_version, valve_name
 
@@ -302,3 +302,10 @@ def test_a_chart_of_any_numbers_is_told_and_written(values, start, step, uncerta
     kept = unpacked(spec["series"][0]["data"], spec["n"])
     assert kept == pytest.approx(told, rel=1e-6, abs=1e-38, nan_ok=True)
     assert 0 <= spec["series"][0]["digits"] <= 9 and chart.in_words.startswith("any, over time ")
+
+
+@pytest.mark.parametrize("drift", [0.0, 1.0, 100.0])
+def test_what_swings_is_seen_on_a_drift_too_and_what_drifts_alone_does_not_swing(drift):
+    t = np.linspace(0.0, 10.0, 10_001)
+    assert np.count_nonzero(swings(np.sin(2.0 * np.pi * 10.0 * t) + drift * t)) in range(195, 206)
+    assert np.count_nonzero(swings(1e7 + drift * t)) <= 1

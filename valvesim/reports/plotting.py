@@ -105,9 +105,15 @@ MOST_CYCLES = 60  # of a line that can be told apart in a picture; beyond it wha
 STRETCHES, NEIGHBOURS = 400, 5  # of an envelope, and those that hold a cycle together where it is one
 
 
+SLIGHT = 1e-3  # of a line's range: how far it has to pass its mean to cross it
+
+
 def swings(y: np.ndarray) -> np.ndarray:
-    """Where a line crosses its own mean: (n,) of bool."""
-    above = np.signbit(y - np.mean(y))
+    """Where a line crosses its running mean over `NEIGHBOURS` stretches, which drift carries along: (n,) of bool."""
+    width = len(y) * NEIGHBOURS // STRETCHES
+    sums = np.cumsum(np.pad(y - y[0], (width // 2 + 1, width - width // 2), mode="edge"))
+    mean = y[0] + (sums[width:] - sums[:-width])[: len(y)] / width if width else np.mean(y)
+    above = np.signbit(y - mean - SLIGHT * np.ptp(y))
     return np.append(above[1:] != above[:-1], False)
 
 
