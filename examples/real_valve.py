@@ -297,9 +297,11 @@ def answer_lines(title: str, name: str, diagnosis: Diagnosis) -> list[str]:
 def pair_lines(folder: Path) -> list[str]:
     """Markdown of loop and lag together, fitted to a session by hand: what naming them would gain."""
     session = vs.load_session(folder, trust=True)
-    study = prepare_session(session)
+    prepared = prepare_session(session)
     white = NoiseModel(LEAKAGE_MISFIT, (), False, "what the land law can be trusted to")
-    study = replace(study, noise={(name, b.record.pace): white for b in study.predictors for name in b.record.outputs})
+    study = prepared.with_noise(
+        {(name, b.record.pace): white for b in prepared.predictors for name in b.record.outputs}
+    )
     start_point = np.zeros(len(study.nominal.parameters))
     nominal = linearise_nominal(study, evaluate_fit(study, start_point, ()))
     pair = [candidate for candidate in study.candidates if candidate.label in PAIR]
