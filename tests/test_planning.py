@@ -234,6 +234,7 @@ def test_the_session_folder_is_a_session_once_its_records_are_there(plan_file, t
         ({"added_sensors": {"load_flow": {"noise": "1 bar"}}}, "added_sensors.load_flow.noise: 'bar' has the wrong"),
         ({"records": []}, "records: belongs to a session that was measured"),
         ({"bench": {"rate": "0 Hz"}}, "bench.rate: '0 Hz' must be positive"),
+        ({"bench": {"rate": "5e+14 Hz"}}, "bench.rate = 5e+14 Hz is above 100000 Hz"),
         ({"bench": {"oil_temperature": ["60 degC", "20 degC"]}}, "bench.oil_temperature: expected one temperature"),
         ({"bench": {"tests": ["slow triangle"]}}, "bench.tests: unknown test 'slow triangle'"),
         ({"bench": {"command": "force"}}, "bench.command: unknown command 'force'"),

@@ -46,7 +46,8 @@ from valvesim.valve.equations import DRIVES
 from valvesim.valve.valve_toml import read_tolerance
 
 _OWN = ("bench", "tests", "aim", "added_sensors", "sensors")
-LEAST_SAMPLES = 100
+LEAST_SAMPLES, MOST_SAMPLES = 100, 2_000_000  # of a test
+HIGHEST_RATE = 100e3  # Hz
 
 
 def load_plan(path: str | Path, *, options: DiagnosisOptions = DEFAULT_DIAGNOSIS) -> BenchPlan:
@@ -74,7 +75,9 @@ def read_plan(folder: Path, table: dict[str, Any], *, options: DiagnosisOptions 
     if not sensors:
         raise InputError(f"a bench needs sensors: [sensors.NAME] with a noise, of {', '.join(OUTPUTS)}", key="sensors")
     rate = parse(bench["rate"], "Hz", "bench.rate") if "rate" in bench else options.design.rate
-    options = replace(options, design=replace(options.design, rate=_positive(rate, bench.get("rate"), "bench.rate")))
+    if _positive(rate, bench.get("rate"), "bench.rate") > HIGHEST_RATE:
+        raise InputError(f"{rate:g} Hz is above {HIGHEST_RATE:g} Hz", key="bench.rate", joint=" = ")
+    options = replace(options, design=replace(options.design, rate=rate))
     session = _with_oil(session, bench, command)
     every = (*library(session, options=options), *_own_tests(folder, table.get("tests", []), session, rate))
     return BenchPlan(
@@ -158,8 +161,9 @@ def _own_tests(folder: Path, listed: Any, session: Session, rate: float) -> list
         if "duration" not in given or "command" not in given:
             raise InputError("a test needs a duration and a command", key=where)
         duration = _positive(parse(given["duration"], "s", f"{where}.duration"), given["duration"], f"{where}.duration")
-        if duration * rate < LEAST_SAMPLES:
-            raise InputError(f"{duration * rate:.0f} samples are too few: {LEAST_SAMPLES}", key=f"{where}.duration")
+        if not LEAST_SAMPLES <= duration * rate <= MOST_SAMPLES:
+            problem = f"{duration * rate:.0f} samples are outside [{LEAST_SAMPLES}, {MOST_SAMPLES}]"
+            raise InputError(problem, key=f"{where}.duration")
         command = given["command"]
         if not isinstance(command, dict) or list(command) != [drive.command_name]:
             raise InputError(f"give command.{drive.command_name}, as the bench drives", key=f"{where}.command")
