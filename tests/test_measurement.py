@@ -570,6 +570,13 @@ def test_times_of_single_precision_are_taken_as_even(tmp_path):
     assert "times are written to 3.05e-05 s only" in clock.notes[0]
 
 
+def test_a_time_beyond_all_reckoning_is_refused_with_its_line(tmp_path):
+    time = np.concatenate([[-1e308], np.arange(1, 200) / 1e3])
+    with pytest.raises(InputError) as caught:
+        even_clock(time, tmp_path, lambda row: row + 2, lambda row, other: False)
+    assert caught.value.line == 2 and "-1e+308 s is beyond" in str(caught.value)
+
+
 def test_columns_of_one_name_are_told_by_number(tmp_path):
     content = table(TIME, CURRENT, SPOOL, CURRENT, head="time [s],Untitled,Untitled,Untitled")
     stated = {"current": {"column": 2, "unit": "A"}, "spool_position": {"column": 3, "unit": "m"}}

@@ -20,6 +20,7 @@ GAP = 1.5  # times the step from which a longer step is a gap: a lost sample mak
 UNEVEN = 0.1  # share of the steps that may be neither a step nor whole steps of the clock
 COARSE = 0.2  # share of the steps that are zero from which times are taken to be written with too few digits
 _PART = 1 << 20  # times at once
+FARTHEST = 1e12  # s; a date in seconds is below 1e10
 FILLED = 20.0  # times the samples: a record with more gap than that is not one
 
 
@@ -89,6 +90,9 @@ def even_clock(
         notes.append(f"{len(time) - len(rows)} rows have no time and are left out")
     if len(rows) < 3:
         raise InputError(f"{len(rows)} rows with a time are too few", file=path)
+    if (far := np.abs(time[rows]) > FARTHEST).any():
+        k = int(rows[np.argmax(far)])
+        raise InputError(f"a time of {time[k]:g} s is beyond ±{FARTHEST:g} s", file=path, line=line_of(k))
     steps = np.diff(time[rows])
     if (steps < 0.0).any():
         k = int(np.argmax(steps < 0.0))
