@@ -7,10 +7,10 @@
 
 Outcomes of inputs: `ok` (read; a short scenario also run, every sample finite), `refused` (InputError) and `failed`
 (SolveError) with one printable line; `traceback` (any other exception, the end of the process included), `hang` (no
-answer within 10 s), `large` (more than 200 MB for a refusal), `nonsense` (samples that are not finite, pressures below
-zero, times that do not rise), `unclear` (a message of several lines, or unprintable). The readers work in a process of
-its own with bounded memory, which is ended when it hangs. The exit code is 1 where anything is bad; `--keep FOLDER`
-keeps the cases.
+answer within 10 s), `large` (more than 200 MB for a refusal, here or in the process that reads binary formats),
+`nonsense` (samples that are not finite, pressures below zero, times that do not rise), `unclear` (a message of several
+lines, or unprintable). The readers work in a process of its own with bounded memory, which is ended when it hangs. The
+exit code is 1 where anything is bad; `--keep FOLDER` keeps the cases.
 """
 
 from __future__ import annotations
@@ -134,17 +134,40 @@ def outcome(reader: str, folder: Path) -> tuple[str, str]:
 
 
 def work(pipe: Connection) -> None:
-    """Answer cases by (outcome, message, seconds, kB of memory more than before) until the pipe ends."""
+    """Answer cases by (outcome, message, seconds, kB) until the pipe ends.
+
+    kB are what this process held more than before, or all of the process that read a binary format.
+    """
     warnings.simplefilter("ignore")
+    watch_readers()
     sys.stdout = sys.stderr = io.StringIO()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     with contextlib.suppress(EOFError):
         while True:
             reader, folder = pipe.recv()
-            before, begin = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+            before, begin, READERS_PEAK[0] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic(), 0
             found, told = outcome(reader, folder)
             more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-            pipe.send((found, told, time.monotonic() - begin, more))
+            pipe.send((found, told, time.monotonic() - begin, max(more, READERS_PEAK[0])))
+
+
+READERS_PEAK = [0]
+
+
+def watch_readers() -> None:
+    """Keep the peak of memory of every process that read a binary format, as it is ended after a refusal."""
+    from valvesim.measurement.reader_process import Reader
+
+    end = Reader.end
+
+    def watched(reader: Reader, patience: float = 0.0) -> int:
+        with contextlib.suppress(OSError):
+            for line in Path(f"/proc/{reader.process.pid}/status").read_text().splitlines():
+                if line.startswith("VmHWM"):  # none of a process that has crashed
+                    READERS_PEAK[0] = max(READERS_PEAK[0], int(line.split()[1]))
+        return end(reader, patience)
+
+    Reader.end = watched  # type: ignore[method-assign]
 
 
 class Worker:

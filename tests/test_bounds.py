@@ -190,16 +190,6 @@ def test_a_record_with_quotes_where_none_belong_is_refused(tmp_path, text):
         read_recording([tmp_path / "a.csv"], UNITS)
 
 
-def test_a_file_that_claims_more_memory_than_there_is_is_refused(tmp_path, monkeypatch):
-    def claim(*arguments, **options):
-        raise MemoryError
-
-    monkeypatch.setattr("scipy.io.loadmat", claim)
-    (tmp_path / "a.mat").write_bytes(b"MATLAB 5.0".ljust(2000))
-    with pytest.raises(InputError, match=r"a\.mat: is no MATLAB file that can be read .it asks for more memory"):
-        read_recording([tmp_path / "a.mat"], UNITS)
-
-
 def test_a_name_that_no_system_can_hold_is_refused(tmp_path):
     (tmp_path / "session.toml").write_text(f"[[records]]\nfile = '{'x' * 5000}'\n")
     with pytest.raises(InputError, match=r"line 2: records\.1\.file: .* is not in the folder"):

@@ -1,7 +1,6 @@
 """Measurement files of any format and dialect: read to the last digit, or refused with what to state."""
 
 import datetime
-import sys
 
 import numpy as np
 import pytest
@@ -417,14 +416,6 @@ def test_a_broken_file_is_refused_in_one_line(tmp_path, suffix, content):
     with pytest.raises(InputError) as caught:
         read_recording([path], CHANNELS)
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
-
-
-def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "nptdms", None)
-    (tmp_path / "a.tdms").write_bytes(b"TDSm")
-    with pytest.raises(InputError) as caught:
-        read_recording([tmp_path / "a.tdms"], CHANNELS)
-    assert str(caught.value) == f"{tmp_path / 'a.tdms'}: TDMS files need nptdms: pip install 'valvesim[tdms]'"
 
 
 def test_dates_of_a_sheet_are_seconds(tmp_path):

@@ -74,6 +74,12 @@ def hidden_from_children() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, kept)
 
 
+def let_end() -> None:
+    """Where a signal has begun to end the process, wait for that: what fails from then on may fail of it alone."""
+    if _ending.is_set():
+        threading.Event().wait()
+
+
 def _kill_programs() -> None:
     """Kill the programs that this process has started, such as a compiler with its own, where the system lists them."""
     from multiprocessing import resource_tracker

@@ -19,7 +19,7 @@ from typing import Any
 
 import click
 
-from valvesim.cli.interrupts import MESSAGE, ended_by_signals
+from valvesim.cli.interrupts import MESSAGE, ended_by_signals, let_end
 from valvesim.cli.permissions import with_permissions
 from valvesim.cli.streams import CLOSED_PIPE, drop_output, prepare_streams
 from valvesim.errors import InputError, SolveError, ValidityWarning, nearest, one_line
@@ -105,6 +105,7 @@ def main() -> None:
         except OSError as error:
             message, code = (message, code) if code else _refused_by_the_system(error)
             drop_output()
+        let_end()
         if message:
             with contextlib.suppress(OSError):  # nobody reads it, or the disc is full
                 click.echo(f"error: {message}", err=True)
