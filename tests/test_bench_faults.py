@@ -9,13 +9,16 @@ from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
 
 import valvesim as vs
 from valvesim.diagnosis import apart
+from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
 from valvesim.diagnosis.bench_faults import _frequencies, _gain, _shift, _wave
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
-from valvesim.diagnosis.result import NO_DISCREPANCY
+from valvesim.diagnosis.result import NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
 from valvesim.diagnosis.wording import summary_text
 from valvesim.identification.session import Record
+from valvesim.units import quantities
+from valvesim.valve.additive_term import PORTS
 from valvesim.valve.catalogue import CATALOGUE
 
 TIME = np.arange(1000) / 1e3
@@ -110,6 +113,24 @@ def test_every_effect_says_what_to_do():
     for name, effect in CATALOGUE.items():
         advice = effect.advice
         assert advice is not None and all((advice.part, advice.inspect, advice.confirm, advice.remedy)), name
+
+
+def test_every_figure_with_a_tolerance_and_every_port_of_a_term_say_what_to_do():
+    tolerated = {name for name, figure in quantities(vs.Valve).items() if figure.metadata["tolerance"] > 0.0}
+    assert tolerated <= set(BY_FIGURE) and set(PORTS) == set(BY_PORT)
+    assert all(
+        all((one.part, one.inspect, one.confirm, one.remedy)) for one in (*BY_FIGURE.values(), *BY_PORT.values())
+    )
+
+
+def test_an_answer_without_a_cause_says_what_to_do_too():
+    (apart_,), (other,), (nothing,) = (
+        advice_on_unknown(*of, None) for of in ((RECORDS_APART, "chirp_2"), (OTHER_VALVE, ""), ("", ""))
+    )
+    assert apart_.label == "the test chirp_2" and "repeat that test" in apart_.confirm
+    assert "units, sign and wiring" in other.inspect and nothing.part == "not located"
+    noise = SimpleNamespace(candidates=(), label="nothing but noise")
+    assert [one.label for one in advice_on_causes([noise], "a reason")] == [noise.label, "none of the known causes"]
 
 
 @pytest.mark.slow

@@ -791,10 +791,11 @@ def test_the_page_carries_title_version_valve_and_date(tmp_path):
 
 def test_the_page_ends_with_what_to_do_and_what_the_bench_did(tmp_path):
     todo = WhatToDo(label="spool_lap", part="lands", inspect="edges", confirm="flow about null", remedy="another spool")
-    found = replace(cause(), what_to_do=(todo,), bench=("the supply pressure ripples by 3 bar at 37 Hz",))
+    bench = replace(todo, label="the supply pressure ripples by 3 bar at 37 Hz", part="pump")
+    found = replace(cause(), what_to_do=(todo, bench), bench=(bench.label,))
     report(found, tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    for said in ("What to do", "lands", "flow about null", "another spool", "The bench: the supply pressure ripples"):
+    for said in ("What to do", "lands", "flow about null", "another spool", bench.label, "pump"):
         assert said in text
     report(cause(), tmp_path)
     assert "What to do" not in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -121,8 +121,6 @@ def _print_diagnosis(found: Any) -> None:
         screen.print(escape(f"next test, {test.duration:g} s: {test.description}; {power}"))
     elif found.no_test:
         screen.print(found.no_test)
-    for fault in found.bench:
-        screen.print(escape(f"the bench: {fault}"))
     for todo in found.what_to_do:
         screen.print(escape(f"{todo.label}: {todo.part}"))
         screen.print(escape(f"  inspect: {todo.inspect}"))

@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
 from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.identification.between_samples import Shift, Wave
 from valvesim.identification.fit import rescored
@@ -23,12 +25,13 @@ from valvesim.identification.prior import NuisanceParameter, ToleratedSensorErro
 from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import UNITS, value_text
 from valvesim.identification.study import Study, residual_of
-from valvesim.valve.effect import Parameter
+from valvesim.valve.effect import Advice, Parameter
 
 
 @dataclass(frozen=True, eq=False)
 class BenchFault:
-    """Something that the bench may do: what it is called, the parameters that say how much, and their size in words.
+    """Something that the bench may do: what it is called, the parameters that say how much, their size in words, and
+    what to do about it.
 
     `gain` is the reduction of the chi-square that the linear answers promise.
     """
@@ -36,13 +39,14 @@ class BenchFault:
     name: str
     parameters: tuple[NuisanceParameter, ...]
     words: Callable[[np.ndarray], str]
+    advice: Advice
     gain: float = 0.0
 
 
 def with_bench_faults(
     nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
-) -> tuple[NominalFit, ScoreTest, tuple[str, ...]]:
-    """The nominal fit with the bench faults that the readings show, what that leaves, and the faults in words."""
+) -> tuple[NominalFit, ScoreTest, tuple[WhatToDo, ...]]:
+    """The nominal fit with the bench faults that the readings show, what that leaves, and what to do about them."""
     found: list[BenchFault] = []
     for _ in range(options.bench.most_faults):
         fault = _likeliest(nominal, scores, [one.name for one in found], options=options)
@@ -57,7 +61,7 @@ def with_bench_faults(
             break  # the linear answers were wrong: it is something else
         nominal, scores = better, score_test(better, better.fit, options=options)
         found.append(fault)
-    return nominal, scores, tuple(_words(nominal, fault) for fault in found)
+    return nominal, scores, tuple(what_to_do(_words(nominal, fault), fault.advice) for fault in found)
 
 
 def _words(nominal: NominalFit, fault: BenchFault) -> str:
@@ -204,7 +208,7 @@ def _wave(records, column: str, words: str, frequency: float, size: float, unit:
         amplitude = float(np.median(np.hypot(values[::2], values[1::2])))
         return f"{words} by {value_text(amplitude, unit)} at {frequency:.4g} Hz"
 
-    return BenchFault(f"{column} at {frequency:.4g} Hz", parameters, said)
+    return BenchFault(f"{column} at {frequency:.4g} Hz", parameters, said, OF_WAVE.get(column, HUM))
 
 
 def _shift(records, column: str, words: str, size: float, unit: str, growing: bool) -> BenchFault:
@@ -219,7 +223,7 @@ def _shift(records, column: str, words: str, size: float, unit: str, growing: bo
         within = " within a record" if growing else ""
         return f"{words} by up to {value_text(float(np.abs(values).max()), unit)}{within}"
 
-    return BenchFault(f"{column} {'drift' if growing else 'offset'}", parameters, said)
+    return BenchFault(f"{column} {'drift' if growing else 'offset'}", parameters, said, OF_INPUT[column])
 
 
 def _of_sensors(words: str, effect: ToleratedSensorError, channels: Sequence[str], size: float) -> BenchFault:
@@ -227,7 +231,9 @@ def _of_sensors(words: str, effect: ToleratedSensorError, channels: Sequence[str
         NuisanceParameter(f"{effect.name}@{channel}", "1", 0.0, size, effect.amplitude.bounds, effect.on(channel))
         for channel in channels
     )
-    return BenchFault(effect.name, parameters, lambda values: f"{words} by up to {np.abs(values).max() * 1e6:.3g} ppm")
+    return BenchFault(
+        effect.name, parameters, lambda values: f"{words} by up to {np.abs(values).max() * 1e6:.3g} ppm", CLOCKS
+    )
 
 
 def _drifting(channel: str, study: Study, *, options: DiagnosisOptions) -> BenchFault:
@@ -243,6 +249,7 @@ def _drifting(channel: str, study: Study, *, options: DiagnosisOptions) -> Bench
         f"meter_drift@{channel}",
         (parameter,),
         lambda values: f"{channel} as read drifts by {abs(values[0]) * longest / span:.2g} of its span in a record",
+        METER,
     )
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from valvesim.diagnosis.advice import advice_on_causes, advice_on_unknown
 from valvesim.diagnosis.answer_tables import (
     UNITS,
     candidate_answers,
@@ -44,9 +45,10 @@ from valvesim.diagnosis.result import (
     NextTest,
     NoiseFound,
     Term,
+    WhatToDo,
 )
 from valvesim.diagnosis.term_entry import as_catalogue_entry
-from valvesim.diagnosis.wording import location_text, summary_text, what_to_do
+from valvesim.diagnosis.wording import location_text, summary_text
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit, within_tolerance
 from valvesim.identification.session import Session
@@ -108,15 +110,15 @@ def _answer(isolation: Isolation) -> Diagnosis:
         notes.append(
             "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
         )
-    reason, because = "", ""
+    reason, because, bench = "", "", tuple(one.label for one in isolation.bench)
     if inadequate or (verdict == UNKNOWN and far):
         verdict, reason, because = UNKNOWN, OTHER_VALVE, INADEQUATE if inadequate else f"{FAR_OFF} ({far})"
     elif odd:
         reason, because = RECORDS_APART, f"these records do not belong together: {odd} alone is not as the others say"
-    elif verdict == NO_DISCREPANCY and isolation.bench:
-        reason, because = BENCH, "; ".join(isolation.bench)
+    elif verdict == NO_DISCREPANCY and bench:
+        reason, because = BENCH, "; ".join(bench)
     notes[:0] = [because] if because else []
-    notes += [f"the bench, not the valve: {fault}" for fault in isolation.bench if fault not in because]
+    notes += [f"the bench, not the valve: {fault}" for fault in bench if fault not in because]
     named = best if verdict in (CAUSE, AMBIGUOUS) else None
     unextended = nominal.fit.variant(study.nominal)
     variant, readings, point = unextended, nominal.fit.readings, nominal.fit.point
@@ -136,6 +138,11 @@ def _answer(isolation: Isolation) -> Diagnosis:
         notes.append(
             "the locked records do not show that the extension helps: the scenario is that of the refitted base model"
         )
+    todo: tuple[WhatToDo, ...] = ()
+    if verdict in (CAUSE, AMBIGUOUS):
+        todo = advice_on_causes(in_set, unknown_reason)
+    elif verdict == UNKNOWN:
+        todo = advice_on_unknown(reason, odd, term)
     next_test = None
     if verdict == AMBIGUOUS:
         next_test = _propose_experiment(nominal, in_set, options=isolation.scores.options)
@@ -168,8 +175,8 @@ def _answer(isolation: Isolation) -> Diagnosis:
         extended_effects=effect_files(session, variant),
         extended_variant=variant,
         reason=reason,
-        bench=isolation.bench,
-        what_to_do=what_to_do(in_set if verdict in (CAUSE, AMBIGUOUS) else ()),
+        bench=bench,
+        what_to_do=(*todo, *isolation.bench),
     )  # fmt: skip
 
 

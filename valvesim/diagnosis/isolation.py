@@ -24,6 +24,7 @@ from valvesim.diagnosis.model_selection import (
 )
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import fit_starts, largest_shift, reduced_hypotheses, restarted
+from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.second_cause import (
     at_full_weight,
@@ -45,7 +46,7 @@ class Isolation:
     """Where an isolation ended: `nominal` the nominal fit in the end, `scores` what it leaves, `final` what the best
     of the hypotheses `found` (best first) leaves; `answer_set` among them, and why an unknown cause is in it too,
     if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
-    in words.
+    in words, and what to do about it.
     """
 
     nominal: NominalFit
@@ -56,7 +57,7 @@ class Isolation:
     unknown_reason: str
     alarm: bool
     level: float
-    bench: tuple[str, ...] = ()
+    bench: tuple[WhatToDo, ...] = ()
 
 
 def isolate(
@@ -68,7 +69,7 @@ def isolate(
     only ones to begin with. `progress(stage, share)` is called with what is being done.
     """
     progress("looking for causes", 0.0)
-    scores, bench = score_test(nominal, nominal.fit, options=options), tuple[str, ...]()
+    scores, bench = score_test(nominal, nominal.fit, options=options), tuple[WhatToDo, ...]()
     if detect(scores)[0]:
         study, before = nominal.study, nominal.fit.chi_square
         nominal, scores, bench = with_bench_faults(nominal, scores, options=options)

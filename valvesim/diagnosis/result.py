@@ -50,7 +50,7 @@ class CandidateAnswer:
 
 @dataclass(frozen=True, kw_only=True)
 class WhatToDo:
-    """What to do about one cause of the answer set, by its label: part, what to inspect, how to confirm, remedy."""
+    """What to do about one thing that an answer says (`label`): part, what to inspect, how to confirm, remedy."""
 
     label: str
     part: str
@@ -187,8 +187,8 @@ class Trace:
 class Diagnosis(Shown):
     """What the measured data show of the model's errors. `summary` says it in words.
 
-    `what_to_do` has each cause of the answer set. `reason` is "" or why the verdict is not about a cause in the valve:
-    `BENCH`, `RECORDS_APART` or `OTHER_VALVE`; `bench` is what the bench did, in words, whatever the verdict.
+    `what_to_do` is what to do about each cause of the answer set, or where none is named, and about the bench.
+    `reason` is "" or why the verdict is not about a cause in the valve: `BENCH`, `RECORDS_APART` or `OTHER_VALVE`; `bench` is what the bench did, in words, whatever the verdict.
 
     `extended_scenario` holds the extension where `extension_offered`: where the hold-out records most likely got better
     by it, or there are none; else it is the nominal model's, refitted.

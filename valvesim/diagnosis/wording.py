@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from valvesim.diagnosis.model_selection import FittedHypothesis
-from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term, WhatToDo
-from valvesim.identification.candidates import OTHER_NETWORK, Candidate
-from valvesim.valve.catalogue import CATALOGUE
-from valvesim.valve.effect import Advice
+from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term
+from valvesim.identification.candidates import OTHER_NETWORK
 
 WORDS = {OTHER_NETWORK: "that the parts follow the oil otherwise than assumed"}
 """Labels that are words of their own."""
@@ -54,31 +52,6 @@ def cause_words(one: FittedHypothesis) -> str:
     return " together with ".join(
         WORDS.get(c.label, c.label).replace("parameter:", "the figure of ").replace("@", " of ").replace("_", " ")
         for c in one.candidates
-    )
-
-
-def what_to_do(in_set: Sequence[FittedHypothesis]) -> tuple[WhatToDo, ...]:
-    """What to do about each cause of an answer set, likeliest first."""
-    found = {c.label: _advice(c) for one in in_set for c in one.candidates}
-    return tuple(
-        WhatToDo(label=label, part=a.part, inspect=a.inspect, confirm=a.confirm, remedy=a.remedy)
-        for label, a in found.items()
-        if a is not None
-    )
-
-
-def _advice(candidate: Candidate) -> Advice | None:
-    """What to do about a candidate; of a user's effect None, where it says nothing."""
-    if candidate.effect is not None:
-        return candidate.effect.advice
-    if candidate.parameter is not None and candidate.parameter.of_network:
-        return CATALOGUE["thermal_lag"].advice
-    figure = candidate.name.partition(":")[2].replace("_", " ")
-    return Advice(
-        part=f"the part that gives the valve its {figure}",
-        inspect=f"{figure} against the drawing and the valve's own papers",
-        confirm="measure it on the part; the figure and its interval stand above",
-        remedy="exchange the part, or state the figure in [valve] with its tolerance",
     )
 
 

@@ -311,8 +311,6 @@ def _extended(diagnosis: Diagnosis) -> Section:
 
 
 def _what_to_do(diagnosis: Diagnosis) -> Section:
-    """Part, inspection, confirmation and remedy of each cause of the answer set, and what the bench did."""
+    """Part, inspection, confirmation and remedy of each answer, and of what the bench did."""
     rows = [(spoken(one.label), one.part, one.inspect, one.confirm, one.remedy) for one in diagnosis.what_to_do]
-    table = [Table(("cause", "part", "inspect", "to confirm", "remedy"), rows)] if rows else []
-    bench = [Bullets([f"The bench: {fault}." for fault in diagnosis.bench])] if diagnosis.bench else []
-    return section("What to do", *table, *bench)
+    return section("What to do", Table(("what", "part", "inspect", "to confirm", "remedy"), rows))

@@ -68,7 +68,7 @@ MOTOR = (
         signature="rate-independent loop of angle and spool over current that grows with amplitude",
         advice=Advice(
             part="armature and pole pieces",
-            inspect="soft iron for cold work, chips in the gaps",
+            inspect="marks of bending or blows on the soft iron, which harden it magnetically; chips in the gaps",
             confirm="quasi-static current loops of several sizes: the width follows the size, not the speed",
             remedy="demagnetise; anneal or exchange the iron parts",
         ),
@@ -124,7 +124,7 @@ MOTOR = (
         advice=Advice(
             part="pole pieces and coil formers",
             inspect="lamination, and conducting rings about the core",
-            confirm="phase of the torque at 50 to 400 Hz with a blocked spool",
+            confirm="phase of the chamber pressure difference behind the current, 50 to 400 Hz, the spool blocked",
             remedy="laminated or slotted parts; else account for it in the control loop",
         ),
         parameters=(

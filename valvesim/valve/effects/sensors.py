@@ -39,14 +39,14 @@ def _temperature_drift(r: Reading, p):
 _ADVICE = {
     "sensor_bias": Advice(
         part="sensor of that channel",
-        inspect="zero at no input",
+        inspect="its reading with nothing applied: valve at rest, no pressure",
         confirm="zero before and after the test",
         remedy="set the zero, or calibrate",
     ),
     "sensor_gain": Advice(
         part="sensor of that channel",
-        inspect="calibration certificate, excitation voltage, load",
-        confirm="two known inputs",
+        inspect="calibration certificate, excitation voltage, load resistor",
+        confirm="two known inputs of different size",
         remedy="calibrate",
     ),
     "sensor_lag": Advice(
