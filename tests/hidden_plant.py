@@ -376,6 +376,8 @@ class Case:
     drive: str = "current"
     isothermal: bool = True
     network: ThermalNetwork = field(default_factory=ThermalNetwork)
+    between: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Parts that stand between others at each instant, by shares, whatever the network says."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -586,6 +588,13 @@ PARAMETERS = (
 """Figures of the valve that may be off by a multiple of their tolerance."""
 TOLERANCE = 0.02
 
+MATERIALS: dict[str, tuple[float, float]] = {
+    "spring_tube_expansion": (0.2, 0.6), "feedback_rod_expansion": (0.2, 0.6), "polarization_mmf_slope": (0.2, 0.6),
+    "spool_expansion": (0.1, 0.3),
+}  # fmt: skip
+"""Figures of materials that may be off, with the span of that in shares of their value: warm-ups show it."""
+FIGURES_OFF = (*PARAMETERS, *MATERIALS)
+
 SENSOR_FAULTS: dict[str, tuple[str, tuple[float, float]]] = {
     "sensor_bias": ("bias", (0.01, 0.05)),
     "sensor_gain": ("gain_error", (0.04, 0.12)),
@@ -721,6 +730,8 @@ def _figures(dice, name: str, channels: tuple[str, ...]) -> dict[str, Any]:
         return {"channel": channel, parameter: size if name in ("sensor_lag", "sensor_delay") else sign * size}
     if name in PARAMETERS:
         return {"offset": sign * within(3.0, 8.0) * TOLERANCE}
+    if name in MATERIALS:
+        return {"offset": sign * within(*MATERIALS[name])}
     entry = EFFECTS.get(name) or OUTSIDE[name]
     size = within(*entry.span) * (sign if entry.signed else 1.0)
     return {entry.parameter: size, **{shape: float(dice.choice(v)) for shape, v in entry.shapes.items()}}
@@ -864,7 +875,9 @@ def _parts(case: Case, run: Run, lag: float) -> dict[str, np.ndarray]:
         for k in range(1, len(oil)):
             late[k] = ((lag - 0.5 * h) * late[k - 1] + 0.5 * h * (T[k - 1] + T[k])) / (lag + 0.5 * h)
         T = late
-    return {"oil": oil, **{name: T[:, k] for k, name in enumerate(nodes)}}
+    parts = {"oil": oil, **{name: T[:, k] for k, name in enumerate(nodes)}}
+    mixed = {name: sum(by * parts[other] for other, by in shares.items()) for name, shares in case.between.items()}
+    return parts | mixed
 
 
 def _scaled(case: Case, strength: float) -> list[tuple[str, dict[str, Any]]]:
@@ -878,7 +891,7 @@ def _scaled(case: Case, strength: float) -> list[tuple[str, dict[str, Any]]]:
 
 def _amplitude(name: str) -> tuple[str, float]:
     """(amplitude parameter, its neutral value) of a hidden thing."""
-    if name in PARAMETERS:
+    if name in FIGURES_OFF:
         return "offset", 0.0
     if name in SENSOR_FAULTS:
         return SENSOR_FAULTS[name][0], 0.0
@@ -890,7 +903,7 @@ def _simulate(case: Case, run: Run, hidden: list[tuple[str, dict[str, Any]]]) ->
     """(times, signals in the order of `RECORDED`) of one run on a fine grid, a sample longer than the run."""
     figures = dict(case.unit)
     for name, p in hidden:
-        if name in PARAMETERS:
+        if name in FIGURES_OFF:
             figures[name] = figures.get(name, getattr(Valve(), name)) * (1.0 + p["offset"])
     T = _parts(case, run, dict(hidden).get("thermal_lag", {}).get("time_constant", 0.0))
     if all(np.ptp(values) == 0.0 for values in T.values()):
@@ -1027,6 +1040,7 @@ def noisy(case: Case, strength: float = 1.0) -> list[dict[str, np.ndarray]]:
 _INPUT_UNITS = {
     "time": ("s", 1.0), "current": ("mA", 1e3), "voltage": ("V", 1.0), "oil_temperature": ("degC", 1.0),
     "supply_pressure": ("bar", 1e-5), "load_pressure": ("bar", 1e-5),
+    **{f"{part}_temperature": ("degC", 1.0) for part in PART_NAMES},
 }  # fmt: skip
 
 
@@ -1066,7 +1080,7 @@ def truth(case: Case, strength: float = 1.0) -> dict[str, Any]:
     """
     causes: dict[str, dict[str, Any]] = {}
     for name, figures in _scaled(case, strength):
-        if name in PARAMETERS:
+        if name in FIGURES_OFF:
             value = case.unit.get(name, getattr(Valve(), name)) * (1.0 + figures["offset"])
             causes[f"parameter:{name}"] = {**figures, "value": value}
         else:

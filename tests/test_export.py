@@ -265,9 +265,7 @@ def all_effects():
 def test_fmpy_finds_no_fault_with_the_description(tmp_path, version, drive):
     from fmpy.validation import validate_fmu
 
-    case = replace(
-        CASE, drive=drive, title='"<&> 1 µ', effects=all_effects(), thermal=vs.Thermal(throttling_heat=True)
-    )
+    case = replace(CASE, drive=drive, title='"<&> 1 µ', effects=all_effects(), thermal=vs.Thermal(throttling_heat=True))
     export_fmu(case, tmp_path / "all.fmu", version=version, compiler="")
     assert validate_fmu(str(tmp_path / "all.fmu")) == []
 
@@ -309,6 +307,8 @@ def test_what_needs_a_series_or_is_unknown_is_refused(tmp_path):
     delay = CATALOGUE["sensor_delay"].on("spool_position")(delay=1e-3)
     with pytest.raises(vs.InputError, match="effects.sensor_delay cannot be exported: it works on a whole record"):
         export_fmu(replace(CASE, effects=(delay,)), tmp_path / "a.fmu")
+    with pytest.raises(vs.InputError, match="thermal.part_temperatures"):
+        export_fmu(replace(CASE, part_temperatures={"body": vs.Constant(value=20.0)}), tmp_path / "a.fmu")
     with pytest.raises(vs.InputError, match="FMI '1.0' is not written; valid versions: 3.0, 2.0"):
         export_fmu(CASE, tmp_path / "a.fmu", version="1.0")
     with pytest.raises(vs.InputError, match="no program 'no-such-compiler'"):

@@ -151,6 +151,7 @@ def scenarios(draw):
         title=draw(st.text(st.characters(categories=["L", "N", "P", "S", "Zs"]), max_size=30).filter(str.isprintable)),
         duration=draw(st.floats(1e-3, LONGEST)), valve=valve, oil=draw(oils()), thermal=draw(thermals()),
         oil_temperature=draw(commands("degC")), drive=drive, command=draw(commands(drive.command_unit)),
+        part_temperatures=draw(st.dictionaries(st.sampled_from(NODES), commands("degC"), max_size=2)),
         supply_pressure=supply, load_pressure=draw(st.one_of(st.none(), commands("Pa"))), effects=draw(effects()),
         output_rate=draw(st.floats(1.0, 1e5)), tolerance=draw(st.floats(1e-10, 1e-2)),
         channels=tuple(draw(st.lists(st.sampled_from(["spool_position", "current"]), unique=True))),

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from valvesim.errors import InputError
+from valvesim.identification.options import DEFAULT_IDENTIFICATION
+from valvesim.identification.prior import nominal_model_of
 from valvesim.identification.record_scenario import record_scenario
-from valvesim.identification.session import INPUTS, OUTPUTS, Record, Sensor
+from valvesim.identification.session import INPUTS, OUTPUTS, PART_TEMPERATURES, Record, Sensor
 from valvesim.identification.session_toml import load_session
 from valvesim.inputs import Constant, Table, evaluate
 from valvesim.simulation.run import simulate
@@ -150,7 +152,7 @@ def test_every_column_and_any_unit_is_read(session):
     more = {
         "time [s]": None, "time [ms]": 1e3 * TIME + 50.0, "voltage [mV]": 3e3 * WAVE,
         "oil_temperature [degC]": None, "oil_temperature [degF]": 32.0 + 180.0 * TIME,
-        "body_temperature [degC]": 20.0 + 50.0 * TIME, "supply_pressure [MPa]": 20.0 + WAVE,
+        **{f"{part} [degC]": 20.0 + 50.0 * TIME for part in PART_TEMPERATURES}, "supply_pressure [MPa]": 20.0 + WAVE,
         "return_pressure [Pa]": 5e5 + 1e5 * WAVE, "load_pressure [psi]": 100.0 * WAVE, "armature_angle [mrad]": WAVE,
         "nozzle_pressure_1 [bar]": 100.0 + WAVE, "nozzle_pressure_2 [bar]": 100.0 - WAVE,
         "load_flow [L/min]": WAVE, "internal_leakage [L/min]": 1.0 + WAVE,
@@ -172,6 +174,19 @@ def test_without_oil_temperature_20_degrees_are_assumed_and_said(session):
     loaded = session("", a=columns(**{"oil_temperature [degC]": None}))
     assert np.all(loaded.records[0].values["oil_temperature"] == 20.0)
     assert "a: no oil temperature was measured; 20 °C is assumed" in loaded.notes
+
+
+def test_measured_parts_go_where_they_were_measured_and_the_others_follow_them(session):
+    still = {"oil_temperature [degC]": np.full_like(TIME, 40.0)}
+    warm = {"body_temperature [degC]": 20.0 + 300.0 * TIME, "pilot temperature [C]": np.full_like(TIME, 35.0)}
+    loaded, without = (session("", a=columns(**still, **more)) for more in (warm, {}))
+    measured, assumed = (record_scenario(one, one.records[0]).temperatures() for one in (loaded, without))
+    assert measured.parts.body == pytest.approx(20.0 + 300.0 * measured.times, abs=0.2)
+    assert measured.parts.pilot_metal == pytest.approx(35.0)
+    assert measured.parts.sleeve[-1] > 40.5  # it hears the body, which has come to be warmer
+    assert assumed.parts.sleeve == pytest.approx(40.0, abs=0.1)
+    named = {p.name for p in nominal_model_of(loaded, options=DEFAULT_IDENTIFICATION).parameters}
+    assert "thermal.oil_to_sleeve" in named
 
 
 def test_odd_but_clear_csv_is_read_too(session):

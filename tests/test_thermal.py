@@ -10,7 +10,9 @@ from scipy.integrate import solve_ivp
 
 from valvesim.errors import InputError
 from valvesim.inputs import Constant, Pulse, Ramp, Sine, Step, Table
+from valvesim.simulation.scenario import Scenario
 from valvesim.units import quantities
+from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.coefficients import PART_NAMES
 from valvesim.valve.fluid import MIL_PRF_5606
 from valvesim.valve.thermal_network import NODES, ThermalNetwork, exponential, temperature_path, throttling_rise
@@ -111,6 +113,41 @@ def test_the_steady_temperatures_do_not_depend_on_the_start():
         for start in (-40.0, 200.0)
     ]
     assert ends[0] == pytest.approx(ends[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("measured", [("body",), ("torque_motor", "spool"), NODES])
+def test_parts_prescribed_at_what_the_network_gives_leave_the_others_as_they_were(measured):
+    oil = Pulse(base=20.0, height=60.0, time=2.0, width=5.0)
+    free = temperature_path(oil, 20.0, network=NETWORK, spacing=0.002)
+    courses = {
+        name: Table(
+            times=tuple(np.unique(free.times)),
+            values=tuple(getattr(free.parts, name)[np.diff(free.times, prepend=-1.0) > 0.0]),
+        )
+        for name in measured
+    }
+    other = dataclasses.replace(NETWORK, **{f"{name}_capacity": 1e3 for name in measured})  # it says nothing of them
+    path = temperature_path(oil, 20.0, network=other, prescribed=courses, knots=free.times)
+    assert values(path) == pytest.approx(values(free), abs=1e-4)
+
+
+def test_a_prescribed_part_is_where_it_is_measured_even_without_a_network_or_behind_a_lag():
+    course = Ramp(start_value=20.0, end_value=50.0, rate=1.0)
+    path = temperature_path(LAUNCH, 20.0, network=None, prescribed={"body": course})
+    assert path.parts.body == pytest.approx(20.0 + path.times) and np.all(path.parts.spool == path.parts.oil)
+    late = CATALOGUE["thermal_lag"](time_constant=5.0)
+    scenario = Scenario(duration=20.0, oil_temperature=LAUNCH, part_temperatures={"body": course}, effects=(late,))
+    parts = scenario.temperatures().parts
+    assert parts.body == pytest.approx(20.0 + scenario.temperatures().times)
+    assert parts.spool[-1] < dataclasses.replace(scenario, effects=()).temperatures().parts.spool[-1] - 1.0
+
+
+@pytest.mark.parametrize(
+    ("course", "told"), [({"lid": 20.0}, "lid"), ({"body": Constant(value=900.0)}, "part_temperatures.body")]
+)
+def test_prescribed_parts_that_make_no_sense_are_refused(course, told):
+    with pytest.raises(InputError, match=told):
+        Scenario(part_temperatures=course)
 
 
 def test_the_heat_stored_is_the_heat_that_came_in():

@@ -37,10 +37,11 @@ def held(
         thermal = replace(thermal, network=_STILL, initial_temperature=part_temperature)
     elif thermal.network is not None:
         thermal = replace(thermal, network=_STILL)
+    measured = {} if part_temperature is not None else base.part_temperatures
     supply, back, load = (_first(command) for command in base.pressures())
     return replace(
         base, thermal=thermal, oil_temperature=Constant(value=oil), supply_pressure=supply, return_pressure=back,
-        load_pressure=load, channels=(),
+        load_pressure=load, channels=(), part_temperatures={part: _first(each) for part, each in measured.items()},
     )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ EFFECT_FILE = "recovered_term.py"  # where the scenario looks for a recovered te
 
 
 def scenario_text(session: Session, variant: ModelVariant, *, options: DiagnosisOptions) -> str:
-    """A scenario file that runs a variant (valve and effects) under the session's first training record.
+    """A scenario file that runs a variant (valve, network and effects) under the session's first training record.
 
     Figures come back exactly as they are in the variant. The small errors of sensors within their tolerances are left
     out, a lag that the session states of a sensor is in. The record's CSV and a user's own files of effects are named
@@ -44,8 +44,9 @@ def scenario_text(session: Session, variant: ModelVariant, *, options: Diagnosis
     users = {effect.name for effect in session.user_effects}
     files = [str(path) for path in session.effects_files] if users & {a.effect.name for a in effects} else []
     scenario = record_scenario(session, record, valve=variant.valve, effects=effects, options=options.identification)
+    thermal = scenario.thermal if variant.network is None else replace(scenario.thermal, network=variant.network)
     document = scenario_document(
-        replace(scenario, tolerance=Scenario().tolerance),
+        replace(scenario, tolerance=Scenario().tolerance, thermal=thermal),
         effects_files=[*files, *([EFFECT_FILE] if recovered else [])],
         own=(*session.user_effects, *recovered),
         files=_files_of_inputs(record, scenario),

@@ -93,6 +93,8 @@ class _Trace:
     def __init__(self, scenario: Scenario):
         import casadi
 
+        if scenario.part_temperatures:
+            raise InputError("an exported valve has no input for a part's temperature", key="thermal.part_temperatures")
         self.casadi: Any = casadi
         self.scenario, self.model = scenario, scenario.model
         self.candidates: list[Variable] = []

@@ -16,7 +16,7 @@ import numpy as np
 from valvesim.identification.between_samples import Deviations, InputDeviation
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
-from valvesim.identification.session import Session
+from valvesim.identification.session import PART_TEMPERATURES, Record, Session
 from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import Effect
@@ -183,9 +183,13 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
 
 def _warms(session: Session) -> bool:
     """Whether the parts of a training record are not all at the oil's temperature throughout."""
-    return session.thermal.initial_temperature is not None or any(
-        record.moves("oil_temperature") for record in session.training if "oil_temperature" in record.values
-    )
+    return session.thermal.initial_temperature is not None or any(map(_has_parts_apart, session.training))
+
+
+def _has_parts_apart(record: Record) -> bool:
+    """Whether the oil or a measured part moves or is warmer than another."""
+    measured = [record.values[n] for n in ("oil_temperature", *PART_TEMPERATURES) if n in record.values]
+    return any(np.ptp(values) > 0.0 or values[0] != measured[0][0] for values in measured)
 
 
 def _network_parameters(network: ThermalNetwork, *, options: IdentificationOptions) -> list[NuisanceParameter]:
@@ -198,7 +202,10 @@ def _network_parameters(network: ThermalNetwork, *, options: IdentificationOptio
             low, high = (nominal * options.prior.network_reach**sign for sign in (-1.0, 1.0))
             found.append(
                 NuisanceParameter(
-                    NETWORK + name, declared.metadata["unit"], nominal, width / 2.0,
+                    NETWORK + name,
+                    declared.metadata["unit"],
+                    nominal,
+                    width / 2.0,
                     (max(low, declared.metadata["bounds"][0]), min(high, declared.metadata["bounds"][1])),
                     logarithmic=True,
                 )  # fmt: skip

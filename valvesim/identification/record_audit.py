@@ -10,7 +10,7 @@ import numpy as np
 
 from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, value_text
+from valvesim.identification.session import OUTPUTS, PART_TEMPERATURES, UNITS, Record, Sensor, value_text
 from valvesim.measurement.quality import grid_step
 from valvesim.units import DISPLAY, quantities
 from valvesim.valve.fluid import COMPUTED_RANGE
@@ -60,7 +60,7 @@ def check_conditions(
 ) -> None:
     """Temperatures and pressures must be ones that the valve can be in."""
     bounds = {name: field.metadata["bounds"] for name, field in quantities(valve).items()}
-    bounds |= {"oil_temperature": COMPUTED_RANGE, "body_temperature": COMPUTED_RANGE}
+    bounds |= dict.fromkeys(("oil_temperature", *PART_TEMPERATURES), COMPUTED_RANGE)
 
     def refuse(wrong: np.ndarray, name: str, why: str) -> None:
         if wrong.any():

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from valvesim.identification.options import DEFAULT_IDENTIFICATION, IdentificationOptions
-from valvesim.identification.session import Record, Session
+from valvesim.identification.session import PART_TEMPERATURES, Record, Session
 from valvesim.inputs import Command, Constant, Table
 from valvesim.simulation.scenario import Scenario
 from valvesim.valve.effect import ActiveEffect
@@ -27,9 +27,10 @@ def record_scenario(
 ) -> Scenario:
     """The nominal scenario of a record: its measured inputs drive the valve, its sample times are the result's.
 
-    `valve` and `effects` take the place of the session's. The oil temperature is smoothed and followed to 0.1 K.
+    `valve` and `effects` take the place of the session's. Temperatures are smoothed and followed to 0.1 K.
     """
-    commands = {name: _input(record, name, options=options) for name in record.inputs if name != "body_temperature"}
+    commands = {name: _input(record, name, options=options) for name in record.inputs}
+    parts = {part: commands.pop(column) for column, part in PART_TEMPERATURES.items() if column in commands}
     return Scenario(
         title=f"{session.title}: {record.name}",
         duration=record.duration,
@@ -41,6 +42,7 @@ def record_scenario(
         effects=session.effects if effects is None else effects,
         output_rate=record.rate,
         tolerance=tolerance,
+        part_temperatures=parts,
         **commands,  # type: ignore[arg-type]  # oil temperature and pressures, by the scenario's own names
     )
 
@@ -50,7 +52,7 @@ def _input(record: Record, name: str, *, options: IdentificationOptions) -> Comm
     time, values = record.time, record.values[name]
     if np.ptp(values) == 0.0:
         return Constant(value=float(values[0]))
-    if name == "oil_temperature":  # each of its points costs a matrix product, and a sensor's noise is not the oil's
+    if name.endswith("_temperature"):  # each of its points costs a matrix product, and a sensor's noise is no heat
         time, values = _smoothed(time, values, options=options)
         keep = _corners(time, values, options.predictor.oil_resolution)
         time, values = time[keep], values[keep]

@@ -16,9 +16,12 @@ from valvesim.valve.effect import ActiveEffect, Effect
 from valvesim.valve.equations import DRIVES, Drive
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
+from valvesim.valve.thermal_network import NODES
 
+PART_TEMPERATURES = {f"{part}_temperature": part for part in NODES}
+"""Columns of measured parts, which these follow."""
 INPUTS = (
-    "current", "voltage", "oil_temperature", "supply_pressure", "return_pressure", "load_pressure", "body_temperature",
+    "current", "voltage", "oil_temperature", "supply_pressure", "return_pressure", "load_pressure", *PART_TEMPERATURES,
 )  # fmt: skip
 """Columns that say what acts on the valve."""
 OUTPUTS = (
@@ -103,9 +106,8 @@ class Record:
         return self.name if self.repeats is None else f"repeats {self.repeats!r}"
 
     def moves(self, *names: str) -> bool:
-        """Whether any of these inputs moves; without names, any at all but the body's temperature."""
-        names = names or tuple(name for name in self.inputs if name != "body_temperature")
-        return any(np.ptp(self.values[name]) > 0.0 for name in names)
+        """Whether any of these inputs moves; without names, any at all."""
+        return any(np.ptp(self.values[name]) > 0.0 for name in names or self.inputs)
 
 
 @dataclass(frozen=True, eq=False)

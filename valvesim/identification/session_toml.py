@@ -220,9 +220,7 @@ def _listed(folder: Path, records: Any, columns: Statements) -> list[ListedRecor
         for other in listed:
             if other.name == _called(files[0]):
                 both = f"{files[0]!r} and {other.files[0]!r} are both called {other.name!r}"
-                raise InputError(
-                    f"{files[0]!r} is listed twice" if files == other.files else both, key=f"{where}.file"
-                )
+                raise InputError(f"{files[0]!r} is listed twice" if files == other.files else both, key=f"{where}.file")
         if not isinstance(role, str) or role not in _ROLES:
             raise unknown_name("role", str(role), _ROLES, f"{where}.role")
         if repeats is not None and not isinstance(repeats, str):
@@ -288,8 +286,6 @@ def _read_record(
     outputs = [n for n in OUTPUTS if n in values and (n != "current" or "voltage" in values)]
     if not outputs:
         raise InputError(f"no output channel; expected one or more of {', '.join(OUTPUTS[:-1])}", file=path)
-    if "body_temperature" in values:
-        notes.append(f"{name}: body_temperature is not used: the parts follow the oil as [thermal] says")
     command = "voltage" if "voltage" in values else "current"
     rated = (command, input_scale(command, session.valve))
     read_at, shares = _between_slow_samples(recording, values, name, notes)

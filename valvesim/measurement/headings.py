@@ -16,7 +16,10 @@ from valvesim.units import convert
 
 UNITS = {
     "time": "s", "voltage": "V", "pressure_drop": "Pa",
-    **{f"{part}_temperature": "degC" for part in ("oil", "body", "torque_motor", "spool", "sleeve", "rod")},
+    **{
+        f"{part}_temperature": "degC"
+        for part in ("oil", "body", "torque_motor", "pilot_metal", "spool", "sleeve", "spring_tube", "feedback_rod")
+    },
     **{c.name: c.unit for c in (*STATE_CHANNELS, *INPUT_CHANNELS[2:], *SIGNAL_CHANNELS)},
 }  # fmt: skip
 """Every channel that a measurement can have, with the unit in which it is handed on."""
@@ -26,6 +29,9 @@ ALIASES = {
     "current": ("i", "strom", "coil current", "input current", "command current", "spulenstrom"),
     "voltage": ("spannung", "coil voltage", "drive voltage", "command voltage"),
     "oil_temperature": ("oil temp", "t oil", "fluid temperature", "öltemperatur", "oeltemperatur"),
+    "pilot_metal_temperature": ("pilot temperature", "nozzle temperature"),
+    "feedback_rod_temperature": ("rod temperature",),
+    "torque_motor_temperature": ("motor temperature",),
     "supply_pressure": ("p supply", "ps", "system pressure", "versorgungsdruck", "systemdruck"),
     "return_pressure": ("p return", "pr", "tank pressure", "tankdruck", "rücklaufdruck"),
     "load_pressure": ("p load", "pl", "lastdruck"),

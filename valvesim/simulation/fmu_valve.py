@@ -105,6 +105,8 @@ class FmuValve(Valve):
     def _inputs(self, scenario: Any, about: Any) -> dict[str, tuple[Command, str, str]]:
         """{variable: (command, its unit here, the variable's unit)}."""
         known = {one.name: one for one in about.modelVariables if one.causality == "input"}
+        if scenario.part_temperatures:
+            raise InputError("an FMU has no input for a part's temperature", key="thermal.part_temperatures")
         drive = scenario.drive
         supply, back, load = scenario.pressures()
         given: dict[str, tuple[Command, str]] = {

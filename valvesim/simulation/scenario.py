@@ -74,6 +74,7 @@ class Thermal:
 class Scenario(Shown):
     """Everything that a run needs, in SI; temperatures in °C. Pressures default to the valve's own.
 
+    `part_temperatures` has, by part (names of `NODES`), those that are prescribed, as measured say; the others follow.
     A number, text with a unit ("5 mA") or a quantity of pint in place of a command is a constant one.
     """
 
@@ -83,6 +84,7 @@ class Scenario(Shown):
     oil: Oil = MIL_PRF_5606
     thermal: Thermal = field(default_factory=Thermal)
     oil_temperature: Command = Constant(value=20.0)
+    part_temperatures: Mapping[str, Command] = field(default_factory=dict)
     command: Command = Constant(value=0.0)
     drive: Drive = CurrentDrive()
     supply_pressure: Command | None = None
@@ -117,6 +119,19 @@ class Scenario(Shown):
             optional = name.endswith("_pressure") and given is None
             if not optional and (read := as_command(given, unit, where)) is not given:
                 object.__setattr__(self, name, read)
+        for part in self.part_temperatures:
+            if part not in NODES:
+                raise unknown_name("part", part, NODES, "thermal.part_temperatures")
+        parts = {
+            part: as_command(given, "degC", f"thermal.part_temperatures.{part}")
+            for part, given in self.part_temperatures.items()
+        }
+        object.__setattr__(self, "part_temperatures", parts)
+
+    def _temperatures(self) -> dict[str, Command]:
+        """The temperatures that are commanded, by their keys."""
+        parts = {f"thermal.part_temperatures.{part}": command for part, command in self.part_temperatures.items()}
+        return {"thermal.oil_temperature": self.oil_temperature, **parts}
 
     def _check_sizes(self) -> None:
         """Bounds on what a run holds in memory, before any of it is made."""
@@ -126,14 +141,14 @@ class Scenario(Shown):
                 f"{self.output_rate:g} Hz over {end:g} s makes more than {MOST_SAMPLES:g} samples; lower the rate or "
                 "the duration", key="outputs.rate", related=("duration",),
             )  # fmt: skip
-        oil, pressures = self.oil_temperature, zip(("supply", "return", "load"), self.pressures(), strict=True)
-        given = {f"command.{self.drive.command_name}": self.command, "thermal.oil_temperature": oil}
+        temperatures, pressures = self._temperatures(), zip(("supply", "return", "load"), self.pressures(), strict=True)
+        given = {f"command.{self.drive.command_name}": self.command, **temperatures}
         for where, command in (given | {f"pressures.{name}": pressure for name, pressure in pressures}).items():
             try:
                 rows = command.pieces(end)
             except InputError as error:
                 raise error.moved("", where) from None
-            if command is oil:
+            if where in temperatures:
                 count = np.count_nonzero(rows[:, 0] < end)
                 if count > MOST_OIL_PIECES:
                     raise InputError(f"{count} pieces are more than {MOST_OIL_PIECES}", key=where)
@@ -173,14 +188,16 @@ class Scenario(Shown):
                 )
 
     def _check_oil_temperature(self) -> None:
-        """It may never leave what the laws of the oil are computed for."""
-        reach, (low, high) = extremes(self.oil_temperature, self.duration), COMPUTED_RANGE
-        for value, when in ((reach.highest, reach.highest_at), (reach.lowest, reach.lowest_at)):
-            if not low <= value <= high:
-                raise InputError(
-                    f"oil {self.oil.name}: {value:.4g} °C at t = {when:.6g} s is outside {low:g} to {high:g} °C, "
-                    "beyond which no law of the oil is computed", key="thermal.oil_temperature",
-                )  # fmt: skip
+        """It may never leave what the laws of the oil are computed for, nor may a part."""
+        low, high = COMPUTED_RANGE
+        for where, command in self._temperatures().items():
+            reach = extremes(command, self.duration)
+            for value, when in ((reach.highest, reach.highest_at), (reach.lowest, reach.lowest_at)):
+                if not low <= value <= high:
+                    raise InputError(
+                        f"oil {self.oil.name}: {value:.4g} °C at t = {when:.6g} s is outside {low:g} to {high:g} °C, "
+                        "beyond which no law of the oil is computed", key=where,
+                    )  # fmt: skip
 
     @property
     def valve_at_start(self) -> Valve:
@@ -236,11 +253,13 @@ class Scenario(Shown):
             throttling=self.throttling(),
             spacing=spacing,
             knots=knots,
+            prescribed=self.part_temperatures,
         )
+        prescribed = {name: getattr(path.parts, name) for name in self.part_temperatures}  # no effect is upon them
         for active in self.effects:
             if active.effect.temperatures is not None:
                 parts = active.effect.temperatures(path.times, path.parts, active.values)
-                path = dataclasses.replace(path, parts=parts)
+                path = dataclasses.replace(path, parts=dataclasses.replace(parts, **prescribed))
         return path
 
     def warn_of_large_command(self) -> None:

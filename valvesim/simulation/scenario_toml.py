@@ -46,7 +46,9 @@ _OPTIONS = {"duration": "duration", "output_rate": "outputs.rate", "tolerance": 
 """Quantities of `Scenario` -> their keys in a file."""
 _THERMAL_KEYS = (
     "routes", "isothermal", "throttling_heat", "initial_temperature", "ambient_temperature", "oil_temperature",
+    "part_temperatures",
 )  # fmt: skip
+_PARTS = "part_temperatures"
 
 
 # ---------------------------------------------------------------- reading
@@ -133,7 +135,7 @@ class Reader:
         if "duration" not in table:
             raise InputError("duration is missing, such as duration = '1 s'")
         thermal = dict(table.get("thermal", {}))
-        oil_temperature = thermal.pop("oil_temperature", None)
+        oil_temperature, parts = thermal.pop("oil_temperature", None), thermal.pop(_PARTS, {})
         commands, pressures = table.get("command", {}), table.get("pressures", {})
         outputs, solver = table.get("outputs", {}), table.get("solver", {})
         check_known(commands, tuple(DRIVES), "command")
@@ -157,6 +159,13 @@ class Reader:
         if oil_temperature is not None:
             where = "thermal.oil_temperature"
             options["oil_temperature"] = self.command(oil_temperature, "degC", where, "oil_temperature")
+        if not isinstance(parts, dict):
+            raise InputError(f"expected a table, got {parts!r}", key=f"thermal.{_PARTS}")
+        check_known(parts, NODES, f"thermal.{_PARTS}")
+        options["part_temperatures"] = {
+            part: self.command(given, "degC", f"thermal.{_PARTS}.{part}", f"{part}_temperature")
+            for part, given in parts.items()
+        }
         try:
             return Scenario(
                 title=table.get("title", "valve"),
@@ -278,6 +287,8 @@ def scenario_document(
     thermal = add_section(document, "thermal", _thermal_lines(scenario.thermal), always=True)
     oil_temperature = write(scenario.oil_temperature, "degC", "thermal.oil_temperature")
     add_section(thermal, "oil_temperature", on_lines(oil_temperature))
+    parts = {part: write(each, "degC", f"thermal.{_PARTS}.{part}") for part, each in scenario.part_temperatures.items()}
+    add_section(thermal, _PARTS, on_lines(parts))
     commands = tomlkit.table(is_super_table=True)
     where = f"command.{drive.command_name}"
     add_section(commands, drive.command_name, on_lines(write(scenario.command, drive.command_unit, where)))

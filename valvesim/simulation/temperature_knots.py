@@ -32,7 +32,8 @@ def temperature_knots(
     if knot_times is not None:
         path = scenario.temperatures(knots=knot_times)
         return _at_knots(path, np.arange(len(knot_times)), scenario, valve)
-    knots = first_knots(scenario.oil_temperature, scenario.duration, min(0.5, scenario.duration / 16.0))
+    commands = (scenario.oil_temperature, *scenario.part_temperatures.values())
+    knots = first_knots(commands, scenario.duration, min(0.5, scenario.duration / 16.0))
     for _ in range(MOST_HALVINGS):
         apart = np.flatnonzero(np.diff(knots) > 0.0)
         middles = (knots[apart] + knots[apart + 1]) / 2.0

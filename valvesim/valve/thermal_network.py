@@ -5,14 +5,16 @@ Symbols
     C_k T_k' = G_k,oil (T_oil - T_k) + sum_j G_kj (T_j - T_k) + G_k,amb (T_amb - T_k)
 
 The network is linear and nothing in it hears the valve's motion, so it is solved exactly (matrix exponential, oil
-temperature straight between knots) before the valve is. Its figures are estimates, good to about +-50 %: no measured
+temperature straight between knots) before the valve is. A part whose temperature is prescribed, as measured say, is a
+source to the others as the oil is. Its figures are estimates, good to about +-50 %: no measured
 transient of a valve body is public.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -62,15 +64,17 @@ class ThermalNetwork:
     def __post_init__(self):
         check_bounds(self)
 
-    def matrices(self) -> tuple[np.ndarray, np.ndarray]:
-        """(M, N) of T' = M T + N [T_oil, T_ambient]; T in the order of `NODES`, M in 1/s."""
-        every = (*NODES, *SOURCES)
-        gains = np.zeros((len(NODES), len(every)))
+    def matrices(self, prescribed: Sequence[str] = ()) -> tuple[np.ndarray, np.ndarray]:
+        """(M, N) of T' = M T + N [prescribed parts, T_oil, T_ambient]; T the other `NODES` in their order, M in 1/s."""
+        free = [name for name in NODES if name not in prescribed]
+        every = (*free, *prescribed, *SOURCES)
+        gains = np.zeros((len(free), len(every)))
         for here, there, gain in self.exchanges():
-            k = NODES.index(here)
-            gains[k, k] -= gain
-            gains[k, every.index(there)] += gain
-        return gains[:, : len(NODES)], gains[:, len(NODES) :]
+            if here in free:
+                k = free.index(here)
+                gains[k, k] -= gain
+                gains[k, every.index(there)] += gain
+        return gains[:, : len(free)], gains[:, len(free) :]
 
     def exchanges(self) -> list[tuple[str, str, Any]]:
         """(part, the other part or source, G/C in 1/s) of every conductance, once from each end that has a capacity."""
@@ -108,33 +112,45 @@ def temperature_path(
     throttling: Callable | None = None,
     spacing: float = 0.1,
     knots: np.ndarray | None = None,
+    prescribed: Mapping[str, Command] = MappingProxyType({}),
 ) -> TemperaturePath:
     """Oil and part temperatures from 0 to `end` s.
 
     `network` None holds every part at the oil's temperature (the paper's assumption). `initial` (°C) is where the parts
-    start, see `starting_temperatures`. `throttling(T)` is added to the oil temperature, K. The times (m,) are `knots`,
-    or those of `first_knots` at this `spacing`.
+    start, see `starting_temperatures`. `throttling(T)` is added to the oil temperature, K. Parts that are `prescribed`
+    have these temperatures, °C, and the others follow them. The times (m,) are `knots`, or those of `first_knots` at
+    this `spacing`.
     """
-    times = first_knots(oil_temperature, end, spacing) if knots is None else knots
+    times = first_knots((oil_temperature, *prescribed.values()), end, spacing) if knots is None else knots
     oil = _before_jumps(oil_temperature, times)
     if throttling is not None:
         oil = oil + throttling(oil)
+    held = {name: _before_jumps(command, times) for name, command in prescribed.items()}
     if network is None:
-        return TemperaturePath(times=times, parts=PartTemperatures.uniform(oil))
-    M, N = network.matrices()
-    T = np.empty((len(times), len(NODES)))
+        return TemperaturePath(times=times, parts=replace(PartTemperatures.uniform(oil), **held))
     start = starting_temperatures(initial, float(oil[0]))
-    T[0] = [getattr(start, name) for name in NODES]
+    free = [name for name in NODES if name not in held]
+    sources = np.column_stack([*held.values(), oil, np.full(len(times), ambient)])
+    first = np.array([getattr(start, name) for name in free])
+    T = _followed(*network.matrices(tuple(held)), times, sources, first)
+    parts = PartTemperatures(oil=oil, **{name: T[:, k] for k, name in enumerate(free)}, **held)
+    return TemperaturePath(times=times, parts=parts)
+
+
+def _followed(M: np.ndarray, N: np.ndarray, times: np.ndarray, sources: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """T (m, n) of T' = M T + N u from its `first` (n,), for `sources` u (m, s) straight between the times (m,)."""
+    T = np.empty((len(times), len(first)))
+    T[0] = first
     steps = np.diff(times)
-    _, first, which = np.unique([f"{step:.9g}" for step in steps], return_index=True, return_inverse=True)
-    propagators = [_propagator(M, N, step) for step in steps[first]]  # of steps that differ by more than rounding
+    _, shown, which = np.unique([f"{step:.9g}" for step in steps], return_index=True, return_inverse=True)
+    propagators = [_propagator(M, N, step) for step in steps[shown]]  # of steps that differ by more than rounding
     if propagators:
         E, F, G = (np.array(matrices) for matrices in zip(*propagators, strict=True))
-        driven = F[which, :, 0] * oil[:-1, None] + F[which, :, 1] * ambient + G[which, :, 0] * np.diff(oil)[:, None]
+        driven = np.einsum("kij,kj->ki", F[which], sources[:-1])
+        driven += np.einsum("kij,kj->ki", G[which], np.diff(sources, axis=0))
         for k, one in enumerate(which):
             T[k + 1] = E[one] @ T[k] + driven[k]
-    parts = PartTemperatures(oil=oil, **{name: T[:, k] for k, name in enumerate(NODES)})
-    return TemperaturePath(times=times, parts=parts)
+    return T
 
 
 def starting_temperatures(initial: float | Mapping[str, float] | None, oil: float) -> PartTemperatures:
@@ -170,21 +186,22 @@ def exponential(A: np.ndarray) -> np.ndarray:
     return total
 
 
-def first_knots(command: Command, end: float, spacing: float) -> np.ndarray:
-    """Times at most `spacing` s apart, two at every break of the command, one or more between any two, 20 or more to
-    each of its periods. InputError where that makes more than `MOST_KNOTS`.
+def first_knots(commands: Sequence[Command], end: float, spacing: float) -> np.ndarray:
+    """Times at most `spacing` s apart, two at every break of the commands, one or more between any two, 20 or more to
+    each of their periods. InputError where that makes more than `MOST_KNOTS`.
     """
-    rows = command.pieces(end)
-    starts = rows[:, 0]
+    every = [command.pieces(end) for command in commands]
+    starts = np.concatenate([rows[:, 0] for rows in every])
     edges = np.unique(np.concatenate([[0.0, end], starts[(starts > 0.0) & (starts < end)]]))
     spacings = np.full(len(edges) - 1, spacing)
-    if rows.shape[1] > PIECE_WIDTH:
-        ruling = np.maximum(np.searchsorted(starts, edges[:-1], side="right") - 1, 0)
-        fastest = [
-            max(_fastest(rows[k], a), _fastest(rows[k], b))
-            for k, a, b in zip(ruling, edges[:-1], edges[1:], strict=True)
-        ]
-        spacings = np.minimum(spacing, 0.05 / np.maximum(fastest, 1e-9))
+    for rows in every:
+        if rows.shape[1] > PIECE_WIDTH:
+            ruling = np.maximum(np.searchsorted(rows[:, 0], edges[:-1], side="right") - 1, 0)
+            fastest = [
+                max(_fastest(rows[k], a), _fastest(rows[k], b))
+                for k, a, b in zip(ruling, edges[:-1], edges[1:], strict=True)
+            ]
+            spacings = np.minimum(spacings, 0.05 / np.maximum(fastest, 1e-9))
     counts = np.maximum(np.ceil(np.diff(edges) / spacings), 2.0)
     if counts.sum() > MOST_KNOTS:
         raise InputError(
