@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from valvesim.characterisation.dither import NO_DITHER, SAMPLES, Dither
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
 from valvesim.characterisation.held_scenario import (
     Source,
@@ -91,6 +92,21 @@ class FrequencyResponse:
             self._distortion(),
         )
 
+    def figures_at(self, frequency: float) -> tuple[FigureOfMerit | Absent, ...]:
+        """amplitude_ratio (dB) and phase_lag (degrees) at a frequency (Hz), between credible points as `figures`."""
+        from scipy.interpolate import PchipInterpolator
+
+        f = self.frequency[self.credible]
+        told: list[FigureOfMerit | Absent] = []
+        curves = (("amplitude_ratio", "dB", self.amplitude_ratio), ("phase_lag", "deg", self.phase_lag))
+        for name, unit, values in curves:
+            if len(f) < 2 or not f[0] <= frequency <= f[-1]:
+                told.append(Absent(name, f"{frequency:.4g} Hz is outside the response"))
+                continue
+            value = float(PchipInterpolator(np.log(f), values[self.credible])(np.log(frequency)))
+            told.append(FigureOfMerit(name, value, unit, f"at {frequency:.4g} Hz"))
+        return tuple(told)
+
     def _cross(self, name: str, fall: np.ndarray, level: float, unit: str, doc: str) -> FigureOfMerit | Absent:
         """Where `fall` first rises through `level`, on the credible points."""
         if not np.any(self.credible):
@@ -160,7 +176,7 @@ def join_points(
 def frequency_response(
     source: Source, *, amplitude: float, frequencies: Sequence[float] = FREQUENCIES,
     oil_temperature: float | None = None, part_temperature: float | None = None, output: str = "spool_position",
-    bias: float = 0.0, cycles: int = 2, settle: float = SETTLE_TIME, workers: int = 1,
+    bias: float = 0.0, cycles: int = 2, settle: float = SETTLE_TIME, workers: int = 1, dither: Dither = NO_DITHER,
     progress: Callable[[float], None] | None = None,
 ) -> FrequencyResponse:  # fmt: skip
     """Stepped sines: at each frequency (Hz) the valve is driven from rest until it is steady, then read.
@@ -168,7 +184,8 @@ def frequency_response(
     The command is bias + amplitude sin(2 pi f t) in A (or V); `settle` s (and at least a cycle) pass before at least
     `cycles` whole cycles and 20 ms are read at 64 samples a cycle. `source`, temperatures and `output` as in
     `step_response`. Frequencies run on `workers` threads: one, since a run of milliseconds holds the interpreter's lock
-    for most of its time (two were slower, measured). `progress` is told the share that is done.
+    for most of its time (two were slower, measured). A `dither` comes upon the command and is fitted beside.
+    `progress` is told the share that is done.
     Amplitudes beyond the rated command are allowed, with a ValidityWarning.
     Raises InputError for an amplitude or frequency that is not positive, fewer than two frequencies, or one given
     twice, and as `simulate` does.
@@ -184,15 +201,19 @@ def frequency_response(
         if number < 1 or number != int(number):
             raise InputError(f"frequency response: {name} = {number:g} must be a whole number of 1 or more")
     base = replace(base, tolerance=min(base.tolerance, SINE_TOLERANCE))
+    upon = dither.frequency if dither.amplitude else 0.0
 
     def point(frequency: float) -> SinePoint:
         wait = max(int(np.ceil(settle * frequency)), 1)
         read = max(int(cycles), int(np.ceil(READ_TIME * frequency)))
-        command = Sine(amplitude=amplitude, frequency=frequency, offset=bias)
-        rate = SAMPLES_A_CYCLE * frequency
+        command = dither.upon(Sine(amplitude=amplitude, frequency=frequency, offset=bias), rated_command(base))
+        samples = SAMPLES_A_CYCLE * int(np.ceil(max(SAMPLES * upon / (SAMPLES_A_CYCLE * frequency), 1.0)))
+        rate = samples * frequency
         result = simulate(replace(base, command=command, duration=(wait + read) / frequency, output_rate=rate))
-        part = slice(-SAMPLES_A_CYCLE * read, None)
-        return fit_sine(result.time[part], command_of(result)[part], output_of(result, output)[part], frequency)
+        part = slice(-samples * read, None)
+        return fit_sine(
+            result.time[part], command_of(result)[part], output_of(result, output)[part], frequency, dither=upon
+        )  # fmt: skip
 
     points = []
     with ThreadPoolExecutor(workers) as pool:

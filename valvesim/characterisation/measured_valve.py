@@ -30,10 +30,11 @@ from valvesim.characterisation.acceptance.acceptance_tests import record_figures
 from valvesim.characterisation.acceptance.coil import coil_figures
 from valvesim.characterisation.acceptance.measured_threshold import measured_threshold
 from valvesim.characterisation.acceptance.record import CHANNELS, AcceptanceRecord
+from valvesim.characterisation.dither import dither_of
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.frequency_response import join_points
 from valvesim.characterisation.sine_point import fit_sine
-from valvesim.characterisation.specification import COMMON, read_condition
+from valvesim.characterisation.specification import HELD, read_condition
 from valvesim.characterisation.spectral_response import spectral_response
 from valvesim.characterisation.step_response import step_figures
 from valvesim.errors import InputError, unknown_name
@@ -120,7 +121,7 @@ def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
     rated = parse(table["rated_current"], "A", "rated_current")
     if rated <= 0.0:
         raise InputError(f"{table['rated_current']!r} must be positive", key="rated_current")
-    check_known(table.get("conditions", {}), COMMON, "conditions")
+    check_known(table.get("conditions", {}), HELD, "conditions")
     common = {n: read_condition(n, text, f"conditions.{n}") for n, text in table.get("conditions", {}).items()}
     check_known(table.get("instruments", {}), tuple(INSTRUMENTS), "instruments")
     stated = {n: parse(text, "1", f"instruments.{n}") for n, text in table.get("instruments", {}).items()}
@@ -156,7 +157,7 @@ _OPTIONS = {"lag": "s", "dead_zone": "m^3/s", "resolution": ""}
 def _reduce(
     entry: Mapping[str, Any], where: str, folder: Path, common: Mapping[str, float], rated: float
 ) -> MeasuredResult:  # fmt: skip
-    check_known(entry, ("file", "files", "test", "frequency", *COMMON, "pressure_drop", "lag", "dead_zone"), where)
+    check_known(entry, ("file", "files", "test", "frequency", *HELD, "pressure_drop", "lag", "dead_zone"), where)
     test = entry.get("test")
     if not isinstance(test, str) or test not in TESTS:
         raise unknown_name("test", str(test), TESTS, f"{where}.test")
@@ -166,7 +167,7 @@ def _reduce(
         raise InputError("needs a file", key=where, joint=" ")
     for name in names:
         check_inside(name, folder, f"{where}.file")
-    may = (*COMMON, "pressure_drop", "frequency")
+    may = (*HELD, "pressure_drop", "frequency")
     own = {n: read_condition(n, entry[n], f"{where}.{n}") for n in may if n in entry}
     options = {n: parse(entry[n], _OPTIONS[n], f"{where}.{n}") for n in ("lag", "dead_zone") if n in entry}
     wanted = ("voltage", "current") if test == "coil" else (*CHANNELS, "spool_position")
@@ -194,7 +195,7 @@ def _cycle(test: str) -> Callable[..., Reduced]:
     """The reduction of a slow cycle."""
 
     def reduce(source, values, at, options, rated) -> Reduced:
-        record = AcceptanceRecord(source=source, values=dict(values))
+        record = AcceptanceRecord(source=source, values=dither_of(at).means(values))
         figures = record_figures(record, test, rated_current=None if test == "flow-load" else rated, **options)
         figures = tuple(one for one in figures if one.name != "threshold")  # of a record of its own
         if test == "flow-load":
@@ -219,14 +220,16 @@ def _needs(source: str, values: Mapping[str, np.ndarray], name: str) -> np.ndarr
 
 
 def _threshold(source, values, at, options, rated) -> Reduced:
-    record = AcceptanceRecord(source=source, values=dict(values))
+    record = AcceptanceRecord(source=source, values=dither_of(at).means(values))
     return _named("flow", (measured_threshold(record, _output(source, values), rated_current=rated),)), {}
 
 
 def _step(source, values, at, options, rated) -> Reduced:
     current, output = _needs(source, values, "current"), _output(source, values)
+    dither, last = dither_of(at), slice(-len(current) // 3, None)  # by then the step has settled
+    current, moved = (dither.taken_off(values["time"], column, last) for column in (current, values[output]))
     amplitude = abs(float(np.median(current[-3:]) - np.median(current[:3]))) / rated
-    figures = step_figures(values["time"], current, values[output], unit=UNITS[output])
+    figures = step_figures(values["time"], current, moved, unit=UNITS[output])
     return figures, {"amplitude": amplitude}
 
 
@@ -240,13 +243,18 @@ def _sine(source, values, at, options, rated) -> Reduced:
     if "frequency" not in at:
         raise InputError(f"{source}: the frequency of a sine is missing, such as frequency = '40 Hz'")
     current, output = _needs(source, values, "current"), _output(source, values)
-    point = fit_sine(values["time"], current, values[output], at["frequency"])
+    point = fit_sine(values["time"], current, values[output], at["frequency"], dither=_fitted_beside(at))
     lag = float(-np.rad2deg(np.angle(point.gain)))
     figures = (
         FigureOfMerit("gain", float(np.abs(point.gain)), f"{UNITS[output]}/A", "amplitude of output over current"),
         FigureOfMerit("phase_lag", lag + 360.0 * (lag < -90.0), "deg", "output behind the current"),
     )
     return figures, {"amplitude": point.input_amplitude / rated}
+
+
+def _fitted_beside(at: Mapping[str, float]) -> float:
+    """The frequency of the dither, Hz; zero without one."""
+    return dither_of(at).frequency if at.get("dither_amplitude") else 0.0
 
 
 def _coil(source, values, at, options, rated) -> Reduced:
@@ -270,7 +278,7 @@ def _join_sines(results: Sequence[MeasuredResult], rated: float) -> list[Measure
     groups: dict[tuple[float, ...], list[MeasuredResult]] = {}
     joined = [one for one in results if one.test != "sine"]
     for one in (one for one in results if one.test == "sine"):
-        key = (round(one.conditions["amplitude"], 2), *(one.conditions.get(name, np.nan) for name in COMMON))
+        key = (round(one.conditions["amplitude"], 2), *(one.conditions.get(name, np.nan) for name in HELD))
         groups.setdefault(key, []).append(one)
     for group in groups.values():
         if len(group) < 3:
@@ -280,8 +288,9 @@ def _join_sines(results: Sequence[MeasuredResult], rated: float) -> list[Measure
         for one in group:
             output = one.values[_output(one.source, one.values)]
             points.append(
-                fit_sine(one.values["time"], one.values["current"], output, one.conditions["frequency"])
-            )
+                fit_sine(one.values["time"], one.values["current"], output, one.conditions["frequency"],
+                         dither=_fitted_beside(one.conditions))
+            )  # fmt: skip
         response = join_points(points, share=group[0].conditions["amplitude"])
         at = {name: value for name, value in group[0].conditions.items() if name != "frequency"}
         values = {"frequency": response.frequency, "amplitude_ratio": response.amplitude_ratio,
@@ -313,7 +322,7 @@ def _null_shifts(tests: Sequence[MeasuredResult]) -> list[MeasuredResult]:
             alike: dict[tuple[float, ...], list[tuple[float, FigureOfMerit]]] = {}
             for at, figure in nulls:
                 if figure.name == kind and condition in at:
-                    others = tuple(at.get(other, np.nan) for other in COMMON if other != condition)
+                    others = tuple(at.get(other, np.nan) for other in HELD if other != condition)
                     alike.setdefault(tuple(np.nan_to_num(others, nan=-1.0)), []).append((at[condition], figure))
             for group in alike.values():
                 group.sort(key=lambda pair: pair[0])

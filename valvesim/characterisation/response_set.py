@@ -8,26 +8,30 @@ from typing import Any
 
 import numpy as np
 
+from valvesim.characterisation.dither import NO_DITHER, Dither
 from valvesim.characterisation.figure_of_merit import FiguresOfMerit
 from valvesim.characterisation.frequency_response import FREQUENCIES, FrequencyResponse, frequency_response
 from valvesim.characterisation.held_scenario import Source, held, held_oil_temperature, rated_command
+from valvesim.characterisation.specification import Specification
 from valvesim.characterisation.spectral_response import chirp_response
 from valvesim.characterisation.step_response import StepResponse, step_response
 from valvesim.inputs import evaluate
 from valvesim.shown import Shown, notebook
 from valvesim.units import reads_units
 
-STEPS, SWEEPS = (0.05, 0.25, 1.0), (0.25, 0.4, 1.0)  # shares of the rated current
+STEPS, SWEEPS = (0.05, 0.25, 1.0), (0.1, 0.25, 0.4, 1.0)  # shares of the rated current
+OF_A_STEP = ("time_to_90_percent", "rise_time", "overshoot")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ResponseSet(Shown):
-    """Every response of a valve at one oil temperature: one of each kind for every amplitude."""
+    """Every response of a valve at one oil temperature, with a dither or none: one of each kind for every amplitude."""
 
     oil_temperature: float
     steps: tuple[StepResponse, ...]
     sweeps: tuple[FrequencyResponse, ...]
     chirps: tuple[FrequencyResponse, ...]
+    dither: Dither = NO_DITHER
 
     def in_words(self) -> str:
         """How many responses, and the oil's temperature."""
@@ -42,12 +46,13 @@ class ResponseSet(Shown):
 def measure_responses(
     source: Source, *, oil_temperatures: Sequence[float] | None = None, part_temperature: float | None = None,
     steps: Sequence[float] = STEPS, sweeps: Sequence[float] = SWEEPS, frequencies: Sequence[float] = FREQUENCIES,
-    chirp: bool = True, output: str = "spool_position", workers: int = 1,
+    chirp: bool = True, output: str = "spool_position", workers: int = 1, dither: Dither = NO_DITHER,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[ResponseSet, ...]:  # fmt: skip
     """Steps, stepped sines and chirps at every oil temperature (°C; by default the source's own at its start).
 
-    `steps` and `sweeps` are shares of the rated command. Raises as `step_response` and `frequency_response` do.
+    `steps` and `sweeps` are shares of the rated command, and all of them have the `dither`. Raises as `step_response`
+    and `frequency_response` do.
     """
     first = held(source, part_temperature=part_temperature)
     rated = rated_command(first)
@@ -63,7 +68,7 @@ def measure_responses(
     sets = []
     for temperature in temperatures:
         base = held(source, oil_temperature=temperature, part_temperature=part_temperature)
-        stepped = tuple(step_response(base, amplitude=share * rated, output=output) for share in steps)
+        stepped = tuple(step_response(base, amplitude=share * rated, output=output, dither=dither) for share in steps)
         swept, chirped = [], []
         for share in sweeps:
             swept.append(
@@ -73,6 +78,7 @@ def measure_responses(
                     frequencies=frequencies,
                     output=output,
                     workers=workers,
+                    dither=dither,
                     progress=tell,
                 )  # fmt: skip
             )
@@ -81,25 +87,50 @@ def measure_responses(
                 band = {"low": float(np.min(frequencies)), "high": float(np.max(frequencies))}
                 chirped.append(
                     chirp_response(
-                        base, amplitude=share * rated, low=band["low"], high=band["high"], output=output, progress=tell
-                    )
+                        base, amplitude=share * rated, low=band["low"], high=band["high"], output=output,
+                        dither=dither, progress=tell,
+                    )  # fmt: skip
                 )
                 done += 1
-        sets.append(ResponseSet(oil_temperature=temperature, steps=stepped, sweeps=tuple(swept), chirps=tuple(chirped)))
+        sets.append(ResponseSet(
+            oil_temperature=temperature, steps=stepped, sweeps=tuple(swept), chirps=tuple(chirped), dither=dither
+        ))  # fmt: skip
     return tuple(sets)
 
 
-def tests_of(sets: Sequence[ResponseSet], source: Source) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:
-    """Every step and sweep as (title, conditions by the names of a specification's, figures), SI."""
+def amplitudes_of(specification: Specification | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """(steps, sweeps), shares of rated: the usual ones, and those at which a specification has limits."""
+    limits = () if specification is None else specification.limits
+    asked = {True: set(STEPS), False: set(SWEEPS)}
+    for limit in limits:
+        if "amplitude" in limit.conditions:
+            asked[limit.figure in OF_A_STEP].add(limit.conditions["amplitude"])
+    return tuple(sorted(asked[True])), tuple(sorted(asked[False]))
+
+
+def tests_of(
+    sets: Sequence[ResponseSet], source: Source, specification: Specification | None = None
+) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:
+    """Every step and sweep as (title, conditions by the names of a specification's, figures), SI.
+
+    Sweeps also at the single frequencies that a specification has limits at.
+    """
+    limits = () if specification is None else (*specification.of("amplitude_ratio"), *specification.of("phase_lag"))
+    frequencies = sorted({limit.conditions["frequency"] for limit in limits})
     supply, back, _ = (float(evaluate(command, 0.0)) for command in held(source).pressures())
     tests = []
     for one in sets:
         at = {"supply_pressure": supply, "return_pressure": back, "oil_temperature": one.oil_temperature}
+        at |= one.dither.conditions
         kinds: tuple[tuple[str, Sequence[StepResponse | FrequencyResponse]], ...] = (
             ("step", one.steps), ("sines", one.sweeps)
         )  # fmt: skip
         for what, responses in kinds:
             for test in responses:
                 title = f"{what} of {100 * test.share:.0f} % of rated, oil at {one.oil_temperature:g} °C"
-                tests.append((title, at | {"amplitude": abs(test.share)}, test.figures))
+                conditions = at | {"amplitude": abs(test.share)}
+                tests.append((title, conditions, test.figures))
+                if isinstance(test, FrequencyResponse):
+                    at_one = {f: conditions | {"frequency": f} for f in frequencies}
+                    tests += [(f"{title}, at {f:g} Hz", given, test.figures_at(f)) for f, given in at_one.items()]
     return tests

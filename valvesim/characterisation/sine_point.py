@@ -59,7 +59,8 @@ def sine_point(
     return fit_sine(t, u, y, frequency)
 
 
-def fit_sine(t: np.ndarray, u: np.ndarray, y: np.ndarray, frequency: float) -> SinePoint:
+def fit_sine(t: np.ndarray, u: np.ndarray, y: np.ndarray, frequency: float, *, dither: float = 0.0) -> SinePoint:
+    """As `sine_point`, without its checks of the record; a dither of that frequency (Hz) is fitted beside."""
     interval = float(np.median(np.diff(t)))
     span = t[-1] - t[0] + interval
     cycles, per_cycle = int(np.floor(span * frequency * (1.0 + 1e-6))), 1.0 / (frequency * interval)
@@ -77,8 +78,12 @@ def fit_sine(t: np.ndarray, u: np.ndarray, y: np.ndarray, frequency: float) -> S
     keep = t > t[-1] + interval / 2.0 - cycles / frequency
     angle = 2.0 * np.pi * frequency * np.outer(t[keep], np.arange(1, count + 1))
     basis = np.column_stack([np.ones(int(keep.sum())), np.cos(angle), np.sin(angle)])
+    if dither:
+        upon = 2.0 * np.pi * dither * t[keep]
+        basis = np.column_stack([basis, np.cos(upon), np.sin(upon)])
     weights, *_ = np.linalg.lstsq(basis, np.column_stack([u[keep], y[keep]]), rcond=None)
-    phasors = weights[1 : count + 1] - 1j * weights[count + 1 :]  # (harmonics, 2): y = Re sum Y_k exp(j k w t)
+    cosine, sine = weights[1 : count + 1], weights[count + 1 : 2 * count + 1]
+    phasors = cosine - 1j * sine  # (harmonics, 2): y = Re sum Y_k exp(j k w t)
     left = np.std(np.column_stack([u[keep], y[keep]]) - basis @ weights, axis=0) * np.sqrt(2.0)
     first = np.abs(phasors[0])
     if first[0] <= 1e-12 * max(float(np.max(np.abs(u))), 1e-300) or _harmonic_share(phasors[:, 0]) > 0.1:

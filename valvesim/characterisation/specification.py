@@ -22,6 +22,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from valvesim.characterisation.dither import CONDITIONS as DITHER
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
 from valvesim.errors import InputError, unknown_name
 from valvesim.io import check_known, check_printable, check_tables, located, read_toml
@@ -48,11 +49,15 @@ CONDITIONS = {
     "pressure_drop": Condition("Pa", "across the valve, both lands together", (1e4, 1e8)),
     "amplitude": Condition("1", "share of rated current, peak", (1e-3, 1.5)),
     "frequency": Condition("Hz", "of the sine", (1e-2, 5e3)),
+    "dither_amplitude": Condition("1", "share of rated current, peak, of a sine upon the command", (0.0, 0.5)),
+    "dither_frequency": Condition("Hz", "of the dither", (1.0, 1e4)),
     "temperature_difference": Condition("delta_degC", "over which null shifts", (1.0, 300.0)),
     "pressure_change": Condition("1", "share of supply pressure over which null shifts, either way", (0.01, 1.0)),
 }
-"""What a test may be done at; the first three are also of a whole specification."""
+"""What a test may be done at."""
 COMMON = ("supply_pressure", "return_pressure", "oil_temperature")
+HELD = (*COMMON, *DITHER)
+"""Conditions that may also be of a whole specification, or of all records of a valve."""
 
 
 @dataclass(frozen=True)
@@ -287,7 +292,7 @@ def _read(table: dict[str, Any], folder: Path) -> Specification:
     title = table.get("title", "")
     check_printable(title, "title")
     given = table.get("conditions", {})
-    check_known(given, COMMON, "conditions")
+    check_known(given, HELD, "conditions")
     conditions = {name: read_condition(name, text, f"conditions.{name}") for name, text in given.items()}
     figures = table.get("figures", {})
     if not figures:
@@ -319,7 +324,7 @@ def _read_limit(name: str, entry: Any, where: str, common: Mapping[str, float]) 
     table = {"value": entry} if isinstance(entry, (str, int, float)) else entry
     if not isinstance(table, dict):
         raise InputError(f"expected a table such as {{ value = '1 {figure.unit}' }}, got {entry!r}", key=where)
-    own = (*COMMON, *figure.conditions)
+    own = (*HELD, *figure.conditions)
     check_known(table, (*_LIMIT_KEYS, *own), where)
     source = table.get("source", "")
     check_printable(source, f"{where}.source")

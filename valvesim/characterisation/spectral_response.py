@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from valvesim.characterisation.dither import NO_DITHER, Dither
 from valvesim.characterisation.frequency_response import FrequencyResponse
 from valvesim.characterisation.held_scenario import (
     Source,
@@ -136,12 +137,12 @@ def own_response(result: Result, output: str = "spool_position") -> FrequencyRes
 def chirp_response(
     source: Source, *, amplitude: float, low: float = 5.0, high: float = 500.0, duration: float = 6.0,
     oil_temperature: float | None = None, part_temperature: float | None = None, output: str = "spool_position",
-    bias: float = 0.0, progress: Callable[[float], None] | None = None,
+    bias: float = 0.0, dither: Dither = NO_DITHER, progress: Callable[[float], None] | None = None,
 ) -> FrequencyResponse:  # fmt: skip
     """Simulate one chirp, even in hertz from `low`/5 to 1.1 `high` Hz, and take its `spectral_response`.
 
-    A rest of `CHIRP_REST` s stands before and after it. Sampled at 20 samples a cycle of the highest frequency. Other
-    arguments as in `frequency_response`.
+    A rest of `CHIRP_REST` s stands before and after it. Sampled at 20 samples a cycle of the highest frequency. A
+    `dither` comes upon it all. Other arguments as in `frequency_response`.
     Raises InputError for a band that does not rise, an amplitude that is not positive, and as `spectral_response`.
     """
     base = held(source, oil_temperature=oil_temperature, part_temperature=part_temperature)
@@ -155,7 +156,10 @@ def chirp_response(
     command = Chirp(
         amplitude=amplitude, start_frequency=start, end_frequency=end, duration=duration, offset=bias, time=CHIRP_REST
     )
-    case = replace(base, command=command, duration=duration + 2.0 * CHIRP_REST, output_rate=20.0 * end)
+    case = replace(
+        base, command=dither.upon(command, rated_command(base)), duration=duration + 2.0 * CHIRP_REST,
+        output_rate=20.0 * max(end, dither.frequency if dither.amplitude else 0.0),
+    )  # fmt: skip
     result = simulate(case, progress=progress)
     taken = spectral_response(
         result.time, command_of(result), output_of(result, output), low=low, high=high, channel=output,

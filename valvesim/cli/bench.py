@@ -14,8 +14,10 @@ from valvesim.cli.display import print_figures, progress_bar
 from valvesim.cli.judging import end_on_failure, judged_by, read_specification, temperature_difference
 from valvesim.cli.options import (
     columns_option,
+    dither_options,
     format_option,
     output_option,
+    read_dither,
     settings_option,
     specification_option,
     temperatures_option,
@@ -24,6 +26,7 @@ from valvesim.cli.options import (
 from valvesim.cli.output_folder import all_or_nothing
 
 if TYPE_CHECKING:
+    from valvesim.characterisation.dither import Dither
     from valvesim.characterisation.figure_of_merit import FiguresOfMerit
     from valvesim.characterisation.judgement_table import Tests
 
@@ -37,14 +40,15 @@ if TYPE_CHECKING:
 @click.option("--dead-zone", help="Dead zone of the meter, such as '0.2 L/min' [estimated].")
 @click.option("--rated-current", help="Rated current of the measured valve [the largest in the record].")
 @temperatures_option
+@dither_options
 @valve_option
 @specification_option
 @format_option("table", "json", "csv")
 @settings_option
 def bench(
     output: Path, measured: tuple[Path, ...], columns: Path | None, kind: str | None, lag: str | None,
-    dead_zone: str | None, rated_current: str | None, oil_temperature: str, valve: str | None, spec: Path | None,
-    form: str, settings: tuple[str, ...],
+    dead_zone: str | None, rated_current: str | None, oil_temperature: str, dither_amplitude: str | None,
+    dither_frequency: str | None, valve: str | None, spec: Path | None, form: str, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of measured records.
 
@@ -55,18 +59,20 @@ def bench(
     from valvesim.simulation.scenario_toml import read_tables
     from valvesim.units import parse, parse_list
 
-    limits = read_specification(spec)
+    limits, dither = read_specification(spec), read_dither(dither_amplitude, dither_frequency)
     if not measured:
         stated = (("--columns", columns), ("--test", kind), ("--lag", lag), ("--dead-zone", dead_zone))
         if given := [name for name, value in stated if value is not None]:
             raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
         own = read_tables(settings, valve=valve)
         temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
-        tests, written = _test_model(own, temperatures, output, temperature_difference(limits))
+        tests, written = _test_model(own, temperatures, output, temperature_difference(limits), dither)
         judged = judged_by(limits, tests, valve=own.valve)
         print_figures(tests, form, judged, written)
         end_on_failure(judged)
         return
+    if dither.amplitude:
+        raise InputError("--dither-amplitude: of measured records state it in acceptance.toml (`valvesim acceptance`)")
     if kind is None:
         raise InputError("--measured needs --test: flow, pressure-gain, leakage or flow-load")
     options: dict[str, Any] = {
@@ -81,7 +87,9 @@ def bench(
     end_on_failure(judged)
 
 
-def _test_model(own: Any, temperatures: list[float], output: Path, difference: float) -> tuple[Tests, list[Path]]:
+def _test_model(
+    own: Any, temperatures: list[float], output: Path, difference: float, dither: Dither
+) -> tuple[Tests, list[Path]]:  # fmt: skip
     """All static tests on the model at each temperature, with a picture and a page each; what was written."""
     from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tests
     from valvesim.reports.acceptance import acceptance_report
@@ -93,7 +101,7 @@ def _test_model(own: Any, temperatures: list[float], output: Path, difference: f
                 stage = bar.add_task(f"bench at {temperature:g} °C", total=1.0)
                 result = acceptance_tests(
                     own.valve, oil_temperature=temperature, oil=own.oil, effects=own.effects,
-                    temperature_difference=difference,
+                    temperature_difference=difference, dither=dither,
                     progress=lambda share: bar.update(stage, completed=share),  # noqa: B023 - called within this turn
                 )  # fmt: skip
             written = acceptance_report(result, folder / f"bench_{temperature:g}_degC.png", date=date.today())

@@ -61,6 +61,26 @@ specification_option = click.option(
 )
 
 
+def dither_options(command: Any) -> Any:
+    """The dither upon the command of a test; `read_dither` reads both."""
+    frequency = click.option("--dither-frequency", help="Its frequency, such as '400 Hz'.")
+    return click.option("--dither-amplitude", help="A dither upon the command: '2 %' of rated, peak [none].")(
+        frequency(command)
+    )
+
+
+def read_dither(amplitude: str | None, frequency: str | None) -> Any:
+    """The dither of both options. Raises InputError for one without the other, and for what is out of bounds."""
+    from valvesim.characterisation.dither import dither_of
+    from valvesim.characterisation.specification import read_condition
+    from valvesim.errors import InputError
+
+    if (amplitude is None) != (frequency is None):
+        raise InputError("--dither-amplitude and --dither-frequency go together, such as '2 %' and '400 Hz'")
+    given = {"dither_amplitude": amplitude, "dither_frequency": frequency}
+    return dither_of({n: read_condition(n, t, f"--{n.replace('_', '-')}") for n, t in given.items() if t is not None})
+
+
 def format_option(*forms: str) -> Callable[[Any], Any]:
     """The form of a table on standard output, the first unless another is asked for."""
     return click.option("--format", "form", type=click.Choice(forms), default=forms[0], show_default=True)

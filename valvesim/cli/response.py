@@ -9,7 +9,15 @@ import click
 
 from valvesim.cli.display import print_figures, progress_bar
 from valvesim.cli.judging import end_on_failure, judged_by, read_specification
-from valvesim.cli.options import format_option, output_option, settings_option, specification_option, valve_option
+from valvesim.cli.options import (
+    dither_options,
+    format_option,
+    output_option,
+    read_dither,
+    settings_option,
+    specification_option,
+    valve_option,
+)
 from valvesim.cli.output_folder import all_or_nothing
 
 
@@ -17,26 +25,28 @@ from valvesim.cli.output_folder import all_or_nothing
 @click.argument("scenario", type=click.Path(path_type=Path), required=False)
 @output_option("results/response")
 @click.option("--oil-temperature", help="One or more: '20,100,200 degC' [the scenario's own at its start, or 20 degC].")
+@dither_options
 @valve_option
 @specification_option
 @format_option("table", "json", "csv")
 @settings_option
 def response(
-    scenario: Path | None, output: Path, oil_temperature: str | None, valve: str | None, spec: Path | None, form: str,
-    settings: tuple[str, ...],
+    scenario: Path | None, output: Path, oil_temperature: str | None, dither_amplitude: str | None,
+    dither_frequency: str | None, valve: str | None, spec: Path | None, form: str, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Step and frequency response at 25, 40 and 100 % of rated current: figures and pictures.
+    """Step and frequency response at 10, 25, 40 and 100 % of rated current: figures and pictures.
 
-    Of the reference valve, of --valve, or of the valve, oil, drive and effects of a SCENARIO.
+    Also at the amplitudes and frequencies of --spec. Of the reference valve, of --valve, or of the valve, oil, drive
+    and effects of a SCENARIO.
     """
-    from valvesim.characterisation.response_set import measure_responses, tests_of
+    from valvesim.characterisation.response_set import amplitudes_of, measure_responses, tests_of
     from valvesim.reports.response import response_report
     from valvesim.reports.title_block import valve_name
     from valvesim.simulation.scenario import Scenario, Thermal
     from valvesim.simulation.scenario_toml import load_scenario, read_tables
     from valvesim.units import parse_list
 
-    limits = read_specification(spec)
+    limits, dither = read_specification(spec), read_dither(dither_amplitude, dither_frequency)
     if scenario is None:
         own = read_tables(settings, valve=valve)
         source = Scenario(valve=own.valve, oil=own.oil, effects=own.effects, thermal=Thermal(network=None))
@@ -44,13 +54,15 @@ def response(
         source = load_scenario(scenario, settings=settings, valve=valve)
     given = oil_temperature
     temperatures = None if given is None else parse_list(given, "degC", "--oil-temperature").tolist()
+    steps, sweeps = amplitudes_of(limits)
     with all_or_nothing(output) as folder, progress_bar() as bar:
         stage = bar.add_task("stepping and sweeping", total=1.0)
         sets = measure_responses(
-            source, oil_temperatures=temperatures, progress=lambda share: bar.update(stage, completed=share)
+            source, oil_temperatures=temperatures, dither=dither, steps=steps, sweeps=sweeps,
+            progress=lambda share: bar.update(stage, completed=share),
         )
         paths = response_report(sets, folder, valve=valve_name(source.valve), date=date.today())
-    tests = tests_of(sets, source)
+    tests = tests_of(sets, source, limits)
     judged = judged_by(limits, tests)
     print_figures(tests, form, judged, [output / path.name for path in paths])
     end_on_failure(judged)

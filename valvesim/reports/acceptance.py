@@ -36,7 +36,8 @@ RISING, FALLING, MIDDLE, LINES = COLOURS[0], COLOURS[1], "0.25", COLOURS[3]
 def acceptance_report(result: AcceptanceTests, path: Path, *, date: datetime.date) -> tuple[Path, Path]:
     """Write the picture of the simulated tests to `path` (PNG) and their page beside it; both paths."""
     title = f"Static acceptance tests, oil at {result.oil_temperature:.4g} °C"
-    block = TitleBlock(title=title, valve=valve_name(result.valve), date=date)
+    facts = (("Dither", result.dither.in_words()),) if result.dither.amplitude else ()
+    block = TitleBlock(title=title, valve=valve_name(result.valve), date=date, facts=facts)
     caption = "Flow curve, pressure gain, internal leakage and flow over load pressure."
     return _write(draw_acceptance(result), block, caption, result.figures, path, acceptance_charts(result))
 

@@ -42,7 +42,7 @@ def response_report(
     folder = Path(folder)
     check_folder(folder)
     at = ", ".join(f"{one.oil_temperature:g} °C" for one in sets)
-    facts = (("Oil at", at),)
+    facts = (("Oil at", at), *((("Dither", sets[0].dither.in_words()),) if sets[0].dither.amplitude else ()))
     block = TitleBlock(title="Step and frequency response", valve=valve, date=date, facts=facts)
     pictures = {name: png(figure, block) for name, figure in draw_responses(sets).items()}
     paths = [write_bytes(data, folder / f"{name}.png") for name, data in pictures.items()]
@@ -268,7 +268,7 @@ def _amplitude(response: StepResponse | FrequencyResponse) -> str:
 
 def _width(k: int, lines: Sequence[Any]) -> float:
     """Of the k-th line: the first is the widest, so that one upon another still shows."""
-    return 1.1 + 1.3 * (len(lines) - 1 - k)
+    return 1.1 + 2.6 * (len(lines) - 1 - k) / max(len(lines) - 1, 1)
 
 
 def _value(response: StepResponse | FrequencyResponse, name: str) -> float | None:

@@ -22,6 +22,7 @@ from valvesim.characterisation.acceptance.pressure_gain import blocked_cycle, pr
 from valvesim.characterisation.acceptance.record import AcceptanceRecord, part_of, read_record, record_of
 from valvesim.characterisation.acceptance.rig import Rig
 from valvesim.characterisation.acceptance.threshold import threshold_figure
+from valvesim.characterisation.dither import NO_DITHER, Dither
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit
 from valvesim.errors import check_kind, unknown_name
 from valvesim.measurement.columns_table import NOTHING_STATED, Statements
@@ -32,6 +33,7 @@ from valvesim.valve.effect import ActiveEffect
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 
+DITHERED_PERIOD = 20.0  # s of a cycle with dither: the branches part by 0.05 % of i_R, which the valve trails by
 TESTS = ("flow", "pressure-gain", "leakage", "flow-load")
 
 
@@ -100,6 +102,7 @@ class AcceptanceTests(Shown):
     flow_load: tuple[AcceptanceRecord, ...]
     null_shift: tuple[NullShiftCurve, ...] = ()
     temperature_difference: float = TEMPERATURE_DIFFERENCE
+    dither: Dither = NO_DITHER
 
     @property
     def conditions(self) -> dict[str, float]:
@@ -107,7 +110,8 @@ class AcceptanceTests(Shown):
         valve = self.valve
         return {"supply_pressure": float(valve.supply_pressure), "return_pressure": float(valve.return_pressure),
                 "oil_temperature": self.oil_temperature, "pressure_drop": RATED_DROP,
-                "temperature_difference": self.temperature_difference, "pressure_change": PRESSURE_CHANGE}  # fmt: skip
+                "temperature_difference": self.temperature_difference, "pressure_change": PRESSURE_CHANGE,
+                **self.dither.conditions}  # fmt: skip
 
     def in_words(self) -> str:
         """How many figures of which valve, and the oil's temperature."""
@@ -128,6 +132,7 @@ def acceptance_tests(
     period: float = 1e4,
     points: int = 8000,
     temperature_difference: float = TEMPERATURE_DIFFERENCE,
+    dither: Dither = NO_DITHER,
     progress: Callable[[float], None] | None = None,
 ) -> AcceptanceTests:
     """Run every static test on the model, all parts at `oil_temperature` (°C), and reduce it as a measured one.
@@ -135,7 +140,9 @@ def acceptance_tests(
     Of the reference valve unless another is given. `temperature_difference` (K) is that of the null shift.
 
     The current runs a triangle of `period` s over +-i_R, `points` samples each; the valve trails it by about 1/800 s.
-    Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told the share that is done.
+    With a `dither` the flow curve, the threshold and the blocked ports run in `DITHERED_PERIOD` s; flow over load and
+    the shift of null are told without. Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told
+    the share that is done.
     Raises as `simulate` does, and SolveError where the blocked ports find no load pressure.
     """
     valve = Valve() if valve is None else valve
@@ -143,16 +150,17 @@ def acceptance_tests(
     rig = Rig(
         valve=valve, oil=oil, oil_temperature=oil_temperature, effects=tuple(effects), period=period, points=points
     )
+    dithered = replace(rig, dither=dither, period=DITHERED_PERIOD) if dither.amplitude else rig
     tell = progress if progress is not None else lambda share: None
-    flow = record_of("flow", rig.full_cycle(), "load_flow")
-    figures = _flow_figures(rig, flow)
+    flow = record_of("flow", dithered.full_cycle(), "load_flow")
+    figures = _flow_figures(dithered, flow)
     tell(0.3)
-    blocked = None if isinstance(valve, FmuValve) else blocked_cycle(rig)
+    blocked = None if isinstance(valve, FmuValve) else blocked_cycle(dithered)
     if blocked is None:
         why = "blocked ports need the valve's equations, which an FMU does not tell"
         figures += tuple(Absent(name, why) for name in BLOCKED_TESTS)
     else:
-        figures += _blocked_figures(rig, blocked, BLOCKED_TESTS)
+        figures += _blocked_figures(dithered, blocked, BLOCKED_TESTS)
     tell(0.6)
     shares = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0)
     flow_load = tuple(flow_load_record(rig, share * float(valve.rated_current)) for share in shares)
@@ -163,7 +171,7 @@ def acceptance_tests(
     return AcceptanceTests(
         valve=valve, oil_temperature=oil_temperature, figures=figures, flow=flow, blocked=blocked, flow_load=flow_load,
         null_shift=() if isinstance(valve, FmuValve) else null_shift_curves(rig),
-        temperature_difference=temperature_difference,
+        temperature_difference=temperature_difference, dither=dither,
     )  # fmt: skip
 
 

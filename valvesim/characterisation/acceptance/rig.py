@@ -8,6 +8,7 @@ import numpy as np
 
 from valvesim.characterisation.acceptance.cycle import cycle, loop
 from valvesim.characterisation.acceptance.record import record_of
+from valvesim.characterisation.dither import NO_DITHER, SAMPLES, Dither
 from valvesim.errors import unknown_name
 from valvesim.inputs import Command, Constant, Table
 from valvesim.simulation.run import simulate
@@ -20,7 +21,7 @@ from valvesim.valve.parameters import Valve
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """A valve on the bench: everything that a test does not change."""
+    """A valve on the bench: everything that a test does not change. With `dither` channels are means over it."""
 
     valve: Valve
     oil: Oil
@@ -28,9 +29,11 @@ class Rig:
     effects: tuple[ActiveEffect, ...]
     period: float
     points: int
+    dither: Dither = NO_DITHER
 
     def run(self, command: Command, duration: float, *, load_pressure: Command | None = None) -> dict[str, np.ndarray]:
         """All channels and "time" of an isothermal run."""
+        dither = self.dither
         result = simulate(
             Scenario(
                 title="bench",
@@ -39,16 +42,16 @@ class Rig:
                 oil=self.oil,
                 thermal=Thermal(network=None),
                 oil_temperature=Constant(value=self.oil_temperature),
-                command=command,
+                command=dither.upon(command, float(self.valve.rated_current)),
                 load_pressure=load_pressure,
                 effects=self.effects,
-                output_rate=1.25 * self.points / duration,
+                output_rate=SAMPLES * dither.frequency if dither.amplitude else 1.25 * self.points / duration,
                 tolerance=1e-6,
             )
         )
         if "load_flow" not in result.values:  # of an FMU alone
             raise unknown_name("channel", "load_flow", result.names, "the FMU's outputs")
-        return {"time": result.time, **result.values}
+        return dither.means({"time": result.time, **result.values})
 
     def full_cycle(self, *, null: float | None = None) -> dict[str, np.ndarray]:
         """A triangle from i_R to -i_R and back; with `null` (A) half of the time is spent within 5 % of i_R of it."""
