@@ -1,6 +1,7 @@
 """How well a valve is identified from its acceptance figures: hidden valves of six sizes, and the pages of catalogues.
 
-    python benchmarks/identify.py --cases 60 -o results/identify.json     # half an hour of one core
+    python benchmarks/identify.py --cases 60 -o results/identify.jsonl             # half an hour of one core
+    python benchmarks/identify.py --cases 60 --records -o results/records.jsonl
     python benchmarks/identify.py --pages                                 # minutes
 
 A hidden valve is drawn from what similarity allows at its size (normal, cut at 2.5 deviations) and tested by the plant
@@ -59,7 +60,9 @@ class HiddenValve:
     cycle: float = 0.6
 
     def run(self, command: np.ndarray, rate: float, load: float = 0.0) -> dict[str, np.ndarray]:
-        """`time`, `spool_position`, `load_flow`, `internal_leakage` under a command (n,), A, after it has settled."""
+        """`time`, `current` in the coils, `spool_position`, `load_flow`, `internal_leakage` under a command (n,), A,
+        after it has settled. The current lags the command by the plant's amplifier.
+        """
         c = self.valve.at(PartTemperatures.uniform(CONDITIONS["oil_temperature"]), oil=OIL)._asdict()
         c["pinch_force"] = 0.0
         table = np.array([[float(c[name]) for name in plant.FIGURES]])
@@ -77,16 +80,20 @@ class HiddenValve:
         )  # fmt: skip
         out = out[len(settled) - len(command) - 1 :][: len(command)]
         named = dict(zip(plant.RECORDED, out.T, strict=True))
-        return {"time": np.arange(len(command)) / rate, "current": command} | {
-            name: named[name] for name in ("spool_position", "load_flow", "internal_leakage")
+        return {"time": np.arange(len(command)) / rate} | {
+            name: named[name] for name in ("current", "spool_position", "load_flow", "internal_leakage")
         }
 
     def gain(self, amplitude: float, frequency: float) -> complex:
-        """Complex gain, spool over current."""
+        """Complex gain, spool over the current in the coils, as ISO 10770-1 measures it."""
         rate, top = 64.0 * frequency, amplitude * self.valve.rated_current
-        t = np.arange(int(np.ceil(0.03 * frequency) + 3) * 64) / rate
-        x = self.run(top * np.sin(2 * np.pi * frequency * t), rate)["spool_position"][-64:]
-        return np.mean((x - x.mean()) * np.exp(-2j * np.pi * frequency * t[-64:])) * 2j / top
+        t = np.arange(int(np.ceil(0.05 * frequency) + 3) * 64) / rate
+        run = self.run(top * np.sin(2 * np.pi * frequency * t), rate)
+        angle = 2.0 * np.pi * frequency * t[-64:]
+        basis = np.column_stack([np.cos(angle), -np.sin(angle), np.ones(64), t[-64:]])  # a slow valve still drifts
+        both = np.column_stack([run["spool_position"][-64:], run["current"][-64:]])
+        x, current = np.linalg.lstsq(basis, both, rcond=None)[0][:2].T @ (1.0, 1j)
+        return complex(x / current)
 
 
 def hide(flow: float, current: float, dice: np.random.Generator) -> HiddenValve:
@@ -113,6 +120,7 @@ def hide(flow: float, current: float, dice: np.random.Generator) -> HiddenValve:
 
 
 RATE = 4e3  # Hz, of slow cycles
+HIGHEST = 4e3  # Hz, of sines
 
 
 def slow(hidden: HiddenValve) -> np.ndarray:
@@ -123,32 +131,57 @@ def slow(hidden: HiddenValve) -> np.ndarray:
     return top * s * np.abs(s)
 
 
+def branches(run: dict[str, np.ndarray]) -> list[np.ndarray]:
+    """Samples of both branches of a cycle, each with its current rising."""
+    up = np.diff(run["current"], prepend=run["current"][0]) >= 0.0
+    each = (np.flatnonzero(up), np.flatnonzero(~up))
+    return [k[np.argsort(run["current"][k], kind="stable")] for k in each]
+
+
 def middle(run: dict[str, np.ndarray], name: str, at: np.ndarray) -> np.ndarray:
-    """The mean of both branches at currents."""
-    i, y = run["current"], run[name]
-    up, down = np.diff(i, prepend=i[0]) >= 0.0, np.diff(i, prepend=i[0]) < 0.0
-    values = []
-    for mask in (up, down):
-        k = np.flatnonzero(mask)
-        k = k[np.argsort(i[k], kind="stable")]
-        values.append(np.interp(at, i[k], y[k]))
-    return (values[0] + values[1]) / 2.0
+    """The mean of both branches at currents: what the valve trails by goes."""
+    return np.mean([np.interp(at, run["current"][k], run[name][k]) for k in branches(run)], axis=0)
+
+
+def at_no_flow(hidden: HiddenValve, load: float, near: float) -> tuple[float, float]:
+    """(current, leakage) at rest at which no load flow passes at a load pressure; `near` is a current near it."""
+    from scipy.optimize import brentq
+
+    rated = hidden.valve.rated_current
+
+    def rest(current: float) -> tuple[float, float]:
+        run = hidden.run(np.full(int(0.08 * hidden.cycle * RATE) + 2, current), RATE, load)
+        return float(run["load_flow"][-1]), float(run["internal_leakage"][-1])
+
+    width = 2e-3 * rated
+    while rest(near - width)[0] > 0.0 or rest(near + width)[0] < 0.0:
+        width *= 2.0
+    current = brentq(lambda i: rest(i)[0], near - width, near + width, xtol=1e-7 * rated)
+    return current, rest(current)[1]
 
 
 def blocked(hidden: HiddenValve) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(current, load pressure, leakage) at blocked ports, from cycles at many load pressures."""
-    rated, supply = hidden.valve.rated_current, CONDITIONS["supply_pressure"]
-    at = rated * np.sinh(np.linspace(-7.0, 7.0, 401)) / np.sinh(7.0)
+    """(current, load pressure, leakage) at blocked ports at rest."""
+    from scipy.interpolate import PchipInterpolator
+
+    supply, top = CONDITIONS["supply_pressure"], hidden.valve.rated_current
     loads = supply * np.concatenate([[-0.995], np.linspace(-0.96, 0.96, 17), [0.995]])
-    runs = [hidden.run(slow(hidden), RATE, float(load)) for load in loads]
-    flow = np.array([middle(run, "load_flow", at) for run in runs])  # (loads, currents)
-    leakage = np.array([middle(run, "internal_leakage", at) for run in runs])
-    pressure, leak = np.empty(len(at)), np.empty(len(at))
-    for k in range(len(at)):
-        q = np.maximum.accumulate(-flow[:, k])
-        pressure[k] = np.interp(0.0, q, loads)
-        leak[k] = np.interp(pressure[k], loads, leakage[:, k])
-    return at, pressure, leak
+    found, near = [], 0.0
+    for load in loads:
+        found.append(at_no_flow(hidden, float(load), near))
+        near = found[-1][0]
+    current, leakage = np.array(found).T
+    ends = [hidden.run(slow(hidden), RATE, float(load)) for load in loads[[0, -1]]]
+    fine = supply * np.linspace(-0.995, 0.995, 399)
+    i, leak = PchipInterpolator(loads, current)(fine), PchipInterpolator(loads, leakage)(fine)
+    outer = top * np.linspace(0.02, 0.999, 60)
+    left, right = -outer[::-1][-outer[::-1] < i[0]], outer[outer > i[-1]]
+    return (
+        np.concatenate([left, i, right]),
+        np.concatenate([np.full(len(left), fine[0]), fine, np.full(len(right), fine[-1])]),
+        np.concatenate([middle(ends[0], "internal_leakage", left), leak,
+                        middle(ends[1], "internal_leakage", right)]),
+    )  # fmt: skip
 
 
 def true_figures(hidden: HiddenValve) -> dict[tuple[str, float], float]:
@@ -160,12 +193,12 @@ def true_figures(hidden: HiddenValve) -> dict[tuple[str, float], float]:
     found: dict[tuple[str, float], float] = {
         ("coil_resistance", 0.0): valve.coil_resistance, ("coil_inductance", 0.0): valve.coil_inductance
     }  # fmt: skip
-    low = abs(hidden.gain(TOLD[0], 2.0))
-    f = 2.0
-    while abs(hidden.gain(TOLD[0], f)) > 0.7 * low:
+    low, f = hidden.gain(TOLD[0], 2.0), 2.0
+    while (reached := hidden.gain(TOLD[0], f) / low).real > 0.0 and abs(reached) > 0.7:
         f *= 1.5
     corner, hidden = f, replace(hidden, cycle=max(0.6, 40.0 / f))
-    ends = [hidden.run(np.full(200, s * rated), 4e3, s * (supply - 7e6))["load_flow"][-1] for s in (-1.0, 1.0)]
+    held = np.full(int(max(0.05, 10.0 / corner) * RATE), rated)
+    ends = [hidden.run(s * held, RATE, s * (supply - 7e6))["load_flow"][-1] for s in (-1.0, 1.0)]
     found["rated_flow", 0.0] = (ends[1] - ends[0]) / 2.0
     cycle = hidden.run(slow(hidden), RATE)
     i = np.linspace(0.05, 0.8, 40) * rated
@@ -173,28 +206,39 @@ def true_figures(hidden: HiddenValve) -> dict[tuple[str, float], float]:
     found["flow_gain", 0.0] = float(np.mean(gains))
     at, pressure, leak = blocked(hidden)
     y = np.linspace(-0.4, 0.4, 41) * supply
-    found["pressure_gain", 0.0] = weighted_line(np.interp(y, np.maximum.accumulate(pressure), at), y)[0]
+    found["pressure_gain", 0.0] = weighted_line(np.interp(y, pressure, at), y)[0]
     found["null_leakage", 0.0] = float(leak.max())
     found["tare_leakage", 0.0] = float(np.interp([-0.975 * rated, 0.975 * rated], at, leak).mean())
     for amplitude in (*TOLD, HIDDEN):
-        f = np.concatenate([[corner / 20.0], np.geomspace(corner / 3.0, 1200.0, 16)])
-        gain = np.array([hidden.gain(amplitude, one) for one in f])
-        ratio = 20 * np.log10(np.abs(gain / gain[0]))
-        lag = -np.rad2deg(np.unwrap(np.angle(gain)))
-        for name, fall, level in (("frequency_minus_3_db", -ratio, 3.0), ("frequency_minus_90_deg", lag, 90.0)):
-            k = int(np.argmax(fall >= level))
-            share = (level - fall[k - 1]) / (fall[k] - fall[k - 1])
-            found[name, amplitude] = float(np.exp(np.log(f[k - 1]) + share * np.log(f[k] / f[k - 1])))
+        found |= {(name, amplitude): f for name, f in crossings(hidden, amplitude, corner).items()}
     expected = 0.35 / found["frequency_minus_3_db", 1.0]
     rate = 400.0 / expected
     command = np.where(np.arange(int(10 * expected * rate)) / rate < 0.5 * expected, 0.0, rated)
     step = hidden.run(command, rate)
     x = step["spool_position"] / step["spool_position"][-50:].mean()
     k = int(np.argmax(x >= 0.9))
-    start = float(step["time"][np.argmax(command > 0.0)])
+    start = float(step["time"][np.argmax(step["current"] > 0.5 * rated)])
     found["time_to_90_percent", 1.0] = float(
         step["time"][k - 1] + (0.9 - x[k - 1]) / (x[k] - x[k - 1]) / rate - start
     )  # fmt: skip
+    return found
+
+
+def crossings(hidden: HiddenValve, amplitude: float, corner: float) -> dict[str, float]:
+    """Where the response to sines passes -3 dB and -90 degrees (Hz), as far as it does below `HIGHEST`."""
+    from scipy.optimize import brentq
+
+    low, f, found = hidden.gain(amplitude, corner / 20.0), corner / 4.0, {}
+    falls = {
+        "frequency_minus_3_db": lambda gain: -3.0 - 20.0 * np.log10(abs(gain / low)),
+        "frequency_minus_90_deg": lambda gain: -np.rad2deg(np.angle(gain * 1j)),
+    }
+    while len(found) < 2 and f < HIGHEST:
+        gain, further = hidden.gain(amplitude, f), hidden.gain(amplitude, 1.1 * f)
+        for name, fall in falls.items():
+            if name not in found and fall(gain) < 0.0 <= fall(further):
+                found[name] = brentq(lambda f, fall=fall: fall(hidden.gain(amplitude, f)), f, 1.1 * f, xtol=1e-3 * f)
+        f *= 1.1
     return found
 
 
@@ -355,24 +399,29 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--pages", action="store_true")
     parser.add_argument("--records", action="store_true")
-    parser.add_argument("-o", "--output", type=Path, default=Path("results/identify.json"))
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("results/identify.jsonl"),
+        help="a case a line; those that it holds are not run again",
+    )  # fmt: skip
     options = parser.parse_args()
     if options.pages:
         pages(ROOT / "examples" / "specifications")
         return
-    cases = []
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    for number in range(options.first, options.first + options.cases):
-        cases.append(run_case(number, records=options.records))
-        one = cases[-1]
+    lines = options.output.read_text(encoding="utf-8").splitlines() if options.output.is_file() else []
+    cases = {case["case"]: case for case in map(json.loads, lines)}
+    wanted = range(options.first, options.first + options.cases)
+    for number in (number for number in wanted if number not in cases):
+        one = cases[number] = run_case(number, records=options.records)
         print(
             f"case {number}: {one['flow']:g} L/min, inside {one['inside']:.2f}, figures {one['figures_inside']:.2f}, "
             f"Bode {one['bode_dB']:.2f} dB {one['bode_degrees']:.1f} degrees, {one['processor']:.1f} s, "
             f"{one['conflicts']}",
             flush=True,
         )
-        options.output.write_text(json.dumps(cases, indent=1), encoding="utf-8")
-    print(summary(cases))
+        with options.output.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(one) + "\n")
+    print(summary([cases[number] for number in wanted]))
 
 
 if __name__ == "__main__":

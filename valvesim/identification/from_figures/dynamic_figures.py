@@ -1,7 +1,7 @@
 """Dynamic figures of many valves at once: steady sines and steps of the current, simulated as a batch.
 
-A frequency at which the response passes a level is told from two sines at either side of where it is expected: exact
-near there, and pointing to it from afar. Figures are defined as in `characterisation`; the output is the spool.
+A frequency at which the response passes a level is told from sines about where it is expected: exact near there, and
+pointing to it from afar. Figures are defined as in `characterisation`; the output is the spool.
 
 Symbols
     f frequency, a amplitude (share of rated current), L level passed: amplitude ratio dB or phase lag degrees
@@ -23,9 +23,9 @@ from valvesim.units import quantities
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
 
-BESIDE = (0.93, 1.07)  # of an expected frequency: the sines from which a crossing is told
+BESIDE = (0.94, 1.0, 1.06)  # of an expected frequency: the sines from which a crossing is told
 LOW = 1.0 / 20.0  # of an expected frequency: the sine to which amplitudes refer
-LEAST_FREQUENCY = 1.0  # Hz
+LEAST_FREQUENCY = 0.2  # Hz
 SETTLE, CYCLES = 0.02, 1  # s and whole cycles before a sine is read
 SAMPLES = 48  # a cycle
 TOLERANCE = 3e-5  # of the integration
@@ -71,9 +71,10 @@ def sine_gain(bench: Bench, amplitude: float, frequency: float) -> np.ndarray:
     wait = int(np.ceil(SETTLE * frequency)) + CYCLES
     top = amplitude * bench.rated
     run = bench.run(Sine(amplitude=top, frequency=frequency), (wait + 1) / frequency, SAMPLES * frequency)
-    turn = np.exp(-2j * np.pi * frequency * run["time"][-SAMPLES:])
-    x = run["spool_position"][:, -SAMPLES:]
-    return np.mean((x - x.mean(axis=1, keepdims=True)) * turn, axis=1) * 2j / top
+    angle = 2.0 * np.pi * frequency * (t := run["time"][-SAMPLES:])
+    basis = np.column_stack([np.cos(angle), -np.sin(angle), np.ones(SAMPLES), t - t[0]])  # a slow valve still drifts
+    weights = run["spool_position"][:, -SAMPLES:] @ np.linalg.pinv(basis).T
+    return (weights[:, 0] + 1j * weights[:, 1]) * 1j / top
 
 
 class Sines:
@@ -100,16 +101,20 @@ class Sines:
         return np.where(lag < -90.0, lag + 360.0, lag)
 
     def crossing(self, name: str, amplitude: float, expected: float) -> np.ndarray:
-        """Frequency (k,) of -3 dB or 90 degrees, from two sines beside the expected one."""
-        below, above = (expected * share for share in BESIDE)
+        """Frequency (k,) of -3 dB or 90 degrees, straight over ln f between sines about the expected one."""
+        at = expected * np.array(BESIDE)
         if name == "frequency_minus_3_db":
             low = max(LOW * expected, LEAST_FREQUENCY)
-            level, fall = 3.0, [-self.ratio(amplitude, f, low) for f in (below, above)]
+            level, fall = 3.0, np.stack([-self.ratio(amplitude, f, low) for f in at])
         else:
-            level, fall = 90.0, [self.lag(amplitude, f) for f in (below, above)]
-        steepness = np.clip((fall[1] - fall[0]) / np.log(above / below), *STEEPNESS[level])
-        offset = np.clip((level - (fall[0] + fall[1]) / 2.0) / steepness, -2.0, 2.0)
-        return np.sqrt(below * above) * np.exp(offset)
+            level, fall = 90.0, np.stack([self.lag(amplitude, f) for f in at])
+        below = (fall[1] >= level).astype(int)  # in the lower of the two intervals, or beyond it
+        k = 1 - below
+        low_fall, high_fall = (np.take_along_axis(fall, (k + n)[None], axis=0)[0] for n in (0, 1))
+        width = np.log(at[k + 1] / at[k])
+        steepness = np.clip((high_fall - low_fall) / width, *STEEPNESS[level])
+        offset = np.clip((level - (low_fall + high_fall) / 2.0) / steepness, -2.0, 2.0)
+        return np.sqrt(at[k] * at[k + 1]) * np.exp(offset)
 
 
 def step_figures(bench: Bench, amplitude: float, expected: float) -> dict[str, np.ndarray]:
