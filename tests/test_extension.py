@@ -191,6 +191,16 @@ def test_sensor_faults_are_in_small_errors_are_not_and_stated_lags_are(tmp_path)
     assert scenario.valve == variant.valve
 
 
+@pytest.mark.parametrize("name", ["thermal_lag", "sensor_lag", "spool_coulomb_friction"])
+def test_an_effect_that_was_searched_at_another_typical_amplitude_is_that_of_the_catalogue(tmp_path, name):
+    own = CATALOGUE[name].on("spool_position") if CATALOGUE[name].reading else CATALOGUE[name]
+    paced = tuple(replace(p, typical=0.5 * p.typical) if p is own.amplitude else p for p in own.parameters)
+    active = replace(own, parameters=paced)(**{own.amplitude.name: own.amplitude.typical / 3.0})
+    session = write(tmp_path)
+    (back,) = reread(session, ModelVariant(session.valve, (active,)), tmp_path).effects
+    assert back.effect == own and back.numbers == active.numbers
+
+
 def test_two_effects_of_one_name_are_both_there(tmp_path):
     session = write(tmp_path)
     clogged = CATALOGUE["fixed_orifice_clogging"]

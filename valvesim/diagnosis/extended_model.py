@@ -39,7 +39,7 @@ def scenario_text(session: Session, variant: ModelVariant, *, options: Diagnosis
     import tomlkit
 
     record = session.training[0]
-    effects = (*_faults(variant), *_stated_lags(session, record))
+    effects = (*(_as_declared(session, one) for one in _faults(variant)), *_stated_lags(session, record))
     recovered = [active.effect for active in effects if _recovered(session, active.effect)]
     users = {effect.name for effect in session.user_effects}
     files = [str(path) for path in session.effects_files] if users & {a.effect.name for a in effects} else []
@@ -89,6 +89,16 @@ def effect_file(*terms: ActiveEffect) -> str:
 
 def _faults(variant: ModelVariant) -> list[ActiveEffect]:
     return [active for active in variant.effects if not isinstance(active.effect, ToleratedSensorError)]
+
+
+def _as_declared(session: Session, active: ActiveEffect) -> ActiveEffect:
+    """An effect as catalogue or user declare it: a search may have gone by another typical amplitude."""
+    known = CATALOGUE | {effect.name: effect for effect in session.user_effects}
+    declared = known.get(active.effect.name, active.effect)
+    if declared.reading is not None and active.effect.channel:
+        declared = declared.on(active.effect.channel)
+    same = replace(active.effect, parameters=declared.parameters) == declared
+    return ActiveEffect(declared, active.numbers) if same else active
 
 
 def _stated_lags(session: Session, record: Record) -> list[ActiveEffect]:
