@@ -1017,19 +1017,21 @@ def distance(case: Case, strength: float = 1.0) -> float:
     return math.sqrt(total)
 
 
-def noisy(case: Case, strength: float = 1.0) -> list[dict[str, np.ndarray]]:
-    """`responses` with each sensor's noise and resolution: what the logger writes."""
+def noisy(
+    case: Case, strength: float = 1.0, clean: list[dict[str, np.ndarray]] | None = None
+) -> list[dict[str, np.ndarray]]:
+    """`responses`, where they are known the `clean` ones, with each sensor's noise and resolution: what is logged."""
     dice = np.random.default_rng([case.seed, KINDS.index(case.kind), 1])
     records = []
-    for clean in responses(case, strength):
-        record = dict(clean)
+    for each in responses(case, strength) if clean is None else clean:
+        record = dict(each)
         for meter in case.meters:
-            white = dice.normal(0.0, 1.0, len(clean["time"]))
+            white = dice.normal(0.0, 1.0, len(each["time"]))
             rho, noise = meter.colour, np.empty(len(white))
             noise[0] = white[0]
             for k in range(1, len(white)):
                 noise[k] = rho * noise[k - 1] + math.sqrt(1.0 - rho * rho) * white[k]
-            values = clean[meter.channel] + meter.noise * noise
+            values = each[meter.channel] + meter.noise * noise
             record[meter.channel] = _rounded(values, meter.resolution) if meter.resolution > 0.0 else values
         records.append(record)
     return records

@@ -5,7 +5,7 @@
 
 Profiles
     warm_up     the oil goes from 20 to 80 degC within 8 to 20 s, in one record down from 80
-    launch      from 20 to 200 or 270 degC at 12 to 25 K/s
+    launch      from 20 towards 270 degC at 3 to 5 K/s
 
 Networks
     nominal     that of the model
@@ -92,7 +92,7 @@ def _run(dice: np.random.Generator, k: int, profile: str, rate: float, duration:
         wave = np.sin(2.0 * np.pi * turns)
         wave = 2.0 / np.pi * np.arcsin(wave) if shape == "triangle" else wave
     if profile == "launch":
-        begin, end, slope = 20.0, dice.uniform(200.0, 270.0), dice.uniform(12.0, 25.0)
+        begin, end, slope = 20.0, 270.0, dice.uniform(3.0, 5.0)
     else:
         begin, end = (80.0, 20.0) if k == 1 else (20.0, 80.0)
         slope = (end - begin) / dice.uniform(8.0, 20.0)
@@ -106,22 +106,27 @@ def _run(dice: np.random.Generator, k: int, profile: str, rate: float, duration:
 
 
 def thermal_records(
-    case: Case, strength: float = 1.0, *, noise: bool = True, thermometers: tuple[str, ...] = ()
+    case: Case, clean: list[dict[str, np.ndarray]] | None = None, thermometers: tuple[str, ...] = ()
 ) -> list[dict[str, np.ndarray]]:
-    """Per record what the logger writes, SI; `thermometers` are parts whose temperature is measured too."""
+    """Per record what the logger writes, SI; `thermometers` are parts whose temperature is measured too. The `clean`
+    responses are worked out where they are not known.
+    """
     dice = np.random.default_rng([case.seed, 29])
-    records = hidden_plant.noisy(case, strength) if noise else hidden_plant.responses(case, strength)
-    lag = dict(case.hidden).get("thermal_lag", {}).get("time_constant", 0.0) * strength
+    records = hidden_plant.noisy(case, clean=clean)
+    lag = dict(case.hidden).get("thermal_lag", {}).get("time_constant", 0.0)
     for run, record in zip(case.runs, records, strict=True):
         parts = hidden_plant._parts(case, run, lag)
         for name in thermometers:
-            read = parts[name] + noise * dice.normal(0.0, THERMOMETER, len(run.oil))
+            read = parts[name] + dice.normal(0.0, THERMOMETER, len(run.oil))
             record[f"{name}_temperature"] = np.round(read, 2)
     return records
 
 
 def write_thermal_session(
-    case: Case, folder: str | Path, strength: float = 1.0, *, noise: bool = True, thermometers: tuple[str, ...] = ()
+    case: Case,
+    folder: str | Path,
+    clean: list[dict[str, np.ndarray]] | None = None,
+    thermometers: tuple[str, ...] = (),
 ) -> None:
     """Write session.toml and the records; nothing in them tells what is hidden, nor how the parts follow."""
-    hidden_plant.write_files(case, thermal_records(case, strength, noise=noise, thermometers=thermometers), folder)
+    hidden_plant.write_files(case, thermal_records(case, clean, thermometers), folder)

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.result import OTHER_VALVE, RECORDS_APART, Term, WhatToDo
 from valvesim.identification.candidates import Candidate
-from valvesim.valve.catalogue import CATALOGUE
+from valvesim.identification.prior import NETWORK
 from valvesim.valve.effect import Advice
+from valvesim.valve.thermal_network import NODES, ends_of, heat_words
 
 
 def advice_on_causes(in_set: Sequence[FittedHypothesis], unknown_reason: str) -> tuple[WhatToDo, ...]:
@@ -47,9 +48,21 @@ def _of_candidate(candidate: Candidate) -> Advice | None:
     if candidate.effect is not None:
         return candidate.effect.advice
     if candidate.parameter is not None and candidate.parameter.of_network:
-        return CATALOGUE["thermal_lag"].advice
+        return _of_heat_path(candidate.parameter.name.removeprefix(NETWORK))
     figure = candidate.name.partition(":")[2]
     return BY_FIGURE.get(figure) or _of_figure(figure.replace("_", " "))
+
+
+def _of_heat_path(name: str) -> Advice:
+    """What to do about a figure of the thermal network."""
+    parts = [end for end in ends_of(name) if end.replace(" ", "_") in NODES]
+    return Advice(
+        part=f"heat path of the {' and the '.join(parts)}: the {heat_words(name)}",
+        inspect=f"thermometers at the {' and the '.join(parts)}, or next to it, during a warm-up",
+        confirm=f"a warm-up with the column {parts[-1].replace(' ', '_')}_temperature: the part then goes by it, and "
+        "nothing is left to explain",
+        remedy=f"state thermal.{name} as found above, or measure that temperature; the valve need not be at fault",
+    )
 
 
 def _of_figure(figure: str) -> Advice:

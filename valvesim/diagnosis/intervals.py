@@ -11,7 +11,9 @@ from valvesim.diagnosis.result import Estimate
 from valvesim.diagnosis.score_test import ScoreTest
 from valvesim.identification.fit_jacobian import perturbation
 from valvesim.identification.nominal_fit import NominalFit
+from valvesim.identification.prior import NETWORK
 from valvesim.identification.projection import inverse_of
+from valvesim.valve.thermal_network import heat_words
 
 
 def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimate, ...]:
@@ -50,7 +52,13 @@ def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimat
             low, high = (parameter.at(fit.point[j], member.above_neutral + by) for by in (-half, half))
             found.append(
                 Estimate(
-                    name=parameter.name, cause=candidate.name, value=value, low=low, high=high, unit=parameter.unit
+                    name=parameter.name,
+                    cause=candidate.name,
+                    value=value,
+                    low=low,
+                    high=high,
+                    unit=parameter.unit,
+                    doc=heat_words(parameter.name.removeprefix(NETWORK)) if parameter.of_network else "",
                 )
             )
             continue

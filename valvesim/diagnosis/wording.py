@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term
-from valvesim.identification.candidates import OTHER_NETWORK
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.prior import NETWORK
+from valvesim.valve.thermal_network import heat_words
 
-WORDS = {OTHER_NETWORK: "that the parts follow the oil otherwise than assumed"}
-"""Labels that are words of their own."""
+OTHERWISE = "that the parts follow the oil otherwise than assumed"
 
 
 def summary_text(
@@ -49,10 +50,13 @@ def _first_labels(labels: Sequence[str], most: int = 2) -> str:
 
 def cause_words(one: FittedHypothesis) -> str:
     """A hypothesis in words: `sensor_bias@load_flow` as "sensor bias of load flow"."""
-    return " together with ".join(
-        WORDS.get(c.label, c.label).replace("parameter:", "the figure of ").replace("@", " of ").replace("_", " ")
-        for c in one.candidates
-    )
+    return " together with ".join(map(_words, one.candidates))
+
+
+def _words(c: Candidate) -> str:
+    if c.parameter is not None and c.parameter.of_network:
+        return f"{OTHERWISE} ({heat_words(c.parameter.name.removeprefix(NETWORK))})"
+    return c.label.replace("parameter:", "the figure of ").replace("@", " of ").replace("_", " ")
 
 
 def location_text(verdict: str, in_set: Sequence[FittedHypothesis]) -> str:

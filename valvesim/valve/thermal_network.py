@@ -94,6 +94,17 @@ class ThermalNetwork:
         return rates
 
 
+def ends_of(name: str) -> tuple[str, ...]:
+    """What a figure of the network is about, in words: its part, or both ends of its heat path."""
+    return tuple(end.replace("_", " ") for end in name.removesuffix("_capacity").split("_to_"))
+
+
+def heat_words(name: str) -> str:
+    """A figure of the network in words of heat transfer: `oil_to_spool` as "heat transfer from oil to spool"."""
+    ends = ends_of(name)
+    return f"heat transfer from {' to '.join(ends)}" if len(ends) > 1 else f"heat capacity of the {ends[0]}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class TemperaturePath:
     """Temperatures at knots, °C, straight in between; a pair of equal times is a jump."""
