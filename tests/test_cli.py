@@ -3,8 +3,10 @@
 import csv
 import io
 import json
+import multiprocessing
 import subprocess
 import sys
+from datetime import date
 from importlib import import_module
 
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 
 import valvesim as vs
 from valvesim.cli import main as cli
+from valvesim.cli.drawing_processes import drawing_processes
 from valvesim.units import quantities
 from valvesim.valve.thermal_network import ThermalNetwork
 
@@ -418,7 +421,7 @@ def test_the_program_runs_as_a_module_without_loading_what_it_does_not_need():
     assert header.split(",") == KEYS
     assert float(row.split(",")[3]) == pytest.approx(SPOOL, rel=1e-7)
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "pint" in loaded and not loaded & {"matplotlib", "casadi", "numba", "xarray", "control"}
+    assert "numpy" in loaded and not loaded & {"matplotlib", "casadi", "numba", "pint", "xarray", "control"}
 
 
 def test_an_error_of_the_module_is_one_line_without_a_traceback(tmp_path):
@@ -433,3 +436,22 @@ def test_an_error_of_the_module_is_one_line_without_a_traceback(tmp_path):
 def test_figures_are_finite_at_every_current_and_temperature_in_use(call):
     rows = static(call, "--current", "-10,-5,-1,-0.1,0,0.1,1,5,10 mA", "--oil-temperature", "-40,20,100,200,270 degC")
     assert len(rows) == 45 and all(np.all(np.isfinite(list(row.values()))) for row in rows)
+
+
+# --- pictures in processes of their own -------------------------------------------------------------------------------
+
+
+def test_pictures_that_are_not_waited_for_end_with_the_block(tmp_path):
+    with pytest.raises(KeyError, match="what went wrong"), drawing_processes() as draw:
+        for name in ("one", "two", "three"):
+            draw("write_picture", "no figure", None, tmp_path / f"{name}.png")
+        raise KeyError("what went wrong")
+    assert not [process for process in multiprocessing.active_children() if process.name.startswith("ForkServer")]
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_error_of_a_picture_reaches_whoever_waits_for_it(tmp_path):
+    with drawing_processes() as draw:
+        waiting = draw("page_run", *[vs.Scenario()] * 2, date.today(), tmp_path / "none" / "run.html")
+        with pytest.raises(AttributeError, match="no attribute 'scenario'"):
+            waiting()

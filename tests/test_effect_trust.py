@@ -13,7 +13,8 @@ import valvesim as vs
 from valvesim.identification.session_toml import load_session
 from valvesim.studies.study_toml import load_study
 from valvesim.valve.effect_files import load_effects_files
-from valvesim.valve.effect_trust import LIST, hash_of, permitting, remember
+from valvesim.valve.effect_trust import LIST, hash_of, remember
+from valvesim.valve.permission import permitting
 from valvesim.valve.valve_file import load_valve
 
 EFFECT = """

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from valvesim import units
 from valvesim.errors import InputError
+from valvesim.unit_factors import FACTORS
 from valvesim.units import (
     DISPLAY,
     POSITIVE,
@@ -163,7 +164,7 @@ def test_a_unit_that_would_take_ages_never_reaches_pint(text, monkeypatch):
     monkeypatch.setattr(units, "_unit", lambda unit: asked.append(unit) or ask(unit))
     assert "unknown unit" in refusal(parse, f"1 {text}", "m")
     assert text not in asked
-    assert parse("1 mm", "m") == 1e-3 and "mm" in asked  # the same way for what is a unit
+    assert parse("1 nm", "m") == 1e-9 and "nm" in asked  # the same way for what is a unit
 
 
 pieces = st.sampled_from(
@@ -365,3 +366,11 @@ def test_a_change_names_the_figure_that_cannot_be_read(where, prefix):
 
 def test_a_temperature_difference_may_be_written_in_degrees_celsius():
     assert parse("5 degC", "delta_degC") == parse("5 K", "delta_degC") == pytest.approx(5.0)
+
+
+def test_the_units_in_daily_use_convert_as_pint_converts_them():
+    numbers = np.array([1.0, -3.7, 0.123456789, 21e6, 7.77e-12])
+    for unit, to in FACTORS:
+        by_pint = units._convert_by_pint(numbers, unit, to, "")
+        assert convert(numbers, unit, to).tolist() == by_pint.tolist(), (unit, to)
+        assert [convert(number, unit, to) for number in numbers.tolist()] == by_pint.tolist(), (unit, to)

@@ -1,7 +1,7 @@
 """Units at the edges: text with a unit in, SI out; and each quantity declared once, with unit, bounds and source.
 
 Inside the package every number is SI, and temperatures are in °C by name. Files, command line and plots carry units as
-words, read by `pint`; a wrong dimension is an `InputError`.
+words, read by `pint` where they are not in daily use; a wrong dimension is an `InputError`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from valvesim.errors import InputError, unknown_name
+from valvesim.unit_factors import FACTORS
 
 P = ParamSpec("P")
 F = TypeVar("F")
@@ -81,6 +82,17 @@ def convert(value: Any, unit: str, to: str, where: str = "") -> Any:
 
     Raises InputError for a wrong dimension, an unknown unit, and where a number leaves the range of a float.
     """
+    factor = FACTORS.get((unit, to))
+    with np.errstate(all="ignore"):
+        converted = _convert_by_pint(value, unit, to, where) if factor is None else value * factor
+    lost = np.isfinite(value) & ~np.isfinite(converted)
+    if lost.any():
+        raise InputError(f"{np.asarray(value)[lost].flat[0]:.6g} {unit} is too large a number in {to!r}", key=where)
+    return converted
+
+
+def _convert_by_pint(value: Any, unit: str, to: str, where: str) -> Any:
+    """`convert` of units of any kind."""
     import pint
 
     try:
@@ -91,17 +103,12 @@ def convert(value: Any, unit: str, to: str, where: str = "") -> Any:
         told = f"unknown unit {_shown(unit)}; expected one that converts to {to!r}{_advice(unit, to)}"
         raise InputError(told, key=where) from error
     try:
-        with np.errstate(all="ignore"):
-            converted = _registry().Quantity(value, source).to(_unit(to)).magnitude
+        return _registry().Quantity(value, source).to(_unit(to)).magnitude
     except (pint.errors.PintError, AssertionError, ArithmeticError) as error:
         raise InputError(
             f"{_shown(unit)} has the wrong dimension; expected a unit that converts to {to!r}{_advice(unit, to)}",
             key=where,
         ) from error
-    lost = np.isfinite(value) & ~np.isfinite(converted)
-    if lost.any():
-        raise InputError(f"{np.asarray(value)[lost].flat[0]:.6g} {unit} is too large a number in {to!r}", key=where)
-    return converted
 
 
 def parse(text: Any, unit: str, where: str = "") -> float:

@@ -34,7 +34,7 @@ def with_permissions(command: click.Command) -> click.Command:
 
 
 def _permit_code(context: click.Context, _: click.Parameter, trust: bool) -> None:
-    from valvesim.valve.effect_trust import permitting
+    from valvesim.valve.permission import permitting
 
     def ask(file: Path, content: bytes) -> bool:
         if trust or _says_yes(file, content):
@@ -46,7 +46,7 @@ def _permit_code(context: click.Context, _: click.Parameter, trust: bool) -> Non
 
 
 def _permit_outside(context: click.Context, _: click.Parameter, outside: bool) -> None:
-    from valvesim.valve.effect_trust import permitting
+    from valvesim.valve.permission import permitting
 
     context.with_resource(permitting(outside=outside))
 

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import pickle
+import functools
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import date
 from importlib import import_module
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from valvesim.cli.display import console, print_rows, print_written, progress_bar, titled_table
-from valvesim.cli.interrupts import end_with_parent, hidden_from_children
+from valvesim.cli.drawing_processes import Draw, drawing_processes, load_for_drawing, no_drawing
 from valvesim.cli.options import format_option, output_option, settings_option, valve_option
 from valvesim.cli.output_folder import all_or_nothing
+
+if TYPE_CHECKING:
+    from valvesim.characterisation.thermal_drift import Drift
+    from valvesim.simulation.result import Result
+    from valvesim.simulation.scenario import Scenario
 
 
 @click.command()
@@ -42,8 +43,40 @@ def run(
 
     SCENARIO is a file, or the name of one that comes along (`valvesim scenarios`).
     """
-    _load_pint_alone()
-    from valvesim.characterisation.rest_characteristic import rest_characteristic
+    if not no_pictures:
+        load_for_drawing()
+    _load_numba_alone()
+    from valvesim.reports.run_table import RUN_RECORD, run_records
+    from valvesim.simulation.result import check_channels
+    from valvesim.simulation.scenario_toml import load_scenario
+
+    case = load_scenario(scenario, settings=settings, valve=valve)
+    if channels is not None:
+        case = replace(case, channels=tuple(name.strip() for name in channels.split(",")))
+    check_channels(case)
+    place = output or Path("results") / scenario.stem
+    forms = [name for name, wanted in (("csv", with_csv), ("parquet", parquet), ("mat", mat)) if wanted]
+    drawing = no_drawing() if no_pictures else drawing_processes()
+    with all_or_nothing(place) as folder, drawing as draw, progress_bar() as bar:
+        stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
+        told = functools.partial(bar.update, stage)
+        result, drift, drawn = _simulate_and_draw(case, folder, draw, forms, told)
+        written = [_write_scenario(case, scenario, settings, folder / "scenario.toml"), *drawn]
+    if form == "table":
+        _print_run(result, drift, [place / path.name for path in written])
+    else:
+        print_rows([dict(zip(RUN_RECORD, row, strict=True)) for row in run_records(result)], form)
+
+
+def _simulate_and_draw(
+    case: Scenario, folder: Path, draw: Draw, forms: Sequence[str], told: Callable[..., None]
+) -> tuple[Result, Drift | None, list[Path]]:
+    """(result, drift where temperatures vary, files written) of a run; what can be drawn is drawn meanwhile."""
+    from valvesim.simulation.run import simulate
+
+    result = simulate(case, progress=lambda share: told(description="integrating", total=1.0, completed=share))
+    pictures = [draw("picture_run", result, date.today(), folder / "run.png")]
+    from valvesim.characterisation.rest_characteristic import rest_characteristic  # needed from here on alone
     from valvesim.characterisation.spectral_response import own_response
     from valvesim.characterisation.thermal_drift import (
         frequency_goes,
@@ -52,65 +85,47 @@ def run(
         static_drift,
         temperature_varies,
     )
-    from valvesim.reports.run_table import RUN_RECORD, run_records
-    from valvesim.simulation.result import check_channels
-    from valvesim.simulation.run import simulate
-    from valvesim.simulation.scenario_toml import load_scenario
 
-    case = load_scenario(scenario, settings=settings, valve=valve)
-    if channels is not None:
-        case = replace(case, channels=tuple(name.strip() for name in channels.split(",")))
-    check_channels(case)
-    place = output or Path("results") / scenario.stem
-    with all_or_nothing(place) as folder, _artist(wanted=not no_pictures) as draw, progress_bar() as bar:
-        stage = bar.add_task("preparing the equations (seconds on the first run)", total=None)
-
-        def integrated(share: float) -> None:
-            bar.update(stage, description="integrating", total=1.0, completed=share)
-
-        result = simulate(case, progress=integrated)
-        bar.update(stage, description="writing result.nc", total=None)
-        written = [_write_scenario(case, scenario, settings, folder / "scenario.toml")]
-        written.append(result.select(case.channels).to_netcdf(folder / "result.nc"))
-        varies, sweeps = temperature_varies(case), frequency_goes(case)
-        pictures = [draw("picture_run", result, date.today(), folder / "run.png")]
-        response = own_response(result) if sweeps else None
-        if response is not None:
-            pictures.append(draw("picture_sweep", result, response, date.today(), folder / "sweep.png"))
-        elif not varies:
-            rest = rest_characteristic(case)
-            pictures.append(draw("picture_characteristic", result, rest, date.today(), folder / "characteristic.png"))
-        chosen = result.select(case.channels)
-        writers = {"csv": chosen.to_csv, "parquet": chosen.to_parquet, "mat": chosen.to_mat}
-        for form in [form for form, wanted in zip(writers, (with_csv, parquet, mat), strict=True) if wanted]:
-            bar.update(stage, description=f"writing result.{form}")
-            written.append(writers[form](folder / f"result.{form}"))
-        drift = None
-        if varies:
-            bar.update(stage, description="drift against 20 °C")
-            drift = static_drift(result)
-        if varies and not sweeps:
-            observed = observed_drift(result, simulate(nominal(case), signals=False))
-            pictures.append(draw("picture_drift", drift, observed, case, date.today(), folder / "drift.png"))
-        bar.update(stage, description="drawing")
-        drawn = [path for picture in pictures if (path := picture()) is not None]
-        page = draw("page_run", result, drawn, date.today(), folder / "run.html", drift, response)()
-        written += [*drawn, *([] if page is None else [page])]
-    if form == "table":
-        _print_run(result, drift, [place / path.name for path in written])
-    else:
-        print_rows([dict(zip(RUN_RECORD, row, strict=True)) for row in run_records(result)], form)
+    varies, sweeps = temperature_varies(case), frequency_goes(case)
+    response = own_response(result) if sweeps else None
+    if response is not None:
+        pictures.append(draw("picture_sweep", result, response, date.today(), folder / "sweep.png"))
+    elif not varies:
+        rest = rest_characteristic(case)
+        pictures.append(draw("picture_characteristic", result, rest, date.today(), folder / "characteristic.png"))
+    drift = None
+    if varies:
+        told(description="drift against 20 °C", total=None)
+        drift = static_drift(result)
+    if drift is not None and not sweeps:
+        observed = observed_drift(result, simulate(nominal(case), signals=False))
+        pictures.append(draw("picture_drift", drift, observed, case, date.today(), folder / "drift.png"))
+    written = _write_result(result.select(case.channels), folder, forms, told)
+    told(description="drawing", total=None)
+    drawn = [path for picture in pictures if (path := picture()) is not None]
+    page = draw("page_run", result, drawn, date.today(), folder / "run.html", drift, response)()
+    return result, drift, [*written, *drawn, *([] if page is None else [page])]
 
 
-def _load_pint_alone() -> None:
-    """Load pint without dask, which it loads where it finds it: a fifth of a start, and no unit needs it."""
-    if "pint" not in sys.modules and "dask" not in sys.modules:
+def _write_result(result: Result, folder: Path, forms: Sequence[str], told: Callable[..., None]) -> list[Path]:
+    """The files of a result: netCDF, and what else is asked for of csv, parquet and mat."""
+    writers = {"nc": result.to_netcdf, "csv": result.to_csv, "parquet": result.to_parquet, "mat": result.to_mat}
+    written = []
+    for form in ("nc", *forms):
+        told(description=f"writing result.{form}", total=None)
+        written.append(writers[form](folder / f"result.{form}"))
+    return written
+
+
+def _load_numba_alone() -> None:
+    """Load numba without coverage, which it loads where it finds it and nobody measures: 0.05 s."""
+    if "numba" not in sys.modules and "coverage" not in sys.modules:
         modules: dict[str, Any] = sys.modules
-        modules["dask"] = None  # as if it were not installed
+        modules["coverage"] = None  # as if it were not installed
         try:
-            import_module("pint")
+            import_module("numba")
         finally:
-            del modules["dask"]
+            del modules["coverage"]
 
 
 def _write_scenario(case: Any, given: Path, settings: tuple[str, ...], path: Path) -> Path:
@@ -128,74 +143,6 @@ def _write_scenario(case: Any, given: Path, settings: tuple[str, ...], path: Pat
         text = scenario_file(given).read_text(encoding="utf-8")
         told.append(f"as it was given, without the settings: {error}")
     return write_atomically(path, lambda own: write_text(own, "".join(f"# {line}\n" for line in told) + text))
-
-
-@contextlib.contextmanager
-def _artist(*, wanted: bool) -> Iterator[Callable[..., Callable[[], Path | None]]]:
-    """Draws in a process of its own, which loads matplotlib (half a second) while this one integrates.
-
-    `draw(name, *arguments)` begins a picture of `report` and returns what waits for its path. Where the arguments
-    cannot travel (an effect made of lambdas), the picture is drawn here when it is waited for. That process ends with
-    the pipe between them: however this one ends, none is left.
-    """
-    if not wanted:
-        yield lambda name, *arguments: lambda: None
-        return
-    spawning = multiprocessing.get_context("spawn")
-    here, there = spawning.Pipe()
-    process = spawning.Process(target=_draw_for, args=(there,), daemon=True)
-    with hidden_from_children():
-        process.start()
-    there.close()
-
-    def ask(*job: Any) -> Path | None:
-        here.send(job)
-        path, error = here.recv()
-        if error is not None:
-            raise error
-        return path
-
-    with ThreadPoolExecutor(1) as queue:
-
-        def draw(name: str, *arguments: Any) -> Callable[[], Path | None]:
-            begun = queue.submit(ask, name, *arguments)
-
-            def wait() -> Path | None:
-                try:
-                    return begun.result()
-                except (pickle.PicklingError, AttributeError, TypeError, EOFError, ConnectionError):
-                    return _draw(name, *arguments)
-
-            return wait
-
-        try:
-            yield draw
-        finally:
-            process.kill()
-            process.join()
-    here.close()
-
-
-def _draw_for(pipe: Connection) -> None:
-    """Draw what comes through a pipe until it is closed."""
-    end_with_parent()
-    from valvesim.reports import run as report  # noqa: F401 - loaded while the other side integrates
-
-    with contextlib.suppress(EOFError, ConnectionError):
-        while True:
-            job, path, failed = pipe.recv(), None, None
-            try:
-                path = _draw(*job)
-            except Exception as error:
-                failed = error
-            pipe.send((path, failed))
-
-
-def _draw(name: str, *arguments: Any) -> Path | None:
-    """One picture of `report`."""
-    from valvesim.reports import run as report
-
-    return getattr(report, name)(*arguments)
 
 
 def _print_run(result: Any, drift: Any, written: list[Path]) -> None:

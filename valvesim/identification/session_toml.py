@@ -37,8 +37,9 @@ from valvesim.measurement.formats import LISTED
 from valvesim.measurement.recording import Recording, read_recording
 from valvesim.simulation.scenario_toml import Reader, valve_argument
 from valvesim.units import parse
-from valvesim.valve.effect_trust import check_inside, permitting
+from valvesim.valve.effect_trust import check_inside
 from valvesim.valve.parameters import REFERENCE_TEMPERATURE
+from valvesim.valve.permission import permitting
 from valvesim.valve.valve_toml import read_tolerance
 
 _TABLES = ("valve", "oil", "thermal", "effects", "tolerances", "sensors")

@@ -27,7 +27,7 @@ F = TypeVar("F")
 STYLE: Any = {
     "font.size": 9, "text.parse_math": False, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False,
     "axes.spines.right": False, "lines.linewidth": 1.1, "legend.frameon": False, "legend.fontsize": 8,
-    "figure.dpi": 100,
+    "figure.dpi": 100, "axes.titley": 1.0,
 }  # fmt: skip
 """Names are shown as they stand: a title may hold any sign, so no text is read as a formula."""
 COLOURS = ("#1f5fa8", "#d1495b", "#2e8b57", "#e09f3e", "#7a5195", "#5c677d", "#17a2b8", "#8d5524")

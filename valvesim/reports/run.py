@@ -172,7 +172,8 @@ def draw_run(result: Result) -> Figure:
         pair[0].set_ylabel(f"{label} [{unit}]")
         if len(names) > 1:
             pair[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.align_ylabels(axes[:, 0])
+    for axis in axes[:, 0]:
+        axis.yaxis.set_label_coords(-0.085, 0.5)
     axes[0, 0].set_title("whole run", loc="left")
     axes[0, 1].set_title(what, loc="left")
     axes[-1, 0].set_xlabel(f"time [{parts[0][2]}]")

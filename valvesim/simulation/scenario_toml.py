@@ -24,8 +24,8 @@ from valvesim.units import change, exact_text, parse, quantities
 from valvesim.valve.coefficients import ROUTES, check_routes
 from valvesim.valve.effect import Effect, check_listed_once
 from valvesim.valve.effect_files import load_effects_files
-from valvesim.valve.effect_trust import permitting
 from valvesim.valve.equations import DRIVES
+from valvesim.valve.permission import permitting
 from valvesim.valve.thermal_network import NODES, ThermalNetwork
 from valvesim.valve.valve_file import PRESETS, ValveFile, read_valve_entry
 from valvesim.valve.valve_toml import (

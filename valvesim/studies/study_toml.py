@@ -64,7 +64,8 @@ from valvesim.studies.variables import (
     variable_of,
 )
 from valvesim.units import change, parse, parse_list
-from valvesim.valve.effect_trust import check_trusted, code_of, permitting
+from valvesim.valve.effect_trust import check_trusted, code_of
+from valvesim.valve.permission import permitting
 from valvesim.valve.valve_file import ValveFile
 from valvesim.valve.valve_toml import read_oil_table
 

@@ -12,58 +12,14 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Iterator
-from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path
 
 from valvesim.errors import InputError
 from valvesim.io import MOST_TEXT, UnsafeFile, check_file, check_own, is_inside, reason
+from valvesim.valve.permission import given, outside_permitted
 
 LIST = "trusted_effects.txt"
 MOST_LISTED = 10_000_000  # bytes of the list that are read
-
-
-@dataclass(frozen=True)
-class Permission:
-    """What may be run and read. `ask(file, content)` is asked about code that was not trusted before."""
-
-    ask: Callable[[Path, bytes], bool]
-    outside: bool = False
-
-
-def _never(file: Path, content: bytes) -> bool:
-    return False
-
-
-def _always(file: Path, content: bytes) -> bool:
-    return True
-
-
-NOTHING = Permission(ask=_never)
-_GIVEN: ContextVar[Permission] = ContextVar("permission", default=NOTHING)
-
-
-@contextlib.contextmanager
-def permitting(
-    *, trust: bool = False, outside: bool = False, ask: Callable[[Path, bytes], bool] | None = None
-) -> Iterator[None]:
-    """Inside, files of effects are run (`trust`, or where `ask` says yes) and files outside a folder are read.
-
-    What is permitted around it stays permitted.
-    """
-    given = _GIVEN.get()
-    asked = _always if trust else ask if ask is not None else given.ask
-    token = _GIVEN.set(Permission(ask=asked, outside=given.outside or outside))
-    try:
-        yield
-    finally:
-        _GIVEN.reset(token)
-
-
-def outside_permitted() -> bool:
-    """Whether files outside the folder of the file that names them may be read."""
-    return _GIVEN.get().outside
 
 
 def check_trusted(file: Path, content: bytes, folder: Path, *, key: str = "effects_files") -> None:
@@ -72,7 +28,7 @@ def check_trusted(file: Path, content: bytes, folder: Path, *, key: str = "effec
     if not is_inside(file, folder) and not outside_permitted() and file.resolve() not in known:
         problem = f"{str(file)!r} stands outside the folder {str(folder)!r}"
         raise InputError(f"{problem}; copy it there, or give --outside (in Python: outside=True)", key=key)
-    if not known and not _GIVEN.get().ask(file, content):
+    if not known and not given().ask(file, content):
         problem = f"{str(file)!r} is Python code that would run with your rights, and it was not trusted before"
         raise InputError(f"{problem}; read it, then give --trust (in Python: trust=True)", key=key)
 

@@ -33,9 +33,9 @@ from valvesim.io import (
 from valvesim.units import exact_text, parse, quantities
 from valvesim.valve.effect import ActiveEffect, Effect
 from valvesim.valve.effect_files import load_effects_files
-from valvesim.valve.effect_trust import permitting
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
+from valvesim.valve.permission import permitting
 from valvesim.valve.valve_toml import (
     add_effects,
     add_section,
