@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
-from valvesim.characterisation.judgement_table import condition_text, interval_text, limit_text, rows_of
+from valvesim.characterisation.judgement_table import asked_text, condition_text, interval_text, limit_text, rows_of
 from valvesim.characterisation.specification import Limit
 from valvesim.cli.main import COMMANDS, cli
 
@@ -64,6 +64,13 @@ def test_rows_for_machines_have_figures_in_si_and_verdicts(bench):
 def test_a_specification_that_makes_no_sense_is_told_before_anything_runs(bench):
     told = bench("[figures]\ntare = '1 L/min'\n")
     assert told.exit_code == 1 and "unknown figure of a nozzle-flapper servo valve 'tare'" in str(told.exception)
+
+
+def test_a_value_with_its_tolerance_is_told_to_it():
+    limit = Limit(figure="rated_flow", value=9.56 / 6e4, low=9.2361 / 6e4, high=9.8839 / 6e4)
+    assert asked_text(limit) == "9.56 ± 0.32 L/min"
+    assert asked_text(Limit(figure="null_bias", value=0.002, low=0.001, high=0.004)) == "0.1 to 0.4 %"
+    assert asked_text(Limit(figure="hysteresis", high=0.03)) == "at most 3 %"
 
 
 def test_limits_and_conditions_are_told_as_people_read_them():

@@ -48,6 +48,15 @@ def limit_text(limit: Limit) -> str:
     return f"{low} to {high} {unit}".strip()
 
 
+def asked_text(limit: Limit) -> str:
+    """What is aimed at: a value with its tolerance, such as `38.0 ± 3.8 L/min`, else as `limit_text` has it."""
+    width = (limit.high - limit.low) / 2.0
+    if not math.isfinite(width) or not math.isclose(limit.value, limit.low + width, rel_tol=1e-6, abs_tol=1e-6 * width):
+        return limit_text(limit)
+    value, tolerance, unit = value_text(limit.value, limit.unit, width)
+    return f"{value} ± {tolerance} {unit}".strip()
+
+
 def condition_text(conditions: Mapping[str, float], common: Iterable[str] = ()) -> str:
     """Conditions in words, such as `amplitude 40 %, pressure drop 70 bar`; those of `common` are left out."""
     told = []

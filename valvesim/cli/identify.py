@@ -51,14 +51,21 @@ def identify(specification: Path, output: Path, records: Path | None, seed: int,
 def _print(found: Identification) -> None:
     from rich.markup import escape
 
-    from valvesim.characterisation.judgement_table import condition_text, interval_text, limit_text, value_text
+    from valvesim.characterisation.judgement_table import (
+        asked_text,
+        condition_text,
+        interval_text,
+        limit_text,
+        value_text,
+    )
     from valvesim.characterisation.specification import COMMON
 
-    rows = []
+    common, rows = found.specification.conditions.items(), []
     for one in found.figures:
         limit = one.asked.limit
         value, error, unit = value_text(one.value, limit.unit, one.deviation)
-        told = (limit.figure.replace("_", " "), condition_text(limit.conditions, COMMON), limit_text(limit))
+        at = condition_text(dict(limit.conditions.items() - common))
+        told = (limit.figure.replace("_", " "), at, asked_text(limit))
         rows.append((*told, value, error, unit, "yes" if one.reached else "NO"))
     print_table("asked and reached", ("figure", "condition", "asked", "value", "±", "unit", "within"), rows)
     parameters = []

@@ -111,6 +111,8 @@ def identify(
     tell(0.9)
     following = next_figures(posterior, predictor)
     valve, parameters = _described(specification, posterior)
+    if measured is not None:
+        valve = replace(valve, serial_number=measured.serial_number)
     figures = tuple(map(ReachedFigure, asked, map(float, posterior.predicted), map(float, posterior.deviations)))
     tell(1.0)
     return Identification(
