@@ -561,6 +561,12 @@ def test_times_of_single_precision_are_taken_as_even(tmp_path):
     assert "times are written to 3.05e-05 s only" in clock.notes[0]
 
 
+@pytest.mark.parametrize("step", [1e-320, 1e-15, 1e300])
+def test_samples_closer_or_farther_apart_than_any_are_refused(tmp_path, step):
+    with pytest.raises(InputError, match=r"samples .* s apart are outside \[1e-12, 1e\+12\] s"):
+        read(tmp_path, table(np.arange(200) * step, CURRENT[:200], head="time [s],current [A]"))
+
+
 def test_a_time_beyond_all_reckoning_is_refused_with_its_line(tmp_path):
     time = np.concatenate([[-1e308], np.arange(1, 200) / 1e3])
     with pytest.raises(InputError) as caught:

@@ -1,11 +1,13 @@
 """Binary formats are read in a process of their own: what a file or its library does to it is one line here."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -162,6 +164,65 @@ def test_worker_processes_read_with_a_process_of_their_own(tmp_path, method):
     assert queue.get(timeout=60.0) == expected
     worker.join()
     assert _read(good).sum() == expected  # its own process was left alone
+
+
+# --- bombs, and names of other files ---------------------------------------------------------------------------------
+
+
+def test_an_archive_that_unpacks_to_a_thousand_times_its_size_is_refused_at_once(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.xlsx", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("[Content_Types].xml", b" " * 100_000_000)
+    with pytest.raises(InputError, match=r"a\.xlsx: unpacks to 100 MB, more than 100 times its size"):
+        _read(tmp_path / "a.xlsx")
+
+
+def test_a_sheet_may_claim_any_width(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["time [s]", "current [A]"], *([k / 1e3, k] for k in range(30))):
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    with zipfile.ZipFile(tmp_path / "a.xlsx") as good, zipfile.ZipFile(tmp_path / "b.xlsx", "w") as wide:
+        for name in good.namelist():
+            wide.writestr(name, re.sub(rb'dimension ref="[^"]*"', b'dimension ref="A1:XFD1048576"', good.read(name)))
+    assert (_read(tmp_path / "b.xlsx") == np.arange(30.0)).all()
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".nc"])
+@pytest.mark.parametrize("how", ["link", "external", "virtual"])
+def test_no_file_is_read_that_another_names(tmp_path, suffix, how):
+    """Neither a record that stands elsewhere, nor bytes of any file as numbers, nor a pipe that never ends."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = np.arange(20.0)
+    (tmp_path / "secret").write_bytes(np.arange(20.0).tobytes())
+    path = tmp_path / f"a{suffix}"
+    with h5py.File(path, "w") as file:
+        time = file.create_dataset("time", data=np.arange(20) / 1e3)
+        time.make_scale("time")
+        if how == "link":
+            file["current"] = h5py.ExternalLink(tmp_path / "other.h5", "/x")
+        elif how == "external":
+            file.create_dataset("current", (20,), "f8", external=[(tmp_path / "secret", 0, 160)])
+        else:
+            layout = h5py.VirtualLayout((20,), dtype="f8")
+            layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "x", shape=(20,))
+            file.create_virtual_dataset("current", layout)
+        if how != "link":
+            file["current"].dims[0].attach_scale(time)
+            file["current"].attrs["units"] = "A"
+        time.attrs["units"] = "s"
+    if (suffix, how) == (".nc", "virtual"):  # HDF5 has a fill value for what is not there, and netCDF tells no more
+        assert not _read(path).any()
+        return
+    with pytest.raises(InputError, match="stands in another file" if suffix == ".mat" else "NetCDF: HDF error"):
+        _read(path)
+
+
+def test_more_columns_than_a_table_may_have_are_refused(tmp_path):
+    savemat(tmp_path / "a.mat", {f"v{k}": np.arange(2.0) for k in range(4001)})
+    with pytest.raises(InputError, match=r"a\.mat: 4001 columns are more than 4000"):
+        _read(tmp_path / "a.mat")
 
 
 # --- nobody is left --------------------------------------------------------------------------------------------------

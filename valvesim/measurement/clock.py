@@ -21,6 +21,7 @@ UNEVEN = 0.1  # share of the steps that may be neither a step nor whole steps of
 COARSE = 0.2  # share of the steps that are zero from which times are taken to be written with too few digits
 _PART = 1 << 20  # times at once
 FARTHEST = 1e12  # s; a date in seconds is below 1e10
+SHORTEST = 1e-12  # s between samples
 FILLED = 20.0  # times the samples: a record with more gap than that is not one
 
 

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from valvesim.io import check_file
+from valvesim.errors import InputError
+from valvesim.io import check_file, reason
 from valvesim.measurement.csv_file import read_csv
 from valvesim.measurement.dialect import NO_DIALECT, Dialect
 from valvesim.measurement.mat_file import read_mat
@@ -21,24 +22,28 @@ from valvesim.measurement.xlsx_file import read_xlsx
 
 @dataclass(frozen=True)
 class Format:
-    """A format: its reader, the libraries that it needs, and the extra of this package that brings them."""
+    """A format: its reader, the libraries that it needs, and the extra of this package that brings them.
+
+    `marks` are the bytes one of which its files begin with (or, of HDF5, have after a block of the user's own).
+    """
 
     name: str
     read: Callable[[Path, Choice], tuple[MeasuredTable, ...]]
     libraries: tuple[str, ...]
     extra: str = ""
+    marks: tuple[bytes, ...] = (b"",)
 
 
-_MAT = Format("MATLAB", read_mat, ("h5py", "scipy.io"), "mat")
-_MDF = Format("MDF", read_mdf, ("asammdf",), "mdf")
+_MAT = Format("MATLAB", read_mat, ("h5py", "scipy.io"), "mat")  # version 4 has no mark
+_MDF = Format("MDF", read_mdf, ("asammdf",), "mdf", (b"MDF", b"UnFinMF"))
 FORMATS = {
-    ".nc": Format("netCDF", read_netcdf, ("netCDF4",)),
+    ".nc": Format("netCDF", read_netcdf, ("netCDF4",), "", (b"CDF", b"\x89HDF\r\n\x1a\n", b"\x0e\x03\x13\x01")),
     ".mat": _MAT,
-    ".tdms": Format("TDMS", read_tdms, ("nptdms",), "tdms"),
+    ".tdms": Format("TDMS", read_tdms, ("nptdms",), "tdms", (b"TDSm",)),
     ".mf4": _MDF,
     ".mdf": _MDF,
-    ".parquet": Format("Parquet", read_parquet, ("pyarrow",), "parquet"),
-    ".xlsx": Format("xlsx", read_xlsx, ("openpyxl",), "xlsx"),
+    ".parquet": Format("Parquet", read_parquet, ("pyarrow",), "parquet", (b"PAR1",)),
+    ".xlsx": Format("xlsx", read_xlsx, ("openpyxl",), "xlsx", (b"PK",)),
 }
 """Formats that are no text, by extension."""
 TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm")
@@ -57,4 +62,12 @@ def read_tables(path: Path, choice: Choice, stated: Dialect = NO_DIALECT) -> tup
     check_file(path, MOST_BYTES)
     if suffix in TEXT or suffix not in FORMATS:
         return read_csv(path, choice, stated)
-    return read_apart(path, FORMATS[suffix].name, choice)
+    form = FORMATS[suffix]
+    try:
+        with open(path, "rb") as file:
+            start = file.read(5000)
+    except OSError as error:
+        raise InputError(f"cannot be read ({reason(error)})", file=path) from None
+    if not any(start.startswith(mark, at) for mark in form.marks for at in (0, 512, 1024, 2048, 4096)):
+        raise InputError(f"is no {form.name} file: it does not begin as one does", file=path)
+    return read_apart(path, form.name, choice)

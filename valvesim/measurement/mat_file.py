@@ -8,6 +8,7 @@ Read are vectors, the fields of structures (`data.current`), and tables of a str
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ import numpy as np
 from valvesim.errors import InputError
 from valvesim.measurement.headings import heading_of, spelled
 from valvesim.measurement.numbers import as_numbers, is_real
-from valvesim.measurement.table import Choice, Column, Heading, MeasuredTable
+from valvesim.measurement.table import MOST_COLUMNS, Choice, Column, Heading, MeasuredTable
 
 _DEEPEST = 4
+_LONGEST_TEXT = 1000  # characters of what may be a unit
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -30,7 +32,10 @@ def read_mat(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
         import h5py
 
         with h5py.File(path, "r") as file:
-            return _tables(list(_in_hdf5(file, "", 0)), choice)
+            leaves = list(islice(_in_hdf5(file, "", 0), MOST_COLUMNS + 1))
+            if len(leaves) > MOST_COLUMNS:
+                raise InputError(f"holds more than {MOST_COLUMNS} variables")
+            return _tables(leaves, choice)
     from scipy.io import loadmat
 
     loaded = loadmat(path, squeeze_me=True, struct_as_record=False, verify_compressed_data_integrity=True)
@@ -51,15 +56,21 @@ def _in_hdf5(group: Any, name: str, depth: int) -> Iterator[tuple[str, Any]]:
     """The same of a file of version 7.3; vectors stay on the disk until they are chosen."""
     import h5py
 
-    for key, value in group.items():
+    for key in group:
         if key.startswith("#"):
             continue
+        link = group.get(key, getlink=True)
+        value = None if isinstance(link, h5py.ExternalLink) else group[key]
+        if value is None or (isinstance(value, h5py.Dataset) and (value.external or value.is_virtual)):
+            raise InputError(f"{key!r} stands in another file, which is not read")
         inner = f"{name}.{key}" if name else key
         if isinstance(value, h5py.Group) and depth < _DEEPEST:
             yield from _in_hdf5(value, inner, depth + 1)
         elif isinstance(value, h5py.Dataset):
-            text = value.attrs.get("MATLAB_class", b"") == b"char"
-            yield inner, "".join(map(chr, np.ravel(value[()]))) if text else value
+            if value.attrs.get("MATLAB_class", b"") != b"char":
+                yield inner, value
+            elif value.size <= _LONGEST_TEXT:
+                yield inner, "".join(map(chr, np.ravel(value[()])))
 
 
 def _tables(leaves: list[tuple[str, Any]], choice: Choice) -> tuple[MeasuredTable, ...]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +20,14 @@ def read_netcdf(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
     from netCDF4 import Dataset
 
     tables = []
-    with Dataset(path) as file:
-        for name in file.dimensions:
-            variables = [v for v in file.variables.values() if v.dimensions == (name,)]
+    with _opening_at_most(1):
+        file = Dataset(path)
+    with file:
+        along: dict[str, list[Any]] = {name: [] for name in file.dimensions}
+        for variable in file.variables.values():
+            if len(variable.dimensions) == 1:
+                along[variable.dimensions[0]].append(variable)
+        for name, variables in along.items():
             headings = tuple(_heading(variable) for variable in variables)
             wanted = sorted(choice(headings))
             columns, start = [], None
@@ -29,6 +37,24 @@ def read_netcdf(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
                 start = own if own is not None else start
             tables.append(MeasuredTable(name, headings, tuple(columns), start=start))
     return tuple(tables)
+
+
+@contextmanager
+def _opening_at_most(files: int) -> Iterator[None]:
+    """Inside, no more files can be opened at a time: HDF5 would follow names in a file to others that nobody gave."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        yield
+        return
+    free = os.open(os.devnull, os.O_RDONLY)
+    os.close(free)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (free + files, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def _heading(variable: Any) -> Heading:
@@ -41,7 +67,9 @@ def _values(variable: Any) -> tuple[np.ndarray, float | None]:
     """The values of a variable, and when its first was where its unit counts from a date."""
     from netCDF4 import num2date
 
-    values = as_numbers(np.ma.filled(variable[:].astype(float), np.nan))
+    with _opening_at_most(0):
+        raw = variable[:]
+    values = as_numbers(np.ma.filled(raw.astype(float), np.nan))
     unit = str(getattr(variable, "units", ""))
     if " since " not in unit or not len(values):
         return values, None

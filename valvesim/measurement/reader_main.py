@@ -22,7 +22,7 @@ import numpy as np
 
 from valvesim.errors import InputError
 from valvesim.measurement.formats import FORMATS, Format
-from valvesim.measurement.table import MOST_MEMORY, MOST_SAMPLES, Choice, Heading, MeasuredTable
+from valvesim.measurement.table import MOST_COLUMNS, MOST_MEMORY, MOST_SAMPLES, Choice, Heading, MeasuredTable
 
 
 def main() -> None:
@@ -42,6 +42,8 @@ def main() -> None:
         path, suffix, seconds = json.loads(request)
 
         def choice(headings: Sequence[Heading]) -> Collection[int]:
+            if len(headings) > MOST_COLUMNS:
+                raise InputError(f"{len(headings)} columns are more than {MOST_COLUMNS}")
             with _input_expected():
                 tell({"headings": [[heading.name, heading.unit] for heading in headings]})
                 return json.loads(requests.readline())

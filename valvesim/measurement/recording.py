@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from valvesim.errors import InputError, nearest
-from valvesim.measurement.clock import EvenClock, even_clock
+from valvesim.measurement.clock import FARTHEST, SHORTEST, EvenClock, even_clock
 from valvesim.measurement.columns_table import NOTHING_STATED, ColumnStatement, Statements
 from valvesim.measurement.formats import read_tables
 from valvesim.measurement.headings import UNITS, channel_of, fits, is_own_name, spelled
@@ -83,6 +83,9 @@ def read_recording(
             continue
         columns = {name: _si(path, table, name, statement) for name, statement in channels.items()}
         clock = _clock(path, table, chosen, stated)
+        if not SHORTEST <= clock.step <= FARTHEST:
+            told = f"samples {clock.step:g} s apart are outside [{SHORTEST:g}, {FARTHEST:g}] s"
+            raise InputError(told, file=path, line=table.header_line)
         notes += [f"{path.name}: {note}" for note in (*table.notes, *clock.notes)]
         values = {}
         for name, statement in channels.items():

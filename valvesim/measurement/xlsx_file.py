@@ -6,19 +6,27 @@ from collections.abc import Sequence
 from datetime import datetime, time, timedelta
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
+from valvesim.errors import InputError
 from valvesim.measurement.headings import heading_of, is_unit, spelled
 from valvesim.measurement.numbers import from_cells
 from valvesim.measurement.table import Choice, Column, Heading, MeasuredTable
+
+_MOST_UNPACKED, _MOST_RATIO = 20_000_000, 100  # bytes, and times of the file's size: sheets of numbers take some ten
 
 
 def read_xlsx(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
     """The tables of a workbook: names in the row above the first numbers, or in that above a row of units."""
     from openpyxl import load_workbook
 
+    with ZipFile(path) as archive:
+        unpacked = sum(member.file_size for member in archive.infolist())
+    if unpacked > max(_MOST_UNPACKED, _MOST_RATIO * path.stat().st_size):
+        raise InputError(f"unpacks to {unpacked / 1e6:.0f} MB, more than {_MOST_RATIO} times its size")
     book = load_workbook(path, read_only=True, data_only=True)
     try:
-        tables = [_table(sheet.title, [list(row) for row in sheet.iter_rows(values_only=True)], choice)
+        tables = [_table(sheet.title, [_cells(row) for row in sheet.iter_rows(values_only=True)], choice)
                   for sheet in book.worksheets]  # fmt: skip
     finally:
         book.close()
@@ -44,6 +52,12 @@ def _table(name: str, rows: list[list[Any]], choice: Choice) -> MeasuredTable | 
     return MeasuredTable(
         name, headings, tuple(columns), start=start, header_line=first, line_of=lambda row: first + 1 + row
     )
+
+
+def _cells(row: Sequence[Any]) -> list[Any]:
+    """The cells of a row up to its last that holds something: a sheet may claim any width."""
+    width = next((k for k in range(len(row), 0, -1) if row[k - 1] is not None), 0)
+    return list(row[:width])
 
 
 def _is_data(row: Sequence[Any]) -> bool:
