@@ -83,6 +83,7 @@ def test_whatever_a_library_does_is_one_line(library, monkeypatch, capfd, body, 
 
 def test_what_waits_without_working_ends_too(library, monkeypatch):
     monkeypatch.setattr(reader_process, "MOST_SECONDS", 0.3)
+    monkeypatch.setattr(reader_process, "LONGEST_WAIT", 0.0)
     monkeypatch.setattr(reader_process, "PATIENCE", 2.0)
     with pytest.raises(InputError, match=r"reading it took more than 0\.6 s"):
         _read(library("import time; time.sleep(600)"))

@@ -25,7 +25,7 @@ from valvesim.io import reason
 from valvesim.measurement.table import MOST_SAMPLES, Choice, Column, Heading, MeasuredTable
 
 MOST_SECONDS, MOST_SECONDS_A_MB = 2.0, 20.0  # of processor time; the slowest, xlsx, takes some 1.7 a MB
-PATIENCE = 10.0  # s by the clock for each s of processor time: slow discs, busy machines
+LONGEST_WAIT, PATIENCE = 60.0, 10.0  # s by the clock, and for each s of processor time: slow discs, busy machines
 
 _PROGRAM = "import sys; sys.path[:] = sys.argv[1:]; from valvesim.measurement.reader_main import main; main()"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -40,7 +40,7 @@ def read_apart(path: Path, name: str, choice: Choice) -> tuple[MeasuredTable, ..
     """
     reader = _taken()
     seconds = MOST_SECONDS + MOST_SECONDS_A_MB * os.path.getsize(path) / 1e6
-    late = threading.Timer(PATIENCE * seconds, reader.process.kill)
+    late = threading.Timer(_by_the_clock(seconds), reader.process.kill)
     late.daemon = True
     late.start()
     try:
@@ -73,12 +73,16 @@ def _taken() -> Reader:
         reader.end()
 
 
+def _by_the_clock(seconds: float) -> float:
+    return LONGEST_WAIT + PATIENCE * seconds
+
+
 def _ending(code: int, seconds: float) -> str:
     """Why a process has ended, by its exit code."""
     if code == -getattr(signal, "SIGPROF", 0):
         return f"its library was not done in {seconds:.3g} s of processor time"
     if code == -getattr(signal, "SIGKILL", 0):
-        return f"reading it took more than {PATIENCE * seconds:.3g} s, or more memory than there is"
+        return f"reading it took more than {_by_the_clock(seconds):.3g} s, or more memory than there is"
     named = signal.Signals(-code).name if -code in set(signal.Signals) else f"exit code {code}"
     return f"its library crashed, {named}"
 
