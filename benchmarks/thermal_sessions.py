@@ -42,10 +42,12 @@ from valvesim.identification.session_toml import load_session  # noqa: E402
 from valvesim.identification.study import prepare_session  # noqa: E402
 
 Row = dict[str, Any]
+Records = list[dict[str, np.ndarray]]
 SETS = {"working": (710_000, 300), "second": (810_000, 300)}  # first seed, sessions
 RESULTS = ROOT / "benchmarks" / "results" / "thermal_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "thermal_sessions.md"
 MEASURED = ("body", "torque_motor")
+TARGETS = (15.0, 10.0, 25.0, 12.0)
 CLEAR = 8.0  # d' from which a cause should be named
 SAME = {"thermal_lag": ("thermal_network",)}  # another name of the same thing: the heat paths are not as assumed
 
@@ -67,17 +69,16 @@ def diagnosed(spec: Row) -> Row:
     """One session, written to a folder and diagnosed from that alone."""
     drawn = {name: spec[name] for name in ("profile", "network", "hidden", "rate", "duration")}
     case, row = draw_thermal(spec["seed"], **drawn), dict(spec)
-    clean = hidden_plant.responses(case)
     with tempfile.TemporaryDirectory() as folder:
-        write_thermal_session(case, folder, clean, MEASURED if spec["measured"] else ())
-        row["distance"] = distance(case, clean, Path(folder)) if case.hidden else 0.0
+        strength, clean, row["distance"] = tuned(case, TARGETS[spec["seed"] % len(TARGETS)], Path(folder))
+        write_thermal_session(case, folder, clean, MEASURED if spec["measured"] else (), strength)
         worked = time.process_time()
         try:
             found = vs.diagnose(folder)
         except (vs.InputError, vs.SolveError) as error:
             return row | {"outcome": f"{type(error).__name__}: {error}"}
         worked = time.process_time() - worked
-    ((cause, figures),) = hidden_plant.truth(case)["parameters"].items() if case.hidden else (("", {}),)
+    ((cause, figures),) = hidden_plant.truth(case, strength)["parameters"].items() if case.hidden else (("", {}),)
     at = f"@{figures['channel']}" if "channel" in figures else ""
     wanted = {**figures, cause.removeprefix("parameter:"): figures.get("value")}
     own = [e for e in found.parameters if case.hidden and e.cause == cause + at and wanted.get(e.name) is not None]
@@ -90,22 +91,32 @@ def diagnosed(spec: Row) -> Row:
     }  # fmt: skip
 
 
-def distance(case: hidden_plant.Case, clean: list[dict[str, np.ndarray]], folder: Path) -> float:
-    """d' of what is hidden in the training records of a session."""
-    session = load_session(folder)
-    prepared = prepare_session(session, options=DEFAULT_IDENTIFICATION)
+def tuned(case: hidden_plant.Case, target: float, folder: Path) -> tuple[float, Records, float]:
+    """(strength, noise-free records, d') of what is hidden: at the target, or at strength one where that is less."""
+    quiet = hidden_plant.responses(case, 0.0)
+    if not case.hidden:
+        return 0.0, quiet, 0.0
+    write_thermal_session(case, folder, quiet)
+    prepared = prepare_session(load_session(folder), options=DEFAULT_IDENTIFICATION)
     paces = {predictor.record.pace for predictor in prepared.predictors}
     study = prepared.with_noise({(meter.channel, pace): _noise(meter) for meter in case.meters for pace in paces})
     J = study.stack(linearise_study(study, study.nominal.variant)[1])
-    runs = {run.name: k for k, run in enumerate(case.runs)}
-    without = hidden_plant.responses(case, 0.0)
-    places = [runs[predictor.record.name] for predictor in study.predictors]
-    change = study.stack(
-        [{name: (clean[k][name] - without[k][name])[:, None] for name in case.channels} for k in places]
-    )[:, 0]
-    taken = J.T @ change
-    left = float(change @ change - taken @ inverse_of(J.T @ J + np.eye(len(taken))) @ taken)
-    return round(float(np.sqrt(max(left, 0.0))), 1)
+    projection, runs = inverse_of(J.T @ J + np.eye(J.shape[1])), [run.name for run in case.runs]
+    places = [runs.index(predictor.record.name) for predictor in study.predictors]
+
+    def distance(clean: Records) -> float:
+        """Of what is hidden in the training records, less what the nuisance parameters take up."""
+        columns = [{name: (clean[k][name] - quiet[k][name])[:, None] for name in case.channels} for k in places]
+        change = study.stack(columns)[:, 0]
+        taken = J.T @ change
+        return round(float(np.sqrt(max(change @ change - taken @ projection @ taken, 0.0))), 1)
+
+    clean, strength = hidden_plant.responses(case), 1.0
+    if (found := distance(clean)) > target:
+        strength = target / found
+        clean = hidden_plant.responses(case, strength)
+        found = distance(clean)
+    return strength, clean, found
 
 
 def _noise(meter: hidden_plant.Meter) -> NoiseModel:

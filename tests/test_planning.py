@@ -24,6 +24,7 @@ from valvesim.planning.session_folder import write_session_folder
 from valvesim.planning.structure import StructuralModel, isolability, overdetermined, structural_model
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.parameters import Valve
+from valvesim.valve.thermal_network import NODES
 
 PLAN = """
 title = "friction or play"
@@ -179,8 +180,11 @@ def test_the_overdetermined_part_and_isolability_of_a_small_model():
 def test_more_sensors_isolate_no_less_in_structure():
     effects = {name: effect for name, effect in CATALOGUE.items() if effect.reading is None}
     before = None
-    for channels in (["spool_position"], ["spool_position", "load_flow"],
-                     ["spool_position", "load_flow", "nozzle_pressure_1", "nozzle_pressure_2", "armature_angle"]):
+    for channels in (
+        ["spool_position"],
+        ["spool_position", "load_flow"],
+        ["spool_position", "load_flow", "nozzle_pressure_1", "nozzle_pressure_2", "armature_angle"],
+    ):
         names, matrix = isolability(structural_model(Valve(), channels, effects))
         now = {(a, b) for a, row in zip(names, matrix, strict=True) for b, yes in zip(names, row, strict=True) if yes}
         assert before is None or before <= now
@@ -223,6 +227,23 @@ def test_the_session_folder_is_a_session_once_its_records_are_there(plan_file, t
 # ---------------------------------------------------------------- plan files that make no sense
 
 
+def test_with_thermometers_at_the_parts_no_figure_of_their_heat_paths_is_left_open(tmp_path):
+    ramp = {"start_value": "20 degC", "end_value": "40 degC", "rate": "10 degC/s"}
+    oil = {"oil_temperature": {"ramp": ramp}}
+    warming = {"name": "w", "duration": "2 s", "command": {"current": "1 mA"}} | oil
+    table = {"sensors": {"spool_position": {"noise": "0.01 um"}}, "bench": {"rate": "50 Hz", "tests": []},
+             "tests": [warming], "aim": {"causes": ["spool_lap"]}}  # fmt: skip
+    shown = []
+    for thermometers in ([], list(NODES)):
+        plan = read_plan(tmp_path, table | {"bench": table["bench"] | {"thermometers": thermometers}})
+        planned = planned_sensitivities(plan)
+        names = [p.name for p in planned.nominal.parameters]
+        own = [1 + k for k, name in enumerate(names) if name.startswith("thermal.")]
+        G = planned.gram([1] * len(planned.experiments), ["spool_position"]).total
+        shown.append(float(np.max(np.diag(G)[own])))
+    assert shown[0] > 1.0 and shown[1] < 1e-12 * shown[0]
+
+
 @pytest.mark.parametrize(
     "changed, message",
     [
@@ -237,6 +258,7 @@ def test_the_session_folder_is_a_session_once_its_records_are_there(plan_file, t
         ({"bench": {"rate": "5e+14 Hz"}}, "bench.rate = 5e+14 Hz is above 100000 Hz"),
         ({"bench": {"oil_temperature": ["60 degC", "20 degC"]}}, "bench.oil_temperature: expected one temperature"),
         ({"bench": {"tests": ["slow triangle"]}}, "bench.tests: unknown test 'slow triangle'"),
+        ({"bench": {"thermometers": ["lid"]}}, "bench.thermometers: unknown part 'lid'"),
         ({"bench": {"command": "force"}}, "bench.command: unknown command 'force'"),
         ({"bench": {"command": {}}}, "bench.command: unknown command"),
         ({"tests": {}}, "tests: expected [[tests]]"),

@@ -106,14 +106,17 @@ def _run(dice: np.random.Generator, k: int, profile: str, rate: float, duration:
 
 
 def thermal_records(
-    case: Case, clean: list[dict[str, np.ndarray]] | None = None, thermometers: tuple[str, ...] = ()
+    case: Case,
+    clean: list[dict[str, np.ndarray]] | None = None,
+    thermometers: tuple[str, ...] = (),
+    strength: float = 1.0,
 ) -> list[dict[str, np.ndarray]]:
     """Per record what the logger writes, SI; `thermometers` are parts whose temperature is measured too. The `clean`
     responses are worked out where they are not known.
     """
     dice = np.random.default_rng([case.seed, 29])
-    records = hidden_plant.noisy(case, clean=clean)
-    lag = dict(case.hidden).get("thermal_lag", {}).get("time_constant", 0.0)
+    records = hidden_plant.noisy(case, strength, clean)
+    lag = dict(case.hidden).get("thermal_lag", {}).get("time_constant", 0.0) * strength
     for run, record in zip(case.runs, records, strict=True):
         parts = hidden_plant._parts(case, run, lag)
         for name in thermometers:
@@ -127,6 +130,7 @@ def write_thermal_session(
     folder: str | Path,
     clean: list[dict[str, np.ndarray]] | None = None,
     thermometers: tuple[str, ...] = (),
+    strength: float = 1.0,
 ) -> None:
     """Write session.toml and the records; nothing in them tells what is hidden, nor how the parts follow."""
-    hidden_plant.write_files(case, thermal_records(case, clean, thermometers), folder)
+    hidden_plant.write_files(case, thermal_records(case, clean, thermometers, strength), folder)

@@ -34,7 +34,8 @@ class BenchPlan:
     """A bench and what is asked of it: `session` holds the valve and no records.
 
     `sensors` are those that the bench has, `added` those that it may get, `experiments` its tests, of which one takes
-    `setup` s before it runs; `command` drives the valve, "current" or "voltage".
+    `setup` s before it runs; `command` drives the valve, "current" or "voltage". `thermometers` are the parts (names of
+    `NODES`) whose temperature is measured.
     """
 
     session: Session
@@ -44,3 +45,4 @@ class BenchPlan:
     command: str
     setup: float
     aim: Aim
+    thermometers: tuple[str, ...] = ()

@@ -9,6 +9,7 @@ cost = 3
 rate = "1 kHz"
 oil_temperature = ["20 degC", "60 degC"]
 setup = "60 s"
+thermometers = ["body"]                                      # parts whose temperature is measured
 tests = ["slow full triangle", "filtered random steps"]     # of the library; all of it where none is named
 [[tests]]                                                    # and own ones
 name = "sine"
@@ -43,6 +44,7 @@ from valvesim.units import parse, quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import Effect
 from valvesim.valve.equations import DRIVES
+from valvesim.valve.thermal_network import NODES
 from valvesim.valve.valve_toml import read_tolerance
 
 _OWN = ("bench", "tests", "aim", "added_sensors", "sensors")
@@ -67,7 +69,11 @@ def read_plan(folder: Path, table: dict[str, Any], *, options: DiagnosisOptions 
                                ("bench", "added_sensors"))  # fmt: skip
     bench, aim = table.get("bench", {}), table.get("aim", {})
     check_tables(table, ("sensors", "added_sensors", "bench", "aim"))
-    check_known(bench, ("rate", "oil_temperature", "setup", "tests", "command"), "bench")
+    check_known(bench, ("rate", "oil_temperature", "setup", "tests", "command", "thermometers"), "bench")
+    thermometers = read_names(bench.get("thermometers", []), "bench.thermometers", "part")
+    for part in thermometers:
+        if part not in NODES:
+            raise unknown_name("part", part, NODES, "bench.thermometers")
     sensors = _with_noise(stated_sensors(table.get("sensors", {})), "sensors")
     command = bench.get("command", "current")
     if not isinstance(command, str) or command not in DRIVES:
@@ -88,6 +94,7 @@ def read_plan(folder: Path, table: dict[str, Any], *, options: DiagnosisOptions 
         command=command,
         setup=parse(bench["setup"], "s", "bench.setup") if "setup" in bench else 0.0,
         aim=_aim(aim, session),
+        thermometers=thermometers,
     )
 
 

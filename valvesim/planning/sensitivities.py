@@ -23,6 +23,7 @@ from valvesim.identification.projection import GramMatrix
 from valvesim.identification.session import Record, Sensor, Session
 from valvesim.identification.study import Study, prepare_session
 from valvesim.planning.bench import BenchPlan
+from valvesim.simulation.temperature_knots import between
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,8 @@ def planned_sensitivities(
     for k, experiment in enumerate(plan.experiments):
         progress(0.3 * k / len(plan.experiments))
         try:
-            runs.append((experiment, planned_record(session, experiment, tuple(sensors), options=options)))
+            record = planned_record(session, experiment, tuple(sensors), plan.thermometers, options=options)
+            runs.append((experiment, record))
         except (SolveError, InputError) as error:
             left_out.append(f"{experiment.description}: {error}")
     if not runs:
@@ -97,20 +99,28 @@ def white_noise(sensor: Sensor) -> NoiseModel:
 
 
 def planned_record(
-    session: Session, experiment: Experiment, channels: Sequence[str], *, options: DiagnosisOptions
+    session: Session,
+    experiment: Experiment,
+    channels: Sequence[str],
+    thermometers: Sequence[str] = (),
+    *,
+    options: DiagnosisOptions,
 ) -> Record:
-    """The record that a test would give of the nominal valve, without noise."""
+    """The record that a test would give of the nominal valve, without noise, parts with thermometers included."""
     from valvesim.identification.predictor import ModelVariant, prepare_record
 
     n = len(experiment.time)
     usable = {name: np.ones(n, dtype=bool) for name in channels}
     values = {**{name: np.zeros(n) for name in channels}, **experiment_values(session, experiment)}
     record = Record(experiment.description, experiment.time, values, usable)
-    own = replace(session, records=(record,))
-    predictor = prepare_record(own, record, (), options=options.identification)
+    alone = replace(session, records=(record,))
+    predictor = prepare_record(alone, record, (), options=options.identification)
     variant = ModelVariant(session.valve, session.effects)
     readings = predictor.readings(predictor.run(variant), variant)
-    return replace(record, values={**values, **{name: np.asarray(readings[name]) for name in channels}})
+    at = predictor.path.times
+    courses = {part: np.broadcast_to(getattr(predictor.path.parts, part), at.shape) for part in thermometers}
+    parts = {f"{part}_temperature": between(record.time, at, own[:, None])[0] for part, own in courses.items()}
+    return replace(record, values={**values, **parts, **{name: np.asarray(readings[name]) for name in channels}})
 
 
 def _products(
