@@ -250,6 +250,14 @@ def test_one_more_cause_that_explains_next_to_nothing_is_left_out():
     ]
 
 
+@pytest.mark.parametrize("fall, beside", [(17.0, True), (13.0, False)])
+def test_a_second_cause_that_passes_the_alarm_level_but_brings_little_stands_beside_the_first(fall, beside):
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=1400.0))
+    found = [explained(1030.0, "spool_lap"), explained(1030.0 - fall, "spool_lap", "entrained_air")]
+    labels = [one.label for one in answer_set_of(nominal, found, True, np.sqrt(15.0), options=DIAGNOSIS)]
+    assert labels == ["spool_lap", "spool_lap + entrained_air"][: 1 + beside]
+
+
 def test_what_leaves_something_over_stands_beside_what_says_more():
     nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=2500.0))
     found = [explained(1030.0, "spool_lap"), explained(1000.0, "spool_lap", "entrained_air")]

@@ -25,6 +25,7 @@ from valvesim.diagnosis.model_selection import (
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import fit_starts, largest_shift, reduced_hypotheses, restarted
 from valvesim.diagnosis.result import WhatToDo
+from valvesim.diagnosis.rival_term import rival_terms
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.second_cause import (
     at_full_weight,
@@ -123,10 +124,13 @@ def judged(isolation: Isolation) -> Isolation:
     isolation = replace(isolation, final=final, found=found)
     if left > bearable:  # where even the best leaves so much, none of them is the answer
         return isolation
-    answer_set = answer_set_of(nominal, found, whole=plainest <= options.isolation.unexplained_share, options=options)
-    return replace(
-        isolation, answer_set=answer_set, unknown_reason=unknown_reason_of(answer_set[0], min(left, plainest))
-    )
+    whole = plainest <= options.isolation.unexplained_share
+    answer_set = answer_set_of(nominal, found, whole, isolation.level, options=options)
+    reason = unknown_reason_of(answer_set[0], min(left, plainest))
+    if not reason and len(answer_set) == 1 == len(found[0].candidates):
+        rivals = [f"the {term.label}" for term in rival_terms(nominal, final)[:2]]
+        reason = f"a plain term does as well, {' or '.join(rivals)}" if rivals else ""
+    return replace(isolation, answer_set=answer_set, unknown_reason=reason)
 
 
 def _none_comes_near(nominal: NominalFit, scores: ScoreTest) -> bool:

@@ -136,9 +136,16 @@ def ranked(nominal: NominalFit, found: Sequence[FittedHypothesis]) -> list[Fitte
 
 
 def answer_set_of(
-    nominal: NominalFit, found: Sequence[FittedHypothesis], whole: bool = True, *, options: DiagnosisOptions
+    nominal: NominalFit,
+    found: Sequence[FittedHypothesis],
+    whole: bool = True,
+    level: float = np.inf,
+    *,
+    options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
-    """The best, and those that explain the data nearly as well; `whole` tells that the best leaves nothing over."""
+    """The best, and those that explain the data nearly as well; `whole` tells that the best leaves nothing over, and
+    `level` is the alarm level that a second cause must pass to stand beside the best alone.
+    """
     if not found:
         return []
     best, width, temperature = found[0], answer_set_width(nominal, found[0]), temperature_of(nominal, found[0])
@@ -154,8 +161,14 @@ def answer_set_of(
             and one.least_chi_square - best.least_chi_square < options.selection.second_gain
         )
     ]
+    fall = nominal.fit.chi_square - best.fit.chi_square
+    more = max(level**2, options.detection.doubtful_share * fall) if whole else -np.inf
     # what a better one says already, and something more besides, is no rival of it, unless there must be something more
-    return [one for k, one in enumerate(near) if not whole or not any(better.is_within(one) for better in near[:k])]
+    return [
+        one
+        for k, one in enumerate(near)
+        if not any(b.is_within(one) and b.least_chi_square - one.least_chi_square < more for b in near[:k])
+    ]
 
 
 def odds_against_noise(nominal: NominalFit, best: FittedHypothesis, level: float) -> float:

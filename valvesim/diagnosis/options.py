@@ -210,6 +210,13 @@ class MissingTermOptions:
         1.0, "1", "prior deviation of the logarithm of a time constant or width", JUDGEMENT
     )
     memory_step: float = option(0.1, "1", "step of such a logarithm in differences", JUDGEMENT)
+    rival_margin: float = option(
+        2.0, "1", "chi-square by which a plain term does better, or no worse, than a cause", "of one more figure: AIC"
+    )
+    rival_times: tuple[float, ...] = option((1e-3, 3e-3, 1e-2, 3e-2, 0.1), "s", "lags of plain terms", JUDGEMENT)
+    rival_widths: tuple[float, ...] = option(
+        (0.02, 0.1, 0.5), "1", "widths of the turning of plain terms' paths, in the variable's scale", JUDGEMENT
+    )
     formula_error: float = option(0.1, "1", "relative error up to which a formula is offered", JUDGEMENT)
     formulas: int = option(2, "1", "formulas that are fitted", JUDGEMENT)
     pure_share: float = option(

@@ -124,7 +124,7 @@ def score_test(
     sizes = np.array([search_size(c) for c in candidates])
     changed = [c.apply_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
     S = all_candidate_sensitivities(study, linearised, J, candidates, changed)
-    spans = _spans(linearised, terms)
+    spans = term_spans(linearised, terms)
     T = study.each(lambda linear: term_sensitivities(linear, terms, spans, knots), linearised)
     own = fitted_sensitivities(study, fit, linearised, J)
     gram = gram_matrix(study, linearised, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point)
@@ -145,7 +145,7 @@ def search_size(candidate: Candidate) -> float:
     return size if size <= high else max(0.5 * low, -size)
 
 
-def _spans(linearised: Sequence[LinearisedRecord], terms: Sequence[TermHypothesis]) -> list[tuple[float, float]]:
+def term_spans(linearised: Sequence[LinearisedRecord], terms: Sequence[TermHypothesis]) -> list[tuple[float, float]]:
     """The range of each hypothesis's variable that the records visit, but for its extreme hundredths."""
     found: dict[str, tuple[float, float]] = {}
     for hypothesis in terms:

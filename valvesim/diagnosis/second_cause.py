@@ -37,9 +37,10 @@ def with_second_cause(
             : final.options.isolation.seconds
         ]
         starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in near]
-        more = distinct(fit_starts(nominal, starts, best.fit.point, options=final.options), options=final.options)
+        more = fit_starts(nominal, starts, best.fit.point, options=final.options)
         merged = distinct([*found, *more], options=final.options)
-        if not more or merged[0] is best or merged[0].evidence > best.evidence - 6.0:
+        if merged[0] is best:  # what a second one explains is too little to be sure of, but may be there
+            found = merged
             break
         found = reduced_hypotheses(nominal, merged, options=final.options)
         final = score_test(nominal, found[0].fit, options=final.options)

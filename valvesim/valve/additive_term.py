@@ -112,7 +112,7 @@ class TermHypothesis:
         """In words."""
         what = self.variable.name.replace("_", " ")
         if self.memory == LAG:
-            what += f" lagged by {self.time_constant * 1e3:g} ms"
+            what += f" lagged by {self.time_constant * 1e3:.3g} ms"
         if self.memory == PATH:
             what = f"direction of {what}"
         return f"{self.port.name.replace('_', ' ')} as a function of {what}"
