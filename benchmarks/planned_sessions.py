@@ -26,7 +26,7 @@ from valvesim.diagnosis.score_test import score_test
 from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.predictor import prepare_record
 from valvesim.identification.study import prepare_session
-from valvesim.planning.outlook import Judgement, cause_groups
+from valvesim.planning.outlook import CandidateScores, cause_groups
 from valvesim.planning.plan import plan_tests
 from valvesim.planning.plan_toml import read_plan
 from valvesim.planning.sensitivities import planned_record, white_noise
@@ -115,7 +115,7 @@ def judged(seed: int) -> dict:
     q = len(scores.candidates)
     own_scores = replace(scores.projected, score=scores.projected.score[:q], overlap=scores.projected.overlap[:q, :q])
     own_plan = replace(plan.planned, candidates=scores.candidates, sizes=scores.sizes)
-    seen = Judgement(own_plan, own_scores, level, DEFAULT_DIAGNOSIS)
+    seen = CandidateScores(own_plan, own_scores, level, DEFAULT_DIAGNOSIS)
     told_groups = cause_groups(scores.candidates)
     rivals = [told_groups[label] for label in found["aim"] if label != cause.label and label in told_groups]
     k = min(told_groups[cause.label], key=seen.limit)

@@ -37,7 +37,7 @@ from valvesim.studies.members import make_plan, run_block
 from valvesim.studies.parameter_study import ChannelPercentiles, FigureOptions, ParameterStudy
 from valvesim.studies.sensitivity_indices import sensitivity_indices
 from valvesim.studies.study import study
-from valvesim.studies.variables import Variable, find_quantity, tolerated
+from valvesim.studies.variables import Varied, find_quantity, tolerated
 
 STEP = vs.Scenario(
     title="step of half the rated current", duration=0.1, thermal=vs.Thermal(network=None),
@@ -312,7 +312,7 @@ def sobol() -> None:
     from SALib.sample import sobol as sample
 
     sizes = {"valve.null_gap": 35e-6, "valve.spool_mass": 4e-3, "valve.spool_damping": 1.0}
-    variables = (Variable(find_quantity(STEP, k), Distribution("uniform", 0.9 * n, 0.2 * n)) for k, n in sizes.items())
+    variables = (Varied(find_quantity(STEP, k), Distribution("uniform", 0.9 * n, 0.2 * n)) for k, n in sizes.items())
     own = ParameterStudy(
         case=STEP, variables=tuple(variables), design=Design(kind="saltelli", members=4096), keep=("own.*",),
         options=FigureOptions(functions=(ishigami,)),

@@ -11,7 +11,7 @@ import valvesim as vs
 from valvesim.identification.between_samples import (
     EdgeTime,
     Held,
-    Shift,
+    InputShift,
     Smooth,
     Wave,
     added_on_grid,
@@ -63,12 +63,12 @@ def test_held_samples_stay_and_smooth_ones_go_through_the_samples():
 @pytest.mark.parametrize("column, values", [("supply_pressure", np.full(400, 2e7)), ("current", CHIRP)])
 def test_waves_and_shifts_are_added(column, values):
     samples = (TIME, values)
-    t, u = deviating(column, samples, ((Wave("a", column, 50.0, 0.3), 0.1), (Shift("a", column), 1.0)))
+    t, u = deviating(column, samples, ((Wave("a", column, 50.0, 0.3), 0.1), (InputShift("a", column), 1.0)))
     np.testing.assert_allclose(
         np.interp(TIME, t, u), values + 0.1 * np.cos(2.0 * np.pi * 50.0 * TIME - 0.3) + 1.0, atol=1e-2
     )
-    assert deviating(column, samples, ((Shift("a", "other"), 1.0),)) is samples
-    t, u = Shift("a", column, growing=True).apply(samples, samples, 2.0)
+    assert deviating(column, samples, ((InputShift("a", "other"), 1.0),)) is samples
+    t, u = InputShift("a", column, growing=True).apply(samples, samples, 2.0)
     assert u[-1] - values[-1] == pytest.approx(2.0) and u[0] == values[0]
 
 

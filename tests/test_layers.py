@@ -110,3 +110,17 @@ def test_the_table_of_modules_in_the_documents_names_each_of_them():
     text = (PACKAGE.parent / "docs" / "design.md").read_text(encoding="utf-8")
     named = [line.split("`")[1] for line in text.splitlines() if line.startswith("| `")]
     assert sorted(named) == [module[:-3] for module in MODULES if not module.endswith("__init__.py")]
+
+
+def test_the_name_of_a_class_or_a_type_stands_for_one_thing():
+    """`Table` alone is both a command, by its public name, and what a page shows."""
+    places = {}
+    for module in MODULES:
+        for node in ast.parse((PACKAGE / module).read_text(encoding="utf-8")).body:
+            found = [node.name] if isinstance(node, ast.ClassDef) else []
+            if isinstance(node, ast.Assign):
+                found = [one.id for one in node.targets if isinstance(one, ast.Name)]
+            for name in found:
+                if re.match("[A-Z]+[a-z]", name):
+                    places.setdefault(name, []).append(module)
+    assert {name for name, where in places.items() if len(where) > 1} == {"Table"}

@@ -15,7 +15,7 @@ from valvesim.identification.session_toml import load_session
 from valvesim.io import read_toml
 from valvesim.measurement.recording import read_recording
 from valvesim.planning.bench import AddedSensor
-from valvesim.planning.outlook import Judgement, cause_groups, level_of, outlook, parameter_outlooks
+from valvesim.planning.outlook import CandidateScores, cause_groups, level_of, outlook, parameter_outlooks
 from valvesim.planning.plan import plan_tests
 from valvesim.planning.plan_toml import load_plan, read_plan
 from valvesim.planning.selection import ASKED, Chooser, Goal, SensorAdvice, _cheapest
@@ -107,7 +107,7 @@ def test_more_tests_repeats_or_sensors_never_show_less(bench, planned):
         more = few + rng.integers(0, 2, len(few))
         for channels in (("spool_position",), ("spool_position", "load_flow")):
             choices = ((few, channels), (more, channels), (few, ("spool_position", "load_flow")))
-            judged = [Judgement(planned, _scores(planned, n, c), 4.0, DEFAULT_DIAGNOSIS) for n, c in choices]
+            judged = [CandidateScores(planned, _scores(planned, n, c), 4.0, DEFAULT_DIAGNOSIS) for n, c in choices]
             limits = [np.array([one.limit(k) for k in range(len(planned.candidates))]) for one in judged]
             assert (limits[1] <= limits[0] * (1 + 1e-6)).all() and (limits[2] <= limits[0] * (1 + 1e-6)).all()
 

@@ -18,8 +18,8 @@ from valvesim.errors import InputError
 from valvesim.studies import channel_histogram, engine, store
 from valvesim.studies.criteria import FigureLimit, criteria_of, figures_for
 from valvesim.studies.designs import Correlation, Design, correlate
-from valvesim.studies.distributions import Choice, Distribution, tolerance_distribution
-from valvesim.studies.figures import Figure
+from valvesim.studies.distributions import Distribution, OptionChoice, tolerance_distribution
+from valvesim.studies.figures import KeptFigure
 from valvesim.studies.findings import find
 from valvesim.studies.local_sensitivity import local_sensitivity
 from valvesim.studies.members import make_plan, run_block
@@ -30,7 +30,7 @@ from valvesim.studies.study import study
 from valvesim.studies.study_result import capability_of, open_result, yield_of
 from valvesim.studies.study_toml import load_study, read_study
 from valvesim.studies.tolerance_tightening import TightenedYields, tightening_plan
-from valvesim.studies.variables import Variable, apply, find_quantity, tolerated, variable_of
+from valvesim.studies.variables import Varied, apply, find_quantity, tolerated, variable_of
 
 ISOTHERMAL = vs.Thermal(network=None)
 BASE = vs.Scenario(duration=0.02, thermal=ISOTHERMAL, command=vs.Step(after=5e-3, time=2e-3), output_rate=2000.0)
@@ -107,7 +107,7 @@ def test_what_varies_in_no_figure_of_the_equations_runs_apart_and_the_same():
 def test_members_have_knots_of_their_own_where_their_temperatures_differ():
     """The base rests at 20 °C throughout; members in warmer air warm up, and shift by what each does alone."""
     case = vs.Scenario(duration=0.5, thermal=vs.Thermal(), command=vs.Constant(value=5e-3), output_rate=200.0)
-    ambient = Variable(find_quantity(case, "thermal.ambient_temperature"), Distribution("uniform", 100.0, 200.0))
+    ambient = Varied(find_quantity(case, "thermal.ambient_temperature"), Distribution("uniform", 100.0, 200.0))
     own = small(case=case, variables=(ambient,), percentiles=None, whole=None, keep=("run.body_temperature.end",))
     plan = make_plan(own)
     assert plan.knot_times is None
@@ -123,8 +123,8 @@ def test_a_member_that_fails_is_a_row_with_its_reason(tmp_path):
     hot = replace(BASE, oil_temperature=vs.Constant(value=150.0))
     rows = np.array([[11e-6, 0.6e-3], [9e-5, 10e-3], [11e-6, 0.7e-3], [9e-5, 20e-3]])
     variables = [find_quantity(hot, f"valve.{name}") for name in ("pilot_expansion", "flapper_length")]
-    variables = tuple(Variable(q, Distribution("uniform", 1e-7, 0.04)) for q in variables[1:])
-    first = Variable(find_quantity(hot, "valve.pilot_expansion"), Distribution("uniform", 1e-7, 9.9e-5))
+    variables = tuple(Varied(q, Distribution("uniform", 1e-7, 0.04)) for q in variables[1:])
+    first = Varied(find_quantity(hot, "valve.pilot_expansion"), Distribution("uniform", 1e-7, 9.9e-5))
     failing = small(
         case=hot, variables=(first, *variables), design=Design(kind="table", members=4, rows=rows), block=4, whole=None,
         keep=("run.spool_position.end",),
@@ -326,9 +326,9 @@ def test_what_is_no_number_is_counted_nowhere():
 @pytest.mark.parametrize("kind", ["random", "latin_hypercube", "sobol"])
 def test_every_design_gives_each_quantity_its_distribution(kind):
     variables = (
-        Variable(find_quantity(BASE, "valve.null_gap"), Distribution("norm", 35e-6, 1e-6, lowest=34e-6, highest=36e-6)),
-        Variable(find_quantity(BASE, "valve.spool_mass"), Distribution("lognorm", 0.0, 4e-3, (("s", 0.1),))),
-        Variable(find_quantity(BASE, "oil.density_at_20"), Distribution("uniform", 850.0, 30.0)),
+        Varied(find_quantity(BASE, "valve.null_gap"), Distribution("norm", 35e-6, 1e-6, lowest=34e-6, highest=36e-6)),
+        Varied(find_quantity(BASE, "valve.spool_mass"), Distribution("lognorm", 0.0, 4e-3, (("s", 0.1),))),
+        Varied(find_quantity(BASE, "oil.density_at_20"), Distribution("uniform", 850.0, 30.0)),
     )
     own = small(variables=variables, design=Design(kind=kind, members=512, seed=2), whole=None)
     draws = own.draws()
@@ -375,10 +375,10 @@ def test_a_tolerance_is_a_normal_distribution_within_it():
 def test_a_distribution_that_leaves_the_bounds_of_its_quantity_is_refused():
     gap = find_quantity(BASE, "valve.null_gap")
     with pytest.raises(InputError, match=r"vary\.valve\.null_gap: the distribution .* leaves .*truncate"):
-        Variable(gap, Distribution("norm", 35e-6, 20e-6))
-    Variable(gap, Distribution("norm", 35e-6, 20e-6, lowest=1e-6))
+        Varied(gap, Distribution("norm", 35e-6, 20e-6))
+    Varied(gap, Distribution("norm", 35e-6, 20e-6, lowest=1e-6))
     with pytest.raises(InputError, match="leaves"):
-        Variable(gap, Distribution("uniform", 0.9e-3, 0.2e-3))
+        Varied(gap, Distribution("uniform", 0.9e-3, 0.2e-3))
 
 
 @pytest.mark.parametrize(
@@ -389,8 +389,8 @@ def test_a_distribution_that_leaves_the_bounds_of_its_quantity_is_refused():
         (lambda: Distribution("lognorm", 0.0, 1.0), "shape parameters s; given: none"),
         (lambda: Distribution("norm", 0.0, 1.0, (("a", 1.0),)), "no shape parameters; given: a"),
         (lambda: Distribution("uniform", 0.0, 1.0, lowest=2.0), "nothing of the distribution"),
-        (lambda: Choice((1, 2), ("a", "b"), (1.0,)), "1 weights for 2 choices"),
-        (lambda: Choice((1, 2), ("a", "b"), (0.0, 0.0)), "nor all of them zero"),
+        (lambda: OptionChoice((1, 2), ("a", "b"), (1.0,)), "1 weights for 2 choices"),
+        (lambda: OptionChoice((1, 2), ("a", "b"), (0.0, 0.0)), "nor all of them zero"),
         (lambda: Design(kind="saltelli", members=100), "power of two"),
         (lambda: Design(kind="lhs"), "unknown design 'lhs'"),
         (lambda: Design(members=0), "design.members = 0"),
@@ -489,7 +489,7 @@ def test_a_specification_says_what_is_kept_and_judges_it(tmp_path):
         "bench.flow.hysteresis", "bench.flow.null_bias", "response.sine_40.frequency_minus_90_deg",
         "response.sine_100.frequency_minus_90_deg",
     )  # fmt: skip
-    figures = [Figure(name, "1", "") for name in names]
+    figures = [KeptFigure(name, "1", "") for name in names]
     criteria, unjudged = criteria_of(figures, np.array([0.01, -0.01, 150.0, 90.0]), [], specification)
     assert unjudged == ("coil_resistance",) and [c.figure.name for c in criteria] == list(names)
     assert [(c.low, c.high) for c in criteria] == [(-np.inf, 0.03), (-np.inf, 0.02), (110.0, np.inf), (80.0, np.inf)]
@@ -625,7 +625,7 @@ def ishigami(case):
 
 def ishigami_study(base_samples):
     sizes = {"valve.null_gap": 35e-6, "valve.spool_mass": 4e-3, "valve.spool_damping": 1.0}
-    variables = (Variable(find_quantity(BASE, k), Distribution("uniform", 0.9 * n, 0.2 * n)) for k, n in sizes.items())
+    variables = (Varied(find_quantity(BASE, k), Distribution("uniform", 0.9 * n, 0.2 * n)) for k, n in sizes.items())
     return ParameterStudy(
         case=BASE, variables=tuple(variables), design=Design(kind="saltelli", members=base_samples),
         keep=("own.*",), options=FigureOptions(functions=(ishigami,)),
@@ -668,7 +668,7 @@ def linear_study(**changes):
     for key, share in sizes.items():
         quantity = find_quantity(BASE, key)
         law = Distribution("norm", quantity.nominal, share * quantity.nominal / 2.0)
-        variables.append(Variable(quantity, law))
+        variables.append(Varied(quantity, law))
     figures = dict(
         case=BASE, variables=tuple(variables), design=Design(kind="latin_hypercube", members=1000, seed=5),
         keep=("own.*",), options=FigureOptions(functions=(linear,)), block=1000,
@@ -813,7 +813,7 @@ def test_every_effect_of_the_catalogue_varies_in_a_batch_as_it_does_alone(name):
         quantity = find_quantity(case, f"effects.{name}.{parameter.name}")
         ends = np.clip(quantity.nominal * np.array([0.9, 1.1]), *quantity.bounds)
         if parameter.name != "side" and np.ptp(ends) > 0.0:
-            variables.append(Variable(quantity, Distribution("uniform", min(ends), np.ptp(ends))))
+            variables.append(Varied(quantity, Distribution("uniform", min(ends), np.ptp(ends))))
     own = small(
         case=case, variables=tuple(variables), design=Design(members=9), percentiles=None, whole=None,
         keep=("run.spool_position.rms", "run.load_flow.rms"),

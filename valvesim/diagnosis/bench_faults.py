@@ -16,7 +16,7 @@ from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, wha
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
-from valvesim.identification.between_samples import Shift, Wave
+from valvesim.identification.between_samples import InputShift, Wave
 from valvesim.identification.fit import rescored
 from valvesim.identification.fit_jacobian import all_candidate_sensitivities
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
@@ -215,7 +215,7 @@ def _shift(records, column: str, words: str, size: float, unit: str, growing: bo
     """An input that is off, or wanders off, in each record."""
     parameters = tuple(
         NuisanceParameter(f"shift@{record.name}:{column}:{growing}", unit, 0.0, size, (-4.0 * size, 4.0 * size),
-                          input=Shift(record.name, column, growing))
+                          input=InputShift(record.name, column, growing))
         for record in records
     )  # fmt: skip
 

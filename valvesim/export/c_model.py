@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from valvesim.errors import InputError
-from valvesim.export.traced_valve import INPUTS, TracedValve, Variable
+from valvesim.export.traced_valve import INPUTS, TracedValve, ValveVariable
 from valvesim.simulation import driver, run, temperature_knots
 from valvesim.solver import rodas5p
 from valvesim.solver.elimination import print_elimination
@@ -132,7 +132,7 @@ def _integrator() -> list[str]:
     return [*defined, f"#define VALVE_NODE_SHARES {{{shares}}}"]
 
 
-def _define(kind: str, name: str, k: int, about: Variable) -> str:
+def _define(kind: str, name: str, k: int, about: ValveVariable) -> str:
     return f"#define VALVE_{kind}_{name.upper().replace('.', '_')} {k} /* {about.unit}: {about.doc} */"
 
 
@@ -216,7 +216,7 @@ def _used(lines: list[str]) -> list[str]:
     return kept[::-1]
 
 
-def _rows(variables: Iterable[Variable]) -> list[str]:
+def _rows(variables: Iterable[ValveVariable]) -> list[str]:
     rows = []
     for one in variables:
         known, start = int(one.start is not None), one.start or 0.0

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from valvesim.export.traced_valve import TracedValve, Variable
+from valvesim.export.traced_valve import TracedValve, ValveVariable
 from valvesim.units import DISPLAY, fmi_base_unit
 
 REFERENCES = {"parameter": 1000, "input": 2000, "state": 3000, "derivative": 4000, "output": 5000}
@@ -61,7 +61,7 @@ def fmi_variables(valve: TracedValve) -> tuple[FmiVariable, ...]:
         variables.append(_variable(one, "state", k, "output", "continuous", initial, dependencies=(reference,)))
     for k, one in enumerate(valve.states):
         of = REFERENCES["state"] + k
-        rate = Variable(name=f"der({one.name})", unit=_rate_unit(one.unit), doc=f"rate of change of {one.name}")
+        rate = ValveVariable(name=f"der({one.name})", unit=_rate_unit(one.unit), doc=f"rate of change of {one.name}")
         about = _variable(rate, "derivative", k, "local", "continuous", "calculated", of, depends[k])
         variables.append(about)
     for k, one in enumerate(valve.outputs):
@@ -74,7 +74,7 @@ RATE = 1  # the place of the command's rate among the inputs
 
 
 def _variable(
-    one: Variable, kind: str, k: int, causality: str, variability: str, initial: str | None,
+    one: ValveVariable, kind: str, k: int, causality: str, variability: str, initial: str | None,
     derivative_of: int | None = None, dependencies: tuple[int, ...] | None = None,
 ) -> FmiVariable:  # fmt: skip
     display = DISPLAY.get(one.unit)

@@ -37,7 +37,7 @@ THROTTLING_DROP = "thermal.throttling_pressure_drop"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variable:
+class ValveVariable:
     """A parameter, input, state or output of the exported valve: SI, temperatures in °C. `start` None is worked out."""
 
     name: str
@@ -60,10 +60,10 @@ class TracedValve:
     """
 
     scenario: Scenario
-    parameters: tuple[Variable, ...]
-    inputs: tuple[Variable, ...]
-    states: tuple[Variable, ...]
-    outputs: tuple[Variable, ...]
+    parameters: tuple[ValveVariable, ...]
+    inputs: tuple[ValveVariable, ...]
+    states: tuple[ValveVariable, ...]
+    outputs: tuple[ValveVariable, ...]
     coupled: int
     network: bool
     lagged_parts: bool
@@ -97,7 +97,7 @@ class _Trace:
             raise InputError("an exported valve has no input for a part's temperature", key="thermal.part_temperatures")
         self.casadi: Any = casadi
         self.scenario, self.model = scenario, scenario.model
-        self.candidates: list[Variable] = []
+        self.candidates: list[ValveVariable] = []
         self.symbols: list[Any] = []
         self._declare_parameters()
         self._declare_states()
@@ -110,7 +110,9 @@ class _Trace:
         symbol = self.casadi.SX.sym(name)
         low, high = bounds
         self.candidates.append(
-            Variable(name=name, unit=unit, doc=doc, start=float(start), low=low, high=high, scale=abs(start) or 1.0)
+            ValveVariable(
+                name=name, unit=unit, doc=doc, start=float(start), low=low, high=high, scale=abs(start) or 1.0
+            )
         )
         self.symbols.append(symbol)
         return symbol
@@ -156,7 +158,7 @@ class _Trace:
 
     def _declare_states(self) -> None:
         states = [
-            Variable(name=c.name, unit=c.unit, doc=c.doc, scale=c.scale) for c in self.model.state_channels
+            ValveVariable(name=c.name, unit=c.unit, doc=c.doc, scale=c.scale) for c in self.model.state_channels
         ]  # fmt: skip
         self.sensor_lags = [a for a in self.effects if a.effect.reading is not None and a.effect.lag is not None]
         for k, active in enumerate(self.sensor_lags):
@@ -164,7 +166,7 @@ class _Trace:
             name = f"lagged_{channel}" + (f"_{before.count(channel) + 1}" if channel in before else "")
             of = READABLE[channel]
             doc = f"what the sensor of {channel} has felt"
-            states.append(Variable(name=name, unit=of.unit, doc=doc, scale=of.scale))
+            states.append(ValveVariable(name=name, unit=of.unit, doc=doc, scale=of.scale))
         self.coupled = len(states)
         self.part_lag = None
         for active in self.effects:
@@ -182,12 +184,12 @@ class _Trace:
                 start = None if start is None else float(start)
                 name = f"{node}_{middle}temperature"
                 states.append(
-                    Variable(name=name, unit="degC", doc=doc, start=start, low=low, high=high, scale=100.0)
+                    ValveVariable(name=name, unit="degC", doc=doc, start=start, low=low, high=high, scale=100.0)
                 )  # fmt: skip
         if self.part_lag:
             for node in NODES:
                 doc = f"temperature of the {node.replace('_', ' ')} behind its lag"
-                states.append(Variable(name=f"{node}_lagged_temperature", unit="degC", doc=doc, scale=100.0))
+                states.append(ValveVariable(name=f"{node}_lagged_temperature", unit="degC", doc=doc, scale=100.0))
         self.states = tuple(states)
 
     # ---------------------------------------------------------------- temperatures and coefficients
@@ -261,7 +263,7 @@ class _Trace:
         for name, value in measured.items():
             of = READABLE[name]
             doc = f"what the sensor of {name} reads"
-            told = Variable(name=f"measured_{name}", unit=of.unit, doc=doc, scale=of.scale)
+            told = ValveVariable(name=f"measured_{name}", unit=of.unit, doc=doc, scale=of.scale)
             self.outputs.append((told, value))
         self.rates = self._with_more_coefficients(self.casadi.vertcat(*rates))
 
@@ -282,13 +284,13 @@ class _Trace:
         self.c = casadi.vertcat(self.c, more)
         return casadi.substitute(rates, chosen, more)
 
-    def _plain_outputs(self, channels: dict[str, Any]) -> list[tuple[Variable, Any]]:
+    def _plain_outputs(self, channels: dict[str, Any]) -> list[tuple[ValveVariable, Any]]:
         """All channels of a run that are neither input nor state."""
         taken = {v.name for v in self.states} | {self.scenario.drive.command_name}
         outputs = []
         for channel in SIGNAL_CHANNELS:
             if channel.name not in taken:
-                told = Variable(name=channel.name, unit=channel.unit, doc=channel.doc, scale=channel.scale)
+                told = ValveVariable(name=channel.name, unit=channel.unit, doc=channel.doc, scale=channel.scale)
                 outputs.append((told, channels[channel.name]))
         names = ("pilot_oil" if self.drop is not None else "", *NODES)
         for name in filter(None, names):
@@ -296,7 +298,7 @@ class _Trace:
             if shown not in taken:
                 doc = f"temperature of the {name.replace('_', ' ')}"
                 key = "oil_temperature" if name == "pilot_oil" else shown
-                outputs.append((Variable(name=shown, unit="degC", doc=doc, scale=100.0), channels[key]))
+                outputs.append((ValveVariable(name=shown, unit="degC", doc=doc, scale=100.0), channels[key]))
         return outputs
 
     # ---------------------------------------------------------------- the whole
@@ -393,7 +395,7 @@ class _Trace:
             "rest_current": function("rest_current", [self.u, self.c], join(memory[0] if memory else self.u[0], reach)),
         }
 
-    def _input_variables(self) -> tuple[Variable, ...]:
+    def _input_variables(self) -> tuple[ValveVariable, ...]:
         scenario, drive = self.scenario, self.scenario.drive
         commands = (scenario.command, None, *scenario.pressures(), scenario.oil_temperature)
         limit = COMMAND_LIMITS[drive.command_unit]
@@ -417,7 +419,7 @@ class _Trace:
             start = 0.0 if command is None else float(evaluate(command, 0.0))
             scale = drive.command_for_current(1e-2, 600.0) if channel.name == "command" else channel.scale
             variables.append(
-                Variable(name=name, unit=unit, doc=doc, start=start, low=low, high=high, scale=scale)
+                ValveVariable(name=name, unit=unit, doc=doc, start=start, low=low, high=high, scale=scale)
             )  # fmt: skip
         return tuple(variables)
 

@@ -111,7 +111,7 @@ class Wave:
 
 
 @dataclass(frozen=True)
-class Shift:
+class InputShift:
     """An input that is off by `amount`: throughout, or where `growing` by so much at the end and nothing before."""
 
     record: str

@@ -35,7 +35,7 @@ from valvesim.io import check_known, check_printable, check_tables, located, rea
 from valvesim.measurement.columns_table import NOTHING_STATED, Statements, statements_of
 from valvesim.measurement.formats import LISTED
 from valvesim.measurement.recording import Recording, read_recording
-from valvesim.simulation.scenario_toml import Reader, valve_argument
+from valvesim.simulation.scenario_toml import ScenarioReader, valve_argument
 from valvesim.units import parse
 from valvesim.valve.effect_trust import check_inside
 from valvesim.valve.parameters import REFERENCE_TEMPERATURE
@@ -119,7 +119,7 @@ def session_settings(
     folder: Path, table: dict[str, Any], more_effects: tuple[Path, ...], more: Sequence[str] = ()
 ) -> Session:
     """Everything in `session.toml` but sensors and records, with more files of effects; `more` are further keys."""
-    reader = Reader(folder)
+    reader = ScenarioReader(folder)
     check_known(table, ("title", "seed", "effects_files", "records", "columns", "csv", *_TABLES, *more), "session")
     check_tables(table, _TABLES[1:])
     title = table.get("title", folder.resolve().name)

@@ -31,7 +31,7 @@ _MISSPELLED = 0.85  # likeness to a channel's name from which another name is ta
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ChannelSource:
     """Where a channel comes from: file, table, and what was understood of its column; `rate` Hz as it was measured."""
 
     path: Path
@@ -53,7 +53,7 @@ class Recording:
     paths: tuple[Path, ...]
     time: np.ndarray
     values: dict[str, np.ndarray]
-    sources: dict[str, Source]
+    sources: dict[str, ChannelSource]
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
     forms: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ def read_recording(
     or is told in two ways, and where the files have no time in common.
     """
     laid: list[tuple[EvenClock, float | None, dict[str, np.ndarray]]] = []
-    sources: dict[str, Source] = {}
+    sources: dict[str, ChannelSource] = {}
     left_out: list[str] = []
     notes: list[str] = []
     tables = [(path, table, chosen) for path in paths for table, chosen in _tables(path, wanted, stated)]
@@ -93,7 +93,7 @@ def read_recording(
                 both = f"{name} stands in {sources[name].path.name} and {path.name}"
                 raise InputError(f"{both}: state which in [columns]", file=path)
             values[name] = clock.lay(columns[name])
-            sources[name] = Source(path, table.name, statement, 1.0 / clock.step)
+            sources[name] = ChannelSource(path, table.name, statement, 1.0 / clock.step)
         laid.append((clock, table.start, values))
     if strict:
         _check_spelling(paths[0], tables, wanted, sources)
@@ -198,7 +198,9 @@ def _check_stated(paths: Sequence[Path], tables: Sequence[tuple], stated: Statem
         raise InputError(f"no column {column!r} in {paths[0].name}{told}", key=f"columns.{channel}.column")
 
 
-def _check_spelling(path: Path, tables: Sequence[tuple], wanted: Collection[str], sources: dict[str, Source]) -> None:
+def _check_spelling(
+    path: Path, tables: Sequence[tuple], wanted: Collection[str], sources: dict[str, ChannelSource]
+) -> None:
     """InputError for a column whose name is nearly that of a wanted channel that no column is."""
     import difflib
 

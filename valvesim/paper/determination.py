@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from valvesim.paper.identification import ALL_FREE, ALL_ROWS, Identification, least_squares, residuals
+from valvesim.paper.identification import ALL_FREE, ALL_ROWS, PaperIdentification, least_squares, residuals
 from valvesim.paper.published import PUBLISHED_DRIFTS, TOLERANCE, Progress
 from valvesim.paper.unknowns import LOG_SPANS, UNKNOWNS
 
@@ -29,7 +29,7 @@ class Determination:
         return int(np.sum(self.singular_values > TOLERANCE))
 
 
-def determine(found: Identification, *, progress: Progress | None = None) -> Determination:
+def determine(found: PaperIdentification, *, progress: Progress | None = None) -> Determination:
     """Singular values, spread left by a linear estimate, and the misfit along each parameter.
 
     The linear estimate takes the drifts as good to `TOLERANCE` and the bounds as a prior of the same spread.
@@ -63,7 +63,7 @@ def determine(found: Identification, *, progress: Progress | None = None) -> Det
     )
 
 
-def _held(start: np.ndarray, found: Identification, k: int, free: np.ndarray, share: float) -> Any:
+def _held(start: np.ndarray, found: PaperIdentification, k: int, free: np.ndarray, share: float) -> Any:
     """Refit with parameter k held at a share of its range: from `start`, else from the optimum, whichever is closer."""
     fits = []
     for base in (start, found.shares):

@@ -79,7 +79,7 @@ SCREENED = 4000  # random valves, of which the best are refined
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identification:
+class PaperIdentification:
     """The valve that comes closest, under one interpretation."""
 
     interpretation: Interpretation  # with the sense that comes closer
@@ -99,7 +99,7 @@ class Identification:
 
 def identify(
     interpretation: Interpretation, *, seed: int = 0, starts: int = STARTS, progress: Progress | None = None
-) -> Identification:
+) -> PaperIdentification:
     """Screen random valves, refine the best `starts` of them by bounded least squares, keep the best.
 
     Half of the starts aim at the directions in either sense.
@@ -124,7 +124,7 @@ def identify(
     if not interpretation.directions:
         closest = replace(interpretation, sense=-1 if turned_values(best.x, interpretation)[0] > 0.0 else 1)
     alike = [fit for fit, each in found if each == aim and misfit(fit.fun) <= misfit(best.fun) + 1.0]
-    return Identification(
+    return PaperIdentification(
         interpretation=closest,
         shares=best.x,
         values=turned_values(best.x, closest, steps=10),

@@ -7,7 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from valvesim.paper.identification import ALL_FREE, SCREENED, Identification, least_squares, residuals, turned_values
+from valvesim.paper.identification import (
+    ALL_FREE,
+    SCREENED,
+    PaperIdentification,
+    least_squares,
+    residuals,
+    turned_values,
+)
 from valvesim.paper.published import PUBLISHED_DRIFTS, TOLERANCE, Progress
 from valvesim.paper.unknowns import UNKNOWNS
 from valvesim.valve.coefficients import ROUTES
@@ -35,7 +42,7 @@ class Reach:
         return self.worst <= TOLERANCE
 
 
-def reach(found: Identification, *, seed: int = 0, progress: Progress | None = None) -> dict[str, Reach]:
+def reach(found: PaperIdentification, *, seed: int = 0, progress: Progress | None = None) -> dict[str, Reach]:
     """For each of `GROUPS`, least squares on that group alone, from the identified valve and from random ones."""
     order = [drift.key for drift in PUBLISHED_DRIFTS]
     rng = np.random.default_rng(seed)

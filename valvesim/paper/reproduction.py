@@ -11,7 +11,7 @@ import numpy as np
 
 from valvesim.paper.determination import Determination, determine
 from valvesim.paper.flow_fits import FlowFits, flow_fits
-from valvesim.paper.identification import SCREENED, STARTS, Identification, identify
+from valvesim.paper.identification import SCREENED, STARTS, PaperIdentification, identify
 from valvesim.paper.interpretations import INTERPRETATIONS
 from valvesim.paper.magnet import ARM_GROWTH, MagnetCheck, check_magnet, mmf_drift_implied_by_arm
 from valvesim.paper.published import CURRENTS, EXPERIMENT_RANGE, OIL, PUBLISHED_DRIFTS, RANGE, Progress
@@ -35,7 +35,7 @@ class Reproduction:
     flux: GapFlux
     fits: FlowFits
     magnet: MagnetCheck
-    identified: dict[str, Identification]
+    identified: dict[str, PaperIdentification]
     determined: dict[str, Determination]
     reached: dict[str, dict[str, Reach]]
     curves: dict[str, Drifts]  # of the reference valve ("reference") and of each identified one, over RANGE

@@ -108,7 +108,7 @@ def outlook(
     level = level_of(planned, scores, options=options, seed=seed)
     groups = cause_groups(planned.candidates)
     sought = sought_causes(planned, aim)
-    judged = Judgement(planned, scores, level, options)
+    judged = CandidateScores(planned, scores, level, options)
     members = [min(groups[label], key=judged.limit) for label in sought]
     sizes = [cause_size(planned.candidates[k], aim) for k in members]
     powers = np.array([
@@ -122,7 +122,7 @@ def outlook(
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class CandidateScores:
     """The candidates off the nuisance parameters under one choice, by index."""
 
     planned: PlannedSensitivities
@@ -222,7 +222,7 @@ def cause_size(candidate: Candidate, aim: Aim) -> float:
 
 
 def _cause(
-    judged: Judgement, groups: dict[str, list[int]], sought: Sequence[str], label: str, k: int, size: float
+    judged: CandidateScores, groups: dict[str, list[int]], sought: Sequence[str], label: str, k: int, size: float
 ) -> CauseOutlook:
     candidate = judged.planned.candidates[k]
     others = {other: judged.isolated(k, groups[other]) for other in groups

@@ -11,7 +11,7 @@ import numpy as np
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.identification.projection import inverse_of, project
 from valvesim.planning.bench import AddedSensor, BenchPlan
-from valvesim.planning.outlook import Judgement, cause_groups, cause_size, level_of, sought_causes
+from valvesim.planning.outlook import CandidateScores, cause_groups, cause_size, level_of, sought_causes
 from valvesim.planning.sensitivities import PlannedSensitivities
 
 ASKED = 0.9  # power with which a goal counts as reached
@@ -82,7 +82,7 @@ class Chooser:
         """The goals that a choice reaches."""
         gram = self.planned.gram(repeats, channels)
         scores = project(gram, 0, len(self.planned.candidates))
-        judged = Judgement(self.planned, scores, self.level, self.options)
+        judged = CandidateScores(self.planned, scores, self.level, self.options)
         found = set()
         for label in self.sought:
             k = min(self.groups[label], key=judged.limit)

@@ -76,7 +76,7 @@ def _load(path: Path, settings: Sequence[str], valve: str | Path | None) -> Scen
     for setting in settings:
         override(table, setting)
     with located(path, text, document="scenario", settings=settings):
-        return Reader(path.parent).scenario(table)
+        return ScenarioReader(path.parent).scenario(table)
 
 
 def read_tables(settings: Sequence[str], *, valve: str | Path | None = None) -> ValveFile:
@@ -94,7 +94,7 @@ def read_tables(settings: Sequence[str], *, valve: str | Path | None = None) -> 
         override(table, setting)
     check_known(table, ("valve", "oil", "effects"), "--set")
     check_tables(table, ("oil", "effects"))
-    return Reader(Path()).valve(table)
+    return ScenarioReader(Path()).valve(table)
 
 
 def valve_argument(valve: str | Path) -> dict[str, str]:
@@ -123,7 +123,7 @@ def override(table: dict[str, Any], setting: str) -> None:
 
 
 @dataclass(frozen=True)
-class Reader:
+class ScenarioReader:
     """Turns TOML tables into a scenario; `folder` is where relative file names start."""
 
     folder: Path

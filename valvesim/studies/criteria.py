@@ -13,7 +13,7 @@ import numpy as np
 from valvesim.characterisation.figure_of_merit import FigureOfMerit, unit_shown, unit_to_parse
 from valvesim.characterisation.specification import FIGURES, UNSIGNED, Limit, Specification, judge
 from valvesim.errors import InputError, unknown_name
-from valvesim.studies.figures import RESPONSE_FIGURES, RIG_TESTS, Figure
+from valvesim.studies.figures import RESPONSE_FIGURES, RIG_TESTS, KeptFigure
 from valvesim.units import parse
 
 
@@ -30,7 +30,7 @@ class FigureLimit:
 class Criterion:
     """A figure within `low`..`high`; `either_way` is judged by its size. `source` says who asks for it."""
 
-    figure: Figure
+    figure: KeptFigure
     low: float
     high: float
     either_way: bool = False
@@ -60,8 +60,9 @@ class Criterion:
 
 
 def criteria_of(
-    figures: Sequence[Figure], nominal: np.ndarray, limits: Sequence[FigureLimit], specification: Specification | None
-) -> tuple[tuple[Criterion, ...], tuple[str, ...]]:
+    figures: Sequence[KeptFigure], nominal: np.ndarray, limits: Sequence[FigureLimit],
+    specification: Specification | None,
+) -> tuple[tuple[Criterion, ...], tuple[str, ...]]:  # fmt: skip
     """(criteria, names of limits of the specification that no kept figure shows).
 
     Raises InputError for a limit of a figure that is not kept, or the wrong way round.
@@ -83,14 +84,14 @@ def criteria_of(
     return tuple(criteria), tuple(unjudged)
 
 
-def _number(end: float | str | None, figure: Figure, where: str) -> float | None:
+def _number(end: float | str | None, figure: KeptFigure, where: str) -> float | None:
     if isinstance(end, str):
         return parse(end, unit_to_parse(figure.unit), where)
     return None if end is None else float(end)
 
 
 def _shown(
-    figures: Sequence[Figure], nominal: np.ndarray, specification: Specification
+    figures: Sequence[KeptFigure], nominal: np.ndarray, specification: Specification
 ) -> tuple[list[Criterion], list[str]]:
     """Criteria of a specification's limits, by `judge`, which knows what shows what at which conditions."""
     measured, own = [], {}

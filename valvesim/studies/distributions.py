@@ -91,7 +91,7 @@ class Distribution:
 
 
 @dataclass(frozen=True)
-class Choice:
+class OptionChoice:
     """One of several options (objects, or names), by their weights; a member's draw is the number of its option."""
 
     options: tuple[Any, ...]

@@ -21,7 +21,7 @@ from typing import Any
 from valvesim.errors import InputError, SolveError, ValidityWarning
 from valvesim.simulation.batch import cores
 from valvesim.studies.criteria import criteria_of
-from valvesim.studies.members import BlockResult, Plan, make_plan, run_block, validity_warnings
+from valvesim.studies.members import BlockResult, StudyPlan, make_plan, run_block, validity_warnings
 from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.store import StudyStore, open_store, store_bytes
 from valvesim.studies.versions import difference, versions
@@ -29,7 +29,7 @@ from valvesim.temporary_files import temporary_folder
 
 WORKER_MEMORY = "2GiB"
 TASKS_A_WORKER = 2  # in flight, so that none waits for its next
-Progress = Callable[[int, int], None]
+BlockProgress = Callable[[int, int], None]
 """Told (members done, of all)."""
 
 
@@ -68,7 +68,7 @@ def forecast(study: ParameterStudy, *, seconds: float = 3.0) -> Forecast:
 
 def run_study(
     study: ParameterStudy, folder: Path, *, workers: int | None = None, scheduler: str | None = None,
-    progress: Progress | None = None,
+    progress: BlockProgress | None = None,
 ) -> None:  # fmt: skip
     """Run every block that the store in `folder` does not have yet; the store may be one that was begun before.
 
@@ -153,7 +153,7 @@ def _distributed() -> Any:
 
 
 def _results(
-    client: Any, study: ParameterStudy, plan: Plan, store: StudyStore, pending: list[int]
+    client: Any, study: ParameterStudy, plan: StudyPlan, store: StudyStore, pending: list[int]
 ) -> Iterator[BlockResult]:  # fmt: skip
     """The results of blocks as they come: from the workers of a client, a few blocks in flight, or of this process."""
     if client is None:
@@ -186,7 +186,7 @@ def _results(
 
 
 def checked_block(
-    own: dict[str, str], study: ParameterStudy, plan: Plan, block: int, draws: Any
+    own: dict[str, str], study: ParameterStudy, plan: StudyPlan, block: int, draws: Any
 ) -> BlockResult:  # fmt: skip
     """`run_block` on a worker. InputError where it has other versions than the process that leads the study."""
     if told := difference(own, versions()):

@@ -46,7 +46,7 @@ DRIFT_POINTS = 101  # of the run's temperatures, as `static_drift` takes them
 
 
 @dataclass(frozen=True)
-class Figure:
+class KeptFigure:
     """A figure of merit that is kept: name, unit and definition."""
 
     name: str
@@ -66,17 +66,19 @@ REDUCTIONS: dict[str, tuple[str, Callable[[np.ndarray], float]]] = {
 """Reductions of a channel over time to one number."""
 
 
-def run_figures(channels: Sequence[Channel]) -> tuple[Figure, ...]:
+def run_figures(channels: Sequence[Channel]) -> tuple[KeptFigure, ...]:
     """Every figure that a run with these channels has."""
     return tuple(
-        Figure(f"run.{channel.name}.{name}", channel.unit, f"{doc} of {channel.doc or channel.name}")
+        KeptFigure(f"run.{channel.name}.{name}", channel.unit, f"{doc} of {channel.doc or channel.name}")
         for channel in channels
         for name, (doc, _) in REDUCTIONS.items()
     )
 
 
 DRIFT_FIGURES = tuple(
-    Figure(f"drift.{quantity}.{name}", "1", f"static drift of the {quantity.replace('_', ' ')} against 20 °C, {doc}")
+    KeptFigure(
+        f"drift.{quantity}.{name}", "1", f"static drift of the {quantity.replace('_', ' ')} against 20 °C, {doc}",
+    )
     for quantity in QUANTITIES
     for name, doc in (("end", "at the end of the run"), ("largest", "greatest magnitude along the run"))
 )
@@ -192,9 +194,9 @@ def check_families(names: Sequence[str]) -> None:
             raise unknown_name("family of figures", name.partition(".")[0], FAMILIES, "figures.keep")
 
 
-def matching(names: Sequence[str], known: Sequence[Figure]) -> tuple[Figure, ...]:
+def matching(names: Sequence[str], known: Sequence[KeptFigure]) -> tuple[KeptFigure, ...]:
     """The known figures that names (with `*`) ask for, in the order of `names`. InputError where one asks for none."""
-    picked: dict[str, Figure] = {}
+    picked: dict[str, KeptFigure] = {}
     for name in names:
         found = [figure for figure in known if fnmatchcase(figure.name, name)]
         if not found:

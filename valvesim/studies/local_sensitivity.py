@@ -22,9 +22,9 @@ from valvesim.identification.tangent_linear import TangentLinear, fill_propagato
 from valvesim.inputs import evaluate
 from valvesim.simulation.temperature_knots import between
 from valvesim.studies.distributions import Distribution
-from valvesim.studies.members import FAILURES, Plan, nominal_channels, prepared, run_block, validity_warnings
+from valvesim.studies.members import FAILURES, StudyPlan, nominal_channels, prepared, run_block, validity_warnings
 from valvesim.studies.parameter_study import ParameterStudy
-from valvesim.studies.variables import Case, Variable, apply, scenario_of
+from valvesim.studies.variables import Case, Varied, apply, scenario_of
 
 DIFFERENCE = 0.1  # standard deviations, of figures
 FORCING = 1e-3  # standard deviations, of the equations' rates
@@ -53,7 +53,7 @@ class LocalSensitivity:
         return np.divide(parts, total, out=np.full_like(parts, np.nan), where=total > 0.0)
 
 
-def local_sensitivity(study: ParameterStudy, plan: Plan) -> LocalSensitivity:
+def local_sensitivity(study: ParameterStudy, plan: StudyPlan) -> LocalSensitivity:
     """The local sensitivities of a study. Raises as the nominal member's run does."""
     names = tuple(figure.name for figure in plan.figures)
     continuous = [k for k, v in enumerate(study.variables) if isinstance(v.distribution, Distribution)]
@@ -74,7 +74,7 @@ def local_sensitivity(study: ParameterStudy, plan: Plan) -> LocalSensitivity:
 
 
 def _differences(
-    study: ParameterStudy, plan: Plan, figures: list[int], variables: list[int], deviation: np.ndarray
+    study: ParameterStudy, plan: StudyPlan, figures: list[int], variables: list[int], deviation: np.ndarray
 ) -> np.ndarray:
     """Slopes (figures, variables) by central differences over members next to the nominal one."""
     nominal = np.array([v.quantity.nominal if k in variables else 0.0 for k, v in enumerate(study.variables)])
@@ -91,7 +91,7 @@ def _differences(
 
 
 def _run_slopes(
-    study: ParameterStudy, plan: Plan, names: list[str], variables: list[Variable], deviation: np.ndarray
+    study: ParameterStudy, plan: StudyPlan, names: list[str], variables: list[Varied], deviation: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Slopes (variables,) of figures of the nominal run by name."""
     case, start = study.case, study.options.start
@@ -153,7 +153,7 @@ class _Equations:
         return inputs, tuple(between(self.times, problem.path.times, problem.knots[0]))
 
 
-def _both(at: _Equations, variable: Variable, step: float) -> tuple[Any, Any]:
+def _both(at: _Equations, variable: Varied, step: float) -> tuple[Any, Any]:
     """Terms with a quantity a step above and below its nominal value."""
     nominal = variable.quantity.nominal
     try:

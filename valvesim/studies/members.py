@@ -25,11 +25,11 @@ from valvesim.characterisation.position_loop import (
 from valvesim.errors import SolveError, ValidityWarning, ValvesimError, forget_warnings, one_line
 from valvesim.simulation.run import Problem, channel_values, integrate_members, prepare
 from valvesim.studies.channel_histogram import BINS, Reference, count, reference_of
-from valvesim.studies.distributions import Choice
+from valvesim.studies.distributions import OptionChoice
 from valvesim.studies.figures import (
     DRIFT_FIGURES,
     REDUCTIONS,
-    Figure,
+    KeptFigure,
     bench_figures,
     matching,
     own_figures,
@@ -39,7 +39,7 @@ from valvesim.studies.figures import (
     tests_of,
 )
 from valvesim.studies.parameter_study import ChannelPercentiles, ParameterStudy
-from valvesim.studies.variables import Case, Variable, apply, scenario_of
+from valvesim.studies.variables import Case, Varied, apply, scenario_of
 
 KNOT_BYTES = 20e6  # of the flat coefficients of a batch; what they are made of takes some ten times as much
 MOST_IN_BATCH = 1000
@@ -116,14 +116,14 @@ def prepared(case: Case, knot_times: np.ndarray | None = None) -> Runs:
 
 
 @dataclass(frozen=True)
-class Plan:
+class StudyPlan:
     """What all blocks share, made once from the nominal member: the figures that are kept with their nominal values.
 
     `knot_times` (m,) are those of the temperatures of every member, None where each has its own; `samples` (n_t,) are
     the output samples of the percentiles, which count from `reference`.
     """
 
-    figures: tuple[Figure, ...]
+    figures: tuple[KeptFigure, ...]
     nominal: np.ndarray
     bench: tuple[str, ...]
     response: tuple[str, ...]
@@ -152,13 +152,13 @@ class BlockResult:
     warnings: tuple[str, ...]
 
 
-def make_plan(study: ParameterStudy) -> Plan:
+def make_plan(study: ParameterStudy) -> StudyPlan:
     """The plan of a study. InputError for a figure that no member has; raises too where the nominal member fails."""
     case, scenario = study.case, scenario_of(study.case)
     families = {name.partition(".")[0] for name in study.keep}
     bench, response = tests_of("bench", study.keep), tests_of("response", study.keep)
     times, knot_times, reference, samples = np.zeros(0), None, None, np.zeros(0, dtype=int)
-    known: list[Figure] = []
+    known: list[KeptFigure] = []
     values: dict[str, float] = {}
     if "run" in families or study.percentiles is not None or study.whole is not None:
         runs: Any = prepared(case)
@@ -176,11 +176,11 @@ def make_plan(study: ParameterStudy) -> Plan:
         known += DRIFT_FIGURES
         values |= {name: float(v) for name, v in static_drifts(scenario, [f.name for f in DRIFT_FIGURES]).items()}
     for figure in _single_figures(study, case, bench, response):
-        known.append(Figure(figure.name, getattr(figure, "unit", ""), getattr(figure, "doc", "")))
+        known.append(KeptFigure(figure.name, getattr(figure, "unit", ""), getattr(figure, "doc", "")))
         values[figure.name] = figure.value if isinstance(figure, FigureOfMerit) else np.nan
     figures = matching(study.keep, known)
     nominal = np.array([values[figure.name] for figure in figures])
-    return Plan(figures, nominal, bench, response, times, knot_times, samples, reference)
+    return StudyPlan(figures, nominal, bench, response, times, knot_times, samples, reference)
 
 
 def _common_knots(study: ParameterStudy, times: np.ndarray) -> np.ndarray | None:
@@ -212,7 +212,7 @@ def _samples(times: np.ndarray, asked: ChannelPercentiles) -> np.ndarray:
     return np.unique(np.linspace(min(first, last), last, asked.points).astype(int))
 
 
-def run_block(study: ParameterStudy, plan: Plan, number: int, draws: np.ndarray) -> BlockResult:
+def run_block(study: ParameterStudy, plan: StudyPlan, number: int, draws: np.ndarray) -> BlockResult:
     """Run the members of a block, whose draws (k, variables) are given. Members that fail are rows with a reason."""
     first, members = number * study.block_size, len(draws)
     channels = study.percentiles.channels if study.percentiles is not None else ()
@@ -246,7 +246,7 @@ def validity_warnings() -> Iterator[list[str]]:
         told += dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, ValidityWarning))
 
 
-def _batches(study: ParameterStudy, plan: Plan, draws: np.ndarray) -> Iterator[np.ndarray]:
+def _batches(study: ParameterStudy, plan: StudyPlan, draws: np.ndarray) -> Iterator[np.ndarray]:
     """Places (k,) of members that differ in nothing but figures of the equations, some at a time."""
     apart = [k for k, variable in enumerate(study.variables) if not _in_batch(study.case, variable)]
     names = len(scenario_of(study.case).model.coefficient_names)
@@ -259,10 +259,10 @@ def _batches(study: ParameterStudy, plan: Plan, draws: np.ndarray) -> Iterator[n
             yield rows[start : start + size]
 
 
-def _in_batch(case: Case, variable: Variable) -> bool:
+def _in_batch(case: Case, variable: Varied) -> bool:
     """Whether members that differ in it run as one batch."""
     section, _, rest = variable.key.partition(".")
-    if isinstance(variable.distribution, Choice) or not variable.quantity.in_batch:
+    if isinstance(variable.distribution, OptionChoice) or not variable.quantity.in_batch:
         return False
     if section != "effects":
         return True
@@ -288,7 +288,7 @@ class _Ready:
     drifts: dict[str, np.ndarray]
 
 
-def _prepare_batch(study: ParameterStudy, plan: Plan, draws: np.ndarray, rows: np.ndarray) -> _Ready:
+def _prepare_batch(study: ParameterStudy, plan: StudyPlan, draws: np.ndarray, rows: np.ndarray) -> _Ready:
     """The batch of some members. Raises one of `FAILURES` where a member cannot be prepared."""
     case, names = _case_of(study, draws, rows), [figure.name for figure in plan.figures]
     simulated = any(name.startswith("run.") for name in names) or study.percentiles or study.whole
@@ -298,7 +298,7 @@ def _prepare_batch(study: ParameterStudy, plan: Plan, draws: np.ndarray, rows: n
 
 
 def _ready(
-    study: ParameterStudy, plan: Plan, draws: np.ndarray, rows: np.ndarray, reasons: list[str]
+    study: ParameterStudy, plan: StudyPlan, draws: np.ndarray, rows: np.ndarray, reasons: list[str]
 ) -> tuple[_Ready | None, np.ndarray]:
     """(the batch, its members): halved until those that cannot be prepared are found, then the rest as one."""
     try:
@@ -312,7 +312,7 @@ def _ready(
 
 
 def _run_batch(
-    study: ParameterStudy, plan: Plan, draws: np.ndarray, rows: np.ndarray, out: BlockResult, reasons: list[str]
+    study: ParameterStudy, plan: StudyPlan, draws: np.ndarray, rows: np.ndarray, out: BlockResult, reasons: list[str]
 ) -> None:  # fmt: skip
     """Runs and drifts of a batch into `out`, without the members that cannot be prepared."""
     places = {figure.name: k for k, figure in enumerate(plan.figures)}
@@ -360,7 +360,7 @@ def _reduced(values: dict[str, np.ndarray], names: Sequence[str], times: np.ndar
 
 
 def _run_single(
-    study: ParameterStudy, plan: Plan, draw: np.ndarray, row: int, out: BlockResult, reasons: list[str]
+    study: ParameterStudy, plan: StudyPlan, draw: np.ndarray, row: int, out: BlockResult, reasons: list[str]
 ) -> None:  # fmt: skip
     """Bench and response of one member into `out`."""
     places = {figure.name: k for k, figure in enumerate(plan.figures)}

@@ -18,9 +18,9 @@ from valvesim.io import check_printable
 from valvesim.simulation.result import output_channels
 from valvesim.studies.criteria import FigureLimit
 from valvesim.studies.designs import Design
-from valvesim.studies.distributions import Choice
+from valvesim.studies.distributions import OptionChoice
 from valvesim.studies.figures import OwnFigures, check_families
-from valvesim.studies.variables import Case, Variable, apply, scenario_of
+from valvesim.studies.variables import Case, Varied, apply, scenario_of
 
 MOST_BLOCK = 10_000  # members of a block: some 100 tasks of a million
 LEAST_BLOCKS = 64  # where there are as many members: work for as many processes, and little is lost to a kill
@@ -88,7 +88,7 @@ class ParameterStudy:
 
     title: str = "study"
     case: Case
-    variables: tuple[Variable, ...]
+    variables: tuple[Varied, ...]
     design: Design = Design()
     keep: tuple[str, ...]
     options: FigureOptions = FigureOptions()
@@ -106,7 +106,7 @@ class ParameterStudy:
         for key in keys:
             if keys.count(key) > 1:
                 raise InputError("varies twice", key=f"vary.{key}", joint=" ")
-        whole = [v.key for v in self.variables if isinstance(v.distribution, Choice)]
+        whole = [v.key for v in self.variables if isinstance(v.distribution, OptionChoice)]
         for key in keys:
             for other in whole:
                 if key.startswith(f"{other}."):
@@ -193,7 +193,7 @@ class ParameterStudy:
         """The values by key of one member's draw."""
         return {
             variable.key: variable.distribution.options[int(value)]
-            if isinstance(variable.distribution, Choice)
+            if isinstance(variable.distribution, OptionChoice)
             else float(value)
             for variable, value in zip(self.variables, draw, strict=True)
         }

@@ -16,7 +16,7 @@ import numpy as np
 from valvesim.errors import InputError
 from valvesim.io import reason
 from valvesim.studies.channel_histogram import BINS
-from valvesim.studies.members import LONGEST_REASON, BlockResult, Plan
+from valvesim.studies.members import LONGEST_REASON, BlockResult, StudyPlan
 from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.versions import difference, versions
 from valvesim.temporary_files import made_folder, temporary_path
@@ -68,7 +68,7 @@ class StudyStore:
         group[DONE][result.number] = True
 
 
-def open_store(folder: Path, study: ParameterStudy, plan: Plan) -> StudyStore:
+def open_store(folder: Path, study: ParameterStudy, plan: StudyPlan) -> StudyStore:
     """The store of a study in a folder: a new one, or the one that was begun there.
 
     Raises InputError where it is of another study, unfinished and of another version of the package, or cannot be
@@ -105,7 +105,7 @@ def check_identity(path: Path, attributes: dict[str, Any], study: ParameterStudy
         )  # fmt: skip
 
 
-def _create(path: Path, study: ParameterStudy, plan: Plan) -> None:
+def _create(path: Path, study: ParameterStudy, plan: StudyPlan) -> None:
     """Write the template beside its place and move it there whole, so that a kill leaves none or all of it."""
     import zarr
 
@@ -124,7 +124,7 @@ def _create(path: Path, study: ParameterStudy, plan: Plan) -> None:
         raise InputError(f"cannot be written ({reason(error)})", file=path) from None
 
 
-def _add_arrays(group: Any, study: ParameterStudy, plan: Plan) -> None:
+def _add_arrays(group: Any, study: ParameterStudy, plan: StudyPlan) -> None:
     members, block, nan = study.members, study.block_size, float("nan")
 
     def add(name: str, dimensions: str, shape: tuple[int, ...], chunks: tuple[int, ...], dtype: Any, fill: Any) -> None:
@@ -148,7 +148,7 @@ def _add_arrays(group: Any, study: ParameterStudy, plan: Plan) -> None:
         add(WHOLE, "kept_member whole_channel time", (len(study.whole.members), *shape), (1, *shape), "f8", nan)
 
 
-def attributes_of(study: ParameterStudy, plan: Plan) -> dict[str, Any]:
+def attributes_of(study: ParameterStudy, plan: StudyPlan) -> dict[str, Any]:
     """What stands in the store's attributes: enough to read it without the study."""
     channels = {channel.name: channel for channel in study.channels}
     told: dict[str, Any] = {
@@ -187,7 +187,7 @@ def _bytes(text: str) -> bytes:
     return text.encode()[:LONGEST_REASON].decode(errors="ignore").encode()
 
 
-def store_bytes(study: ParameterStudy, plan: Plan) -> int:
+def store_bytes(study: ParameterStudy, plan: StudyPlan) -> int:
     """Bytes of the store's arrays before compression."""
     members, per_member = study.members, 8 * (len(study.variables) + len(plan.figures)) + LONGEST_REASON
     counts = study.blocks * len(plan.samples) * (BINS * 4 + 16)

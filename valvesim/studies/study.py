@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from valvesim.studies.engine import Progress, run_study
+from valvesim.studies.engine import BlockProgress, run_study
 from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.study_result import StudyResult, open_result
 from valvesim.studies.study_toml import load_study
@@ -12,7 +12,7 @@ from valvesim.studies.study_toml import load_study
 
 def study(
     source: ParameterStudy | str | Path, folder: str | Path, *, workers: int | None = None,
-    scheduler: str | None = None, progress: Progress | None = None,
+    scheduler: str | None = None, progress: BlockProgress | None = None,
 ) -> StudyResult:  # fmt: skip
     """Run a study, or go on with one that was begun in `folder`, and open its result.
 

@@ -12,7 +12,7 @@ import numpy as np
 from valvesim.errors import InputError
 from valvesim.studies import channel_histogram
 from valvesim.studies.criteria import Criterion, criteria_of
-from valvesim.studies.figures import Figure
+from valvesim.studies.figures import KeptFigure
 from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.store import (
     COUNTS,
@@ -113,9 +113,9 @@ class StudyResult:
             raise InputError(problem, file=self.folder / NAME) from None
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def figures(self) -> tuple[KeptFigure, ...]:
         """The figures of merit that were kept."""
-        return tuple(Figure(f["name"], f["unit"], f["doc"]) for f in self.attributes["figures"])
+        return tuple(KeptFigure(f["name"], f["unit"], f["doc"]) for f in self.attributes["figures"])
 
     @property
     def nominal(self) -> np.ndarray:

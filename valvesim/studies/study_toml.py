@@ -48,16 +48,16 @@ from valvesim.io import (
 )
 from valvesim.simulation.command_toml import read_command, read_switch
 from valvesim.simulation.scenario import Scenario
-from valvesim.simulation.scenario_toml import Reader, override
+from valvesim.simulation.scenario_toml import ScenarioReader, override
 from valvesim.studies.criteria import FigureLimit, figures_for
 from valvesim.studies.designs import MOST_MEMBERS, Correlation, Design
-from valvesim.studies.distributions import Choice, Distribution, tolerance_distribution
+from valvesim.studies.distributions import Distribution, OptionChoice, tolerance_distribution
 from valvesim.studies.figures import OwnFigures
 from valvesim.studies.parameter_study import ChannelPercentiles, FigureOptions, ParameterStudy, WholeChannels
 from valvesim.studies.variables import (
     Case,
     Quantity,
-    Variable,
+    Varied,
     choice_unit,
     find_quantity,
     tolerated,
@@ -144,9 +144,9 @@ def _scenario(given: Any, folder: Path) -> tuple[Scenario, ValveFile]:
         table = _merged(own, table)
         folder = path.parent
         with located(path, text, document="scenario"):
-            return Reader(folder).scenario(table), Reader(folder).valve(table)
+            return ScenarioReader(folder).scenario(table), ScenarioReader(folder).valve(table)
     try:
-        return Reader(folder).scenario(table), Reader(folder).valve(table)
+        return ScenarioReader(folder).scenario(table), ScenarioReader(folder).valve(table)
     except InputError as error:
         raise error.moved("", "scenario") from None
 
@@ -182,10 +182,10 @@ def _loop(table: Mapping[str, Any], scenario: Scenario, folder: Path) -> Positio
 # ---------------------------------------------------------------- what varies
 
 
-def _variables(table: Mapping[str, Any], case: Case, valve: ValveFile, folder: Path) -> tuple[Variable, ...]:
+def _variables(table: Mapping[str, Any], case: Case, valve: ValveFile, folder: Path) -> tuple[Varied, ...]:
     """All that varies; a quantity of its own takes the place of its tolerance."""
     entries = dict(table)
-    variables: dict[str, Variable] = {}
+    variables: dict[str, Varied] = {}
     if read_switch(entries.pop("tolerances", not entries), "vary.tolerances"):
         variables = {variable.key: variable for variable in tolerated(case, valve.tolerances)}
     for key, entry in _flat(entries):
@@ -203,7 +203,7 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     return out
 
 
-def _variable(key: str, entry: Any, case: Case, valve: ValveFile, folder: Path) -> Variable:
+def _variable(key: str, entry: Any, case: Case, valve: ValveFile, folder: Path) -> Varied:
     where = f"vary.{key}"
     if not isinstance(entry, dict):
         raise InputError(f"expected a table such as {{ tolerance = '2 %' }}, got {entry!r}", key=where)
@@ -217,9 +217,9 @@ def _variable(key: str, entry: Any, case: Case, valve: ValveFile, folder: Path) 
     if "tolerance" in entry:
         check_known(entry, ("tolerance",), where)
         width = _width(entry["tolerance"], quantity, f"{where}.tolerance")
-        return Variable(quantity, tolerance_distribution(quantity.nominal, width, quantity.bounds))
+        return Varied(quantity, tolerance_distribution(quantity.nominal, width, quantity.bounds))
     try:
-        return Variable(quantity, _distribution(entry, quantity, where))
+        return Varied(quantity, _distribution(entry, quantity, where))
     except InputError as error:
         raise (error if error.key.startswith("vary.") else error.moved("", where)) from None
 
@@ -270,7 +270,7 @@ def _distribution(entry: Mapping[str, Any], quantity: Quantity, where: str) -> D
     return Distribution(name, location, scale, figures, low, high)
 
 
-def _choice(key: str, entry: Mapping[str, Any], case: Case, folder: Path) -> Variable:
+def _choice(key: str, entry: Mapping[str, Any], case: Case, folder: Path) -> Varied:
     """One of several oils, commands, or values of a quantity."""
     where = f"vary.{key}"
     check_known(entry, ("values", "weights"), where)
@@ -283,10 +283,10 @@ def _choice(key: str, entry: Mapping[str, Any], case: Case, folder: Path) -> Var
     if not isinstance(shares, list) or not all(isinstance(w, (int, float)) for w in shares):
         raise InputError(f"expected a list of numbers, got {weights!r}", key=f"{where}.weights")
     try:
-        choice = Choice(options, names, tuple(map(float, shares)))
+        choice = OptionChoice(options, names, tuple(map(float, shares)))
     except InputError as error:
         raise error.moved("", where) from None
-    return Variable(Quantity(key, "1", f"choice of {key}", np.nan, (0.0, len(given) - 1.0)), choice)
+    return Varied(Quantity(key, "1", f"choice of {key}", np.nan, (0.0, len(given) - 1.0)), choice)
 
 
 def _option(key: str, given: Any, case: Case, where: str, folder: Path) -> Any:
@@ -305,7 +305,7 @@ def _option(key: str, given: Any, case: Case, where: str, folder: Path) -> Any:
     return parse(given, find_quantity(case, key).unit, where)
 
 
-def _correlations(given: Any, variables: Sequence[Variable], valve: ValveFile) -> tuple[Correlation, ...]:
+def _correlations(given: Any, variables: Sequence[Varied], valve: ValveFile) -> tuple[Correlation, ...]:
     """Those of the valve's file between quantities that vary, and the study's own."""
     keys = [variable.key for variable in variables]
     found = {}
@@ -345,7 +345,7 @@ def _design(table: Mapping[str, Any], correlations: tuple[Correlation, ...]) -> 
     return Design(kind=kind, members=members, seed=seed, correlations=correlations)
 
 
-def _table_design(table: Mapping[str, Any], case: Case, folder: Path) -> tuple[tuple[Variable, ...], Design]:
+def _table_design(table: Mapping[str, Any], case: Case, folder: Path) -> tuple[tuple[Varied, ...], Design]:
     """A table of one's own: a CSV file with a column `key [unit]` for each quantity, a row a member."""
     check_known(table, ("kind", "table"), "design")
     path = folder / _text(table.get("table"), "design.table")
@@ -366,7 +366,7 @@ def _table_design(table: Mapping[str, Any], case: Case, folder: Path) -> tuple[t
         low, high = float(np.min(rows[:, k])), float(np.max(rows[:, k]))
         try:
             width = max(high - low, 1e-12 * abs(low) + 1e-300)
-            variables.append(Variable(quantity, Distribution("uniform", low, width, highest=high)))
+            variables.append(Varied(quantity, Distribution("uniform", low, width, highest=high)))
         except InputError as error:
             raise InputError(f"{path}: {error}", key="design.table") from None
     return tuple(variables), Design(kind="table", members=len(rows), rows=rows)

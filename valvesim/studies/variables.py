@@ -21,7 +21,7 @@ from valvesim.characterisation.position_loop import PositionLoop
 from valvesim.errors import InputError, nearest, unknown_name
 from valvesim.inputs import COMMANDS, Command, Constant, Sum, unit_of_figure
 from valvesim.simulation.scenario import Scenario
-from valvesim.studies.distributions import LEAST_OUTSIDE, Choice, Distribution, tolerance_distribution
+from valvesim.studies.distributions import LEAST_OUTSIDE, Distribution, OptionChoice, tolerance_distribution
 from valvesim.units import quantities
 from valvesim.valve.effect import ActiveEffect
 
@@ -61,14 +61,14 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Variable:
+class Varied:
     """A quantity that varies, and how; of a choice between objects the quantity is the number of the choice."""
 
     quantity: Quantity
-    distribution: Distribution | Choice
+    distribution: Distribution | OptionChoice
 
     def __post_init__(self):
-        if isinstance(self.distribution, Choice):
+        if isinstance(self.distribution, OptionChoice):
             return
         if (outside := self.distribution.outside(self.quantity.bounds)) > LEAST_OUTSIDE:
             low, high = self.quantity.bounds
@@ -84,7 +84,7 @@ class Variable:
         return self.quantity.key
 
 
-def tolerated(case: Case, own: Mapping[str, float] | None = None) -> tuple[Variable, ...]:
+def tolerated(case: Case, own: Mapping[str, float] | None = None) -> tuple[Varied, ...]:
     """All quantities of the valve that have a tolerance, each distributed within it.
 
     `own` tolerances by name, in the quantity's unit, take the place of the declared ones.
@@ -94,14 +94,14 @@ def tolerated(case: Case, own: Mapping[str, float] | None = None) -> tuple[Varia
     return tuple(variable_of(find_quantity(case, f"valve.{name}"), known.get(name)) for name in names)
 
 
-def variable_of(quantity: Quantity, tolerance: float | None = None) -> Variable:
+def variable_of(quantity: Quantity, tolerance: float | None = None) -> Varied:
     """A quantity within a tolerance (in its unit), by default its own. InputError where it has none."""
     width = quantity.tolerance if tolerance is None else tolerance
     if not width > 0.0:
         raise InputError(
             "has no tolerance of its own: give one, or a distribution", key=f"vary.{quantity.key}", joint=" "
         )
-    return Variable(quantity, tolerance_distribution(quantity.nominal, width, quantity.bounds))
+    return Varied(quantity, tolerance_distribution(quantity.nominal, width, quantity.bounds))
 
 
 # ---------------------------------------------------------------- finding
