@@ -163,6 +163,7 @@ def quick():
     return {v.key: identify(v, starts=4) for v in (DERIVED, PRINTED)}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_valve(quick):
     again = identify(DERIVED, starts=4)
     np.testing.assert_array_equal(again.shares, quick["derived"].shares)
