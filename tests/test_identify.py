@@ -181,4 +181,6 @@ def test_the_command_writes_a_valve_and_tells_rows(tmp_path, found, monkeypatch)
     again = [*command, "--overwrite", "--format", "json"]
     rows = json.loads(CliRunner().invoke(cli, again, catch_exceptions=False).stdout)
     assert {row["kind"] for row in rows} == {"figure", "parameter", "next figure"}
+    flow = next(row for row in rows if row["name"] == "rated_flow")
+    assert flow["asked_low"] == pytest.approx(34.2 / 6e4) and flow["asked_high"] == pytest.approx(41.8 / 6e4)
     assert vs.load_valve(tmp_path / "mine.toml") == found.valve

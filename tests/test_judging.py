@@ -10,7 +10,8 @@ from click.testing import CliRunner
 from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
 from valvesim.characterisation.judgement_table import asked_text, condition_text, interval_text, limit_text, rows_of
-from valvesim.characterisation.specification import Limit
+from valvesim.characterisation.specification import Limit, load_specification
+from valvesim.cli.judging import oil_temperatures
 from valvesim.cli.main import COMMANDS, cli
 
 PASSING = '[figures]\nrated_current = { high = "20 mA" }\nnull_leakage = { high = "2 L/min" }\n'
@@ -85,12 +86,17 @@ def test_limits_and_conditions_are_told_as_people_read_them():
     assert interval_text(2720.0, 1785.0, 4144.0, "N/m")[:2] == ("2720", "1780 to 4140")
 
 
+def test_large_uncertainties_round_their_figures_and_nothing_is_minus_zero():
+    assert shown(FigureOfMerit("pressure_gain", 2816e8, "Pa/A", "", 2468e8)) == ("2800", "2500", "bar/mA")
+    assert shown(FigureOfMerit("null_bias", -1e-9, "1", "", 4.9e-5)) == ("0.0000", "0.0049", "%")
+
+
 @pytest.mark.parametrize(
     "figure, told",
     [
         (FigureOfMerit("overshoot", 3.5946e-7, "%", ""), ("0", "", "%")),
         (FigureOfMerit("overshoot", 3.5946, "%", ""), ("3.5946", "", "%")),
-        (FigureOfMerit("rated_flow", 38.2142 / 6e4, "m^3/s", "", 0.5 / 6e4), ("38.21", "0.5", "L/min")),
+        (FigureOfMerit("rated_flow", 38.2142 / 6e4, "m^3/s", "", 0.5 / 6e4), ("38.21", "0.50", "L/min")),
     ],
 )
 def test_figures_are_told_to_what_is_known_of_them(figure, told):
@@ -113,3 +119,13 @@ def test_catalogues_are_told_to_machines(command, form):
     told = CliRunner().invoke(cli, [command, "--format", form], catch_exceptions=False).stdout
     rows = json.loads(told) if form == "json" else list(csv.DictReader(io.StringIO(told)))
     assert len(rows) > 3 and len({tuple(row) for row in rows}) == 1
+
+
+@pytest.mark.parametrize(
+    "given, conditions, told",
+    [(None, "", [20.0]), (None, "[conditions]\noil_temperature = '40 degC'\n", [40.0]), ("20, 95 degC", "", [20, 95])],
+)
+def test_a_command_tests_at_the_oil_temperature_of_its_specification(tmp_path, given, conditions, told):
+    (tmp_path / "page.toml").write_text(f"{conditions}[figures]\nthreshold = {{ high = '1 %' }}\n", encoding="utf-8")
+    assert oil_temperatures(given, load_specification(tmp_path / "page.toml")) == told
+    assert oil_temperatures("30 degC", None) == [30.0]

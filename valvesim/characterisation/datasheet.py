@@ -17,6 +17,7 @@ from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, Fig
 from valvesim.characterisation.lumped_figures import beside_class
 from valvesim.characterisation.response_set import ResponseSet, measure_responses
 from valvesim.characterisation.response_set import tests_of as responses_of
+from valvesim.characterisation.specification import Specification
 from valvesim.shown import Shown
 from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.units import reads_units
@@ -82,7 +83,12 @@ def measure(
     )  # fmt: skip
 
 
-def tests_of(sheet: Datasheet) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:
-    """Every test of a datasheet as (title, conditions by the names of a specification's, figures), SI."""
+def tests_of(
+    sheet: Datasheet, specification: Specification | None = None
+) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:  # fmt: skip
+    """Every test of a datasheet as (title, conditions by the names of a specification's, figures), SI, of responses
+    also at the single frequencies that a specification has limits at.
+    """
     benches = [(f"bench, oil at {one.oil_temperature:g} °C", one.conditions, one.figures) for one in sheet.benches]
-    return benches + responses_of(sheet.responses, Scenario(valve=sheet.valve, thermal=Thermal(network=None)))
+    source = Scenario(valve=sheet.valve, thermal=Thermal(network=None))
+    return benches + responses_of(sheet.responses, source, specification)

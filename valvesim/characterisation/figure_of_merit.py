@@ -56,16 +56,19 @@ def unit_to_parse(unit: str) -> str:
 
 
 def shown(figure: FigureOfMerit) -> tuple[str, str, str]:
-    """(value, uncertainty, unit) as text in the units that people read."""
+    """(value, uncertainty, unit) as text in the units that people read: both to two digits of the uncertainty."""
     unit, factor = _SHOWN.get(figure.unit, (figure.unit, 1.0))
     if figure.name.endswith("lag") and figure.unit == "s":
         unit, factor = "s", 1.0  # a meter's lag is seconds, not milliseconds
     value, error = figure.value * factor, (figure.uncertainty or 0.0) * factor
+    told = "" if figure.uncertainty is None else f"{error:.2g}"
     if error > 0.0:
-        text = f"{value:.{int(np.clip(1 - np.floor(np.log10(error)), 0, 6))}f}"
+        digits = min(int(1 - np.floor(np.log10(error))), 6)
+        text, near = (f"{round(number, digits) + 0.0:.{max(digits, 0)}f}" for number in (value, error))
+        told = near if float(near) else told
     else:
         text = "0" if abs(value) < LEAST_SHOWN.get(unit, 0.0) else f"{value:.5g}"
-    return text, "" if figure.uncertainty is None else f"{error:.2g}", "" if unit == "-" else symbol(unit)
+    return text, told, "" if unit == "-" else symbol(unit)
 
 
 def table(figures: Sequence[FigureOfMerit | Absent]) -> list[tuple[str, str, str, str, str]]:

@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from valvesim.cli.display import print_figures, progress_bar
-from valvesim.cli.judging import end_on_failure, judged_by, read_specification, temperature_difference
+from valvesim.cli.judging import (
+    end_on_failure,
+    judged_by,
+    oil_temperatures,
+    read_specification,
+    temperature_difference,
+)
 from valvesim.cli.options import (
     columns_option,
     dither_options,
@@ -47,7 +53,7 @@ if TYPE_CHECKING:
 @settings_option
 def bench(
     output: Path, measured: tuple[Path, ...], columns: Path | None, kind: str | None, lag: str | None,
-    dead_zone: str | None, rated_current: str | None, oil_temperature: str, dither_amplitude: str | None,
+    dead_zone: str | None, rated_current: str | None, oil_temperature: str | None, dither_amplitude: str | None,
     dither_frequency: str | None, valve: str | None, spec: Path | None, form: str, settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Static figures of merit (SAE ARP490, ISO 10770-1) of the model, or of measured records.
@@ -57,7 +63,7 @@ def bench(
     from valvesim.errors import InputError
     from valvesim.measurement.columns_table import NOTHING_STATED, read_statements
     from valvesim.simulation.scenario_toml import read_tables
-    from valvesim.units import parse, parse_list
+    from valvesim.units import parse
 
     limits, dither = read_specification(spec), read_dither(dither_amplitude, dither_frequency)
     if not measured:
@@ -65,7 +71,7 @@ def bench(
         if given := [name for name, value in stated if value is not None]:
             raise InputError(f"{given[0]} speaks of a measured record: give --measured FILE too")
         own = read_tables(settings, valve=valve)
-        temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
+        temperatures = oil_temperatures(oil_temperature, limits)
         tests, written = _test_model(own, temperatures, output, temperature_difference(limits), dither)
         judged = judged_by(limits, tests, valve=own.valve)
         print_figures(tests, form, judged, written)

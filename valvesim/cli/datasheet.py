@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from valvesim.cli.display import print_rows, print_table, print_written, progress_bar
-from valvesim.cli.judging import end_on_failure, judged_by, read_specification
+from valvesim.cli.judging import end_on_failure, judged_by, oil_temperatures, read_specification
 from valvesim.cli.options import (
     format_option,
     output_option,
@@ -28,7 +28,8 @@ from valvesim.cli.output_folder import all_or_nothing
 @format_option("table", "json", "csv")
 @settings_option
 def datasheet(
-    output: Path, oil_temperature: str, valve: str | None, spec: Path | None, form: str, settings: tuple[str, ...]
+    output: Path, oil_temperature: str | None, valve: str | None, spec: Path | None, form: str,
+    settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """The datasheet of a valve at any oil temperatures: datasheet.html and datasheet.pdf, pictures inside."""
     from valvesim.characterisation.datasheet import measure, tests_of
@@ -36,18 +37,17 @@ def datasheet(
     from valvesim.characterisation.specification import COMMON
     from valvesim.reports.datasheet import datasheet_report
     from valvesim.simulation.scenario_toml import read_tables
-    from valvesim.units import parse_list
 
     limits = read_specification(spec)
     own = read_tables(settings, valve=valve)
-    temperatures = parse_list(oil_temperature, "degC", "--oil-temperature").tolist()
+    temperatures = oil_temperatures(oil_temperature, limits)
     with all_or_nothing(output) as folder, progress_bar() as bar:
         stage = bar.add_task("testing the valve", total=1.0)
         sheet = measure(
             own.valve, own.oil, effects=own.effects, oil_temperatures=temperatures,
             progress=lambda share: bar.update(stage, completed=share),
         )  # fmt: skip
-        tests = tests_of(sheet)
+        tests = tests_of(sheet, limits)
         judged = judged_by(limits, tests, valve=own.valve)
         written = datasheet_report(sheet, folder, judged=judged, date=date.today())
     if form != "table":

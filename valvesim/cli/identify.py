@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ def identify(specification: Path, output: Path, records: Path | None, seed: int,
     from valvesim.characterisation.measured_valve import load_measured_valve
     from valvesim.characterisation.specification import load_specification
     from valvesim.identification.from_figures.identify import identify as find
+    from valvesim.simulation.batch import cores
     from valvesim.valve.valve_file import save_valve
 
     check_free_file(output)
@@ -39,7 +41,10 @@ def identify(specification: Path, output: Path, records: Path | None, seed: int,
     measured = None if records is None else load_measured_valve(records)
     with progress_bar() as bar:
         stage = bar.add_task("identifying", total=1.0)
-        found = find(read, measured=measured, seed=seed, progress=lambda share: bar.update(stage, completed=share))
+        found = find(
+            read, measured=measured, seed=seed, workers=cores(),
+            progress=lambda share: bar.update(stage, completed=share),
+        )  # fmt: skip
     written = save_valve(found.valve, output)
     if form == "table":
         _print(found)
@@ -97,14 +102,19 @@ def _print(found: Identification) -> None:
 
 def _records(found: Identification) -> list[dict[str, Any]]:
     """Figures, parameters, conflicts and further figures as rows of one form, SI."""
-    blank = {"kind": "", "name": "", "conditions": "", "value": None, "unit": "", "low": None, "high": None, "note": ""}
+    blank = {"kind": "", "name": "", "conditions": "", "value": None, "unit": "", "low": None, "high": None,
+             "asked": None, "asked_low": None, "asked_high": None, "note": ""}  # fmt: skip
     rows = []
     for f in found.figures:
         low, high = (f.value + sign * 1.96 * f.deviation for sign in (-1.0, 1.0))
         at = ", ".join(f"{name}={value:g}" for name, value in f.asked.limit.conditions.items())
         note = "reached" if f.reached else "not reached"
-        rows.append(blank | {"kind": "figure", "name": f.asked.limit.figure, "conditions": at, "value": f.value,
-                             "unit": f.asked.limit.unit, "low": low, "high": high, "note": note})  # fmt: skip
+        limit = f.asked.limit
+        asked = {"asked": limit.value, "asked_low": limit.low, "asked_high": limit.high}
+        rows.append(blank | {"kind": "figure", "name": limit.figure, "conditions": at, "value": f.value,
+                             "unit": limit.unit, "low": low, "high": high, "note": note} | {
+            name: value if math.isfinite(value) else None for name, value in asked.items()
+        })  # fmt: skip
     for p in found.parameters:
         note = "identified" if p.identified else "assumed"
         rows.append(blank | {"kind": "parameter", "name": p.name, "value": p.value, "unit": p.unit, "low": p.low,

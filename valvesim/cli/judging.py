@@ -21,6 +21,16 @@ def read_specification(path: Path | None) -> Specification | None:
     return None if path is None else load_specification(path)
 
 
+def oil_temperatures(given: str | None, specification: Specification | None) -> list[float]:
+    """The temperatures (°C) of `--oil-temperature`, else that of the specification's conditions, else 20 °C."""
+    from valvesim.units import parse_list
+
+    if given is not None:
+        return list(parse_list(given, "degC", "--oil-temperature").tolist())
+    conditions = {} if specification is None else specification.conditions
+    return [conditions.get("oil_temperature", 20.0)]
+
+
 def temperature_difference(specification: Specification | None) -> float:
     """The temperature difference (K) of the null shift that a specification limits, else that of the standard."""
     from valvesim.characterisation.acceptance.null_shift import TEMPERATURE_DIFFERENCE

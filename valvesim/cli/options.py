@@ -15,7 +15,7 @@ valve_option = click.option(
     "--valve", metavar="FILE", help="A valve file, or a valve of the package by name [the reference valve]."
 )
 temperatures_option = click.option(
-    "--oil-temperature", default="20 degC", show_default=True, help="One or more: '20,100,200 degC'."
+    "--oil-temperature", help="One or more: '20,100,200 degC' [that of --spec, or 20 degC]."
 )
 columns_option = click.option(
     "--columns", type=click.Path(path_type=Path), help="A file with the table [columns], as `records` writes it."

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from valvesim.cli.display import print_figures, progress_bar
-from valvesim.cli.judging import end_on_failure, judged_by, read_specification
+from valvesim.cli.judging import end_on_failure, judged_by, oil_temperatures, read_specification
 from valvesim.cli.options import (
     dither_options,
     format_option,
@@ -24,7 +24,7 @@ from valvesim.cli.output_folder import all_or_nothing
 @click.command()
 @click.argument("scenario", type=click.Path(path_type=Path), required=False)
 @output_option("results/response")
-@click.option("--oil-temperature", help="One or more: '20,100,200 degC' [the scenario's own at its start, or 20 degC].")
+@click.option("--oil-temperature", help="One or more: '20,100,200 degC' [the scenario's, that of --spec, or 20 degC].")
 @dither_options
 @valve_option
 @specification_option
@@ -44,7 +44,6 @@ def response(
     from valvesim.reports.title_block import valve_name
     from valvesim.simulation.scenario import Scenario, Thermal
     from valvesim.simulation.scenario_toml import load_scenario, read_tables
-    from valvesim.units import parse_list
 
     limits, dither = read_specification(spec), read_dither(dither_amplitude, dither_frequency)
     if scenario is None:
@@ -52,8 +51,8 @@ def response(
         source = Scenario(valve=own.valve, oil=own.oil, effects=own.effects, thermal=Thermal(network=None))
     else:
         source = load_scenario(scenario, settings=settings, valve=valve)
-    given = oil_temperature
-    temperatures = None if given is None else parse_list(given, "degC", "--oil-temperature").tolist()
+    own_temperature = scenario is not None and oil_temperature is None
+    temperatures = None if own_temperature else oil_temperatures(oil_temperature, limits)
     steps, sweeps = amplitudes_of(limits)
     with all_or_nothing(output) as folder, progress_bar() as bar:
         stage = bar.add_task("stepping and sweeping", total=1.0)

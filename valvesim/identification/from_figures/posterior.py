@@ -24,7 +24,8 @@ FORWARD = 0.005  # of one to one side alone, on the way
 FARTHEST = 4.0  # prior deviations from similarity: no believable valve is beyond
 EVALUATIONS = 25  # of the fit, each with a Jacobian
 ENOUGH = 1e-3  # `ftol` of the penalised chi-square
-RESTARTS = 2  # from drawn points, where a fit leaves a figure out of its limits
+RESTARTS = 2  # from drawn points, where a fit is inadequate
+ADEQUATE = 2.0  # deviations of a chi-square above its mean, q with sqrt(2 q), that a fit may have
 LAP = [unknown.name for unknown in UNKNOWNS].index("lap")
 NO_VALVE = 1e3  # deviations: the misfit of a point at which there is no valve
 
@@ -71,14 +72,16 @@ def fit(
     similar: SimilarValves, predictor: FigurePredictor, *, seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Posterior:  # fmt: skip
-    """The maximum a posteriori, started from similarity and, where figures stay out of their limits, from drawn points.
+    """The maximum a posteriori, started from similarity and, where its chi-square is more than the figures' errors
+    would make it, from drawn points.
 
     Raises SolveError where no point near similarity is a valve that runs.
     """
     n, draw = len(UNKNOWNS), np.random.default_rng(seed)
     best = descend(similar, predictor, np.zeros(n), progress)
+    expected = len(best.asked)
     for _ in range(RESTARTS):
-        if all(a.reached(v) for a, v in zip(best.asked, best.predicted, strict=True)):
+        if best.chi_square <= expected + ADEQUATE * np.sqrt(2.0 * expected):
             break
         other = descend(similar, predictor, 0.7 * draw.normal(size=n), progress)
         best = other if other.chi_square < best.chi_square else best
