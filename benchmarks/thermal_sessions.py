@@ -4,7 +4,7 @@
     .venv/bin/python benchmarks/thermal_sessions.py run --set second    # to be opened once, at the end
     .venv/bin/python benchmarks/thermal_sessions.py report              # docs/thermal_sessions.md from what there is
 
-A session is drawn by tests/thermal_plant.py. A third are of healthy valves; in the others one of ten causes is hidden,
+A session is drawn by tests/thermal_plant.py. A third are of healthy valves; in the others one of twelve causes is hidden,
 in turn. Every other plant has another structure of heat paths, the others scattered figures; every third session is a
 launch; in every fourth, body and torque motor were measured. The sets have seeds of their own. Each session adds a
 line of JSON. d' counts what is hidden against the meters' noise, less what the nuisance parameters

@@ -28,8 +28,8 @@ PROFILES = ("warm_up", "launch")
 NETWORKS = ("nominal", "scattered", "structure")
 CAUSES = (
     "thermal_lag", "thermal_gradient_null_drift", "spool_thermal_pinch", "sensor_temperature_drift",
-    "oil_viscosity_grade", "spring_tube_expansion", "polarization_mmf_slope", "null_gap_asymmetry",
-    "spool_coulomb_friction", "magnet_demagnetization",
+    "oil_viscosity_grade", "spring_tube_expansion", "polarization_mmf_slope", "spool_expansion",
+    "feedback_rod_expansion", "null_gap_asymmetry", "spool_coulomb_friction", "magnet_demagnetization",
 )  # fmt: skip
 """What is hidden in such sessions; the last three have nothing to do with heat."""
 CHANNELS = (
