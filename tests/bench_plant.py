@@ -66,7 +66,7 @@ def draw_bench(
     if unknown := set(imperfections) - set(IMPERFECTIONS):
         raise ValueError(f"{sorted(unknown)} are none of {IMPERFECTIONS}")
     bench, case = Bench(seed, tuple(imperfections)), hidden_plant.draw(seed, kind, name=name)
-    runs = tuple(_run(bench, run, duration) for run in case.runs)
+    runs = tuple(_run(bench, run, duration, case.drive == "voltage") for run in case.runs)
     scatter = max(network_scatter, 0.3 if bench.has("warming") else 0.0)
     if scatter > 0.0:
         case = replace(case, isothermal=False, network=_network(bench, scatter))
@@ -80,7 +80,7 @@ def _network(bench: Bench, scatter: float) -> ThermalNetwork:
     return ThermalNetwork(**{name: getattr(nominal, name) * by for name, by in factor.items()})
 
 
-def _run(bench: Bench, run: Run, duration: float) -> Run:
+def _run(bench: Bench, run: Run, duration: float, voltage: bool) -> Run:
     """A run as the bench makes it, its command and oil on the fine grid; repeats of one test are alike."""
     label = run.repeats or run.name
     dice, t = bench.dice("command", label), np.arange(int(duration * run.rate) * FINE + 1) / (run.rate * FINE)
@@ -92,6 +92,7 @@ def _run(bench: Bench, run: Run, duration: float) -> Run:
         current = hidden_plant._current(dice, run.shape, t, 3.0 if slow else 1.0)
     if run.shape == "steps" and not (bench.has("edges") or bench.has("hold")):
         current = hidden_plant._first_order(current, t[1], 2e-3)
+    current = current * (hidden_plant.DRIVE_RESISTANCE if voltage else 1.0)
     logged = np.round(current[::FINE] / 1e-9) * 1e-9
     if bench.has("hold"):
         current = np.repeat(logged, FINE)[: len(t)]
@@ -122,7 +123,7 @@ def bench_records(case: Case, bench: Bench, strength: float = 1.0) -> list[dict[
         oil = logged.oil
         if bench.has("warming"):
             oil = np.round((oil + bench.dice("thermometer").normal(0.0, 0.3) + dice.normal(0.0, 0.05, len(oil))), 2)
-        record = {"time": logged.time, "current": logged.command, "oil_temperature": oil}
+        record = {"time": logged.time, case.drive: logged.command, "oil_temperature": oil}
         record |= {"supply_pressure": np.full(len(oil), run.supply), "load_pressure": np.full(len(oil), run.load)}
         for meter in case.meters:
             values = out[:, hidden_plant.RECORDED.index(meter.channel)]

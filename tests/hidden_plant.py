@@ -624,6 +624,9 @@ AMPLITUDE = {
 }  # fmt: skip
 """Size of each channel in an ordinary session, SI; noise is a share of it."""
 
+DRIVE_RESISTANCE = 600.0
+"""Volt of a drawn command by voltage to an ampere of one by current: more than any coil has, so that it is driven."""
+
 UNITS = {
     "spool_position": ("um", 1e6), "load_flow": ("L/min", 6e4), "armature_angle": ("mrad", 1e3),
     "nozzle_pressure_1": ("bar", 1e-5), "nozzle_pressure_2": ("bar", 1e-5), "internal_leakage": ("L/min", 6e4),
@@ -797,7 +800,7 @@ def _runs(dice, *, session: str, voltage: bool, poor: bool) -> tuple[Run, ...]:
                 name=f"record_{k + 1}",
                 shape=shape,
                 rate=rate,
-                command=_rounded(current * 600.0 if voltage else current, 1e-9),
+                command=_rounded(current * DRIVE_RESISTANCE if voltage else current, 1e-9),
                 oil=_rounded(oil, 0.01),
                 supply=30e5 if low else 180e5 if k == odd_supply else 210e5,
                 load=float(dice.choice((-60e5, -30e5, 30e5, 60e5))) * (not low) if k in odd_load else 0.0,

@@ -145,9 +145,10 @@ def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(session, bia
             assert near.fit.chi_square < afar.fit.chi_square + 2.0 * OPTIONS.fit.nominal_ftol
 
 
-def test_what_hardly_helps_is_left_in_a_long_session_alone(session):
+def test_what_hardly_helps_is_left_and_more_so_in_a_long_session(session):
     whole = prepare_session(session)
-    assert whole.negligible_reduction(1e6, 1e3) == 0.0
+    assert whole.negligible_reduction(1e6, 1e3) == pytest.approx(OPTIONS.fit.relative_ftol * (1e6 - 1e3))
+    assert whole.negligible_reduction(0.9e3, 1e3) == 0.0
     long_session = replace(whole, is_long=True)
     assert long_session.negligible_reduction(1e6, 1e3) == pytest.approx(
         OPTIONS.fit.negligible_share * (1e6 - OPTIONS.fit.inadequate_ratio * 1e3)

@@ -10,12 +10,14 @@ from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
 import valvesim as vs
 from valvesim.diagnosis import apart
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import _frequencies, _gain, _shift, _wave
+from valvesim.diagnosis.bench_faults import _gain, _shift, _wave
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
 from valvesim.diagnosis.wording import summary_text
+from valvesim.identification.input_waves import fitted_waves, outstanding_frequencies, wave_parameters
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
 from valvesim.identification.session import Record
 from valvesim.units import quantities
 from valvesim.valve.additive_term import PORTS
@@ -27,7 +29,7 @@ RECORDS = tuple(Record(name, TIME, {"spool_position": 0.0 * TIME, "current": TIM
 
 
 def test_a_wave_has_any_amplitude_and_phase_in_each_record_and_is_told_by_its_amplitude():
-    fault = _wave(RECORDS, "supply_pressure", "the supply pressure ripples", 37.0, 1e6, "Pa")
+    fault = _wave(wave_parameters(RECORDS, "supply_pressure", 37.0, 1e6))
     assert len({p.name for p in fault.parameters}) == 4 and {p.input.record for p in fault.parameters} == {"a", "b"}
     assert fault.words(np.array([3e5, 4e5, -4e5, 3e5])) == "the supply pressure ripples by 5 bar at 37 Hz"
     first, second = (p.input.apply((TIME, 0.0 * TIME), (TIME, 0.0 * TIME), 1.0) for p in fault.parameters[:2])
@@ -43,12 +45,11 @@ def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
         values = {**record.values, "spool_position": own + 1.5 * np.sin(2.0 * np.pi * 104.37 * TIME + own[0])}
         predictors.append(SimpleNamespace(record=replace(record, values=values)))
         readings.append({"spool_position": 0.0 * TIME})
-    study, nominal = SimpleNamespace(predictors=predictors), SimpleNamespace(fit=SimpleNamespace(readings=readings))
-    found = _frequencies(study, nominal, options=DIAGNOSIS)
+    found = outstanding_frequencies(SimpleNamespace(predictors=predictors, options=IDENTIFICATION), readings)
     assert found[0] == pytest.approx(104.37, abs=0.05) and len(found) == 1
     quiet = [SimpleNamespace(record=replace(p.record, values={**p.record.values, "spool_position": own}))
              for p, own in zip(predictors, noise, strict=True)]  # fmt: skip
-    assert _frequencies(SimpleNamespace(predictors=quiet), nominal, options=DIAGNOSIS) == []
+    assert outstanding_frequencies(SimpleNamespace(predictors=quiet, options=IDENTIFICATION), readings) == []
 
 
 def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
@@ -65,6 +66,23 @@ def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
     alone, beside = gain(cause[:, 0] + noise, like_the_cause)
     assert alone > DIAGNOSIS.bench.minimum_gain > 20.0 > beside
     assert max(gain(noise, wave)) < 20.0
+
+
+def test_a_wave_among_the_parameters_is_told_with_its_amplitude():
+    waves = wave_parameters(RECORDS, "supply_pressure", 37.0, 1e6)
+    model = SimpleNamespace(parameters=(SimpleNamespace(input=None), *waves))
+    ((name, own),) = fitted_waves(model).items()
+    assert own == waves and name == "supply_pressure at 37 Hz"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [700_000, 700_001])
+def test_a_healthy_valve_raises_no_alarm_on_a_bench_with_all_imperfections(tmp_path, seed):
+    rest = tuple(each for each in IMPERFECTIONS if each not in ("edges", "hold"))
+    case, bench = draw_bench(seed, "none", imperfections=(("edges", "hold")[seed % 2], *rest))
+    write_bench_session(case, bench, tmp_path)
+    found = vs.diagnose(tmp_path)
+    assert found.verdict == NO_DISCREPANCY and found.reason == "bench" and not found.gain_claimed
 
 
 def test_a_figure_far_off_is_told_with_its_tolerances():

@@ -486,6 +486,22 @@ def test_a_channel_at_rest_under_a_resting_command_is_not_stuck(session):
     assert session("", a=columns(**still)).records[0].outputs == ("spool_position",)
 
 
+def test_a_channel_that_stops_at_one_reading_under_different_steps_is_saturated_and_so_in_all_records(session):
+    levels = np.repeat(np.resize([0.1, 0.9, 0.4, 0.75, -0.8], len(TIME) // 50 + 1), 50)[: len(TIME)]
+    noise = 1e-3 * np.random.default_rng(0).normal(size=(2, len(TIME)))
+    first, other = (np.minimum(0.2 * wave, 0.13) for wave in (levels + noise[0], WAVE + noise[1]))
+    loaded = session("", a=columns(**{CURRENT: levels, SPOOL: first}), b=columns(**{SPOOL: other}))
+    for record, values in zip(loaded.records, (first, other), strict=True):
+        assert np.array_equal(record.usable["spool_position"], values < 0.13)
+
+
+def test_a_channel_that_stops_under_one_level_alone_may_stand_at_a_stop(session):
+    levels = np.repeat([0.9, 0.1, 0.9, 0.4], 50)
+    stopped = np.where(levels > 0.8, 0.13, 0.2 * levels) + 0.0 * TIME
+    loaded = session("", a=columns(**{CURRENT: levels, SPOOL: stopped}))
+    assert loaded.records[0].usable["spool_position"].all()
+
+
 RANGE = "[sensors.spool_position]\nresolution = '10 um'\nrange = ['-0.15 mm', '0.3 mm']"
 
 

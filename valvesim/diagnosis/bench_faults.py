@@ -17,26 +17,33 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.identification.between_samples import InputShift, Wave
-from valvesim.identification.fit import rescored
+from valvesim.identification.fit import evaluate_fit, rescored
 from valvesim.identification.fit_jacobian import all_candidate_sensitivities
+from valvesim.identification.input_waves import (
+    fitted_waves,
+    linear_reduction,
+    outstanding_frequencies,
+    wave_columns,
+    wave_parameters,
+    wave_size,
+    wave_words,
+)
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal_near
 from valvesim.identification.prior import NuisanceParameter, ToleratedSensorError, measured_channels
-from valvesim.identification.projection import inverse_of
-from valvesim.identification.session import UNITS, value_text
-from valvesim.identification.study import Study, residual_of
+from valvesim.identification.session import value_text
+from valvesim.identification.study import Study
 from valvesim.valve.effect import Advice, Parameter
 
 
 @dataclass(frozen=True, eq=False)
 class BenchFault:
-    """Something that the bench may do: what it is called, the parameters that say how much, their size in words, and
+    """Something that the bench may do: the parameters that say how much, their size in words, and
     what to do about it.
 
     `gain` is the reduction of the chi-square that the linear answers promise.
     """
 
-    name: str
     parameters: tuple[NuisanceParameter, ...]
     words: Callable[[np.ndarray], str]
     advice: Advice
@@ -45,11 +52,10 @@ class BenchFault:
 
 def with_bench_faults(
     nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
-) -> tuple[NominalFit, ScoreTest, tuple[WhatToDo, ...]]:
-    """The nominal fit with the bench faults that the readings show, what that leaves, and what to do about them."""
-    found: list[BenchFault] = []
+) -> tuple[NominalFit, ScoreTest]:
+    """The nominal fit with the bench faults that the readings show, and what that leaves."""
     for _ in range(options.bench.most_faults):
-        fault = _likeliest(nominal, scores, [one.name for one in found], options=options)
+        fault = _likeliest(nominal, scores, options=options)
         if fault is None:
             break
         study = nominal.study
@@ -60,22 +66,34 @@ def with_bench_faults(
         if nominal.fit.chi_square - rescored(study, better.fit).chi_square < 0.5 * fault.gain:
             break  # the linear answers were wrong: it is something else
         nominal, scores = better, score_test(better, better.fit, options=options)
-        found.append(fault)
-    return nominal, scores, tuple(what_to_do(_words(nominal, fault), fault.advice) for fault in found)
+    return nominal, scores
 
 
-def _words(nominal: NominalFit, fault: BenchFault) -> str:
-    places = {p.name: k for k, p in enumerate(nominal.study.nominal.parameters)}
-    values = [p.at(nominal.fit.point[places[p.name]]) for p in fault.parameters]
-    return fault.words(np.array(values))
+def fitted_faults(nominal: NominalFit, *, options: DiagnosisOptions) -> tuple[WhatToDo, ...]:
+    """The bench faults that a nominal fit has among its parameters, with what to do about them."""
+    model = nominal.study.nominal
+    values = {p.name: p.at(t) for p, t in zip(model.parameters, nominal.fit.point, strict=True)}
+    waves = [_wave(parameters) for parameters in fitted_waves(model).values()]
+    others = [fault for fault in steady_faults(nominal.study, options=options) if fault.parameters[0].name in values]
+    return tuple(
+        what_to_do(fault.words(np.array([values[p.name] for p in fault.parameters])), fault.advice)
+        for fault in (*waves, *others)
+    )
 
 
-def _likeliest(
-    nominal: NominalFit, scores: ScoreTest, taken: Sequence[str], *, options: DiagnosisOptions
-) -> BenchFault | None:
+def explained_by_faults(nominal: NominalFit, *, options: DiagnosisOptions) -> float:
+    """By how much the chi-square of a nominal fit is larger where the bench faults that it has are taken off it."""
+    model = nominal.study.nominal
+    own = {p.name for wave in fitted_waves(model).values() for p in wave}
+    own |= {p.name for fault in steady_faults(nominal.study, options=options) for p in fault.parameters}
+    without = [0.0 if p.name in own else t for p, t in zip(model.parameters, nominal.fit.point, strict=True)]
+    return evaluate_fit(nominal.study, np.array(without), ()).chi_square - nominal.fit.chi_square
+
+
+def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchFault | None:
     """The bench fault that explains most of what is left, beside the likeliest causes too; None where none does."""
-    study, fit = nominal.study, nominal.fit
-    faults = [fault for fault in bench_faults(study, nominal, options=options) if fault.name not in taken]
+    fit, taken = nominal.fit, {p.name for p in nominal.study.nominal.parameters}
+    faults = [f for f in bench_faults(nominal, options=options) if f.parameters[0].name not in taken]
     if not faults:
         return None
     parameters = [p for fault in faults for p in fault.parameters]
@@ -96,15 +114,9 @@ def _likeliest(
 def _gain(nominal: NominalFit, S: np.ndarray, beside: np.ndarray) -> float:
     """The reduction of the chi-square by columns S (rows, k), with their priors, beyond that by those `beside`."""
 
-    def reduction(columns: np.ndarray, priors: int) -> float:
-        A = np.column_stack([nominal.J, columns])
-        p = nominal.J.shape[1]
-        H, gradient = A.T @ A, A.T @ nominal.fit.residual
-        prior = np.concatenate([np.ones(p), np.zeros(columns.shape[1] - priors), np.ones(priors)])
-        gradient[:p] -= nominal.fit.point
-        return float(gradient @ inverse_of(H + np.diag(prior)) @ gradient)
-
-    return reduction(np.column_stack([beside, S]), S.shape[1]) - reduction(beside, 0)
+    J, fit = nominal.J, nominal.fit
+    together = linear_reduction(J, fit, np.column_stack([beside, S]), beside.shape[1])
+    return together - linear_reduction(J, fit, beside, beside.shape[1])
 
 
 def _likeliest_causes(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:
@@ -135,17 +147,21 @@ def _columns(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> np
 # ---------------------------------------------------------------- what a bench may do
 
 
-def bench_faults(study: Study, nominal: NominalFit, *, options: DiagnosisOptions) -> list[BenchFault]:
-    """What the bench of a session may do."""
-    valve, records = study.session.valve, study.session.training
-    supply = float(valve.supply_pressure)
+def bench_faults(nominal: NominalFit, *, options: DiagnosisOptions) -> list[BenchFault]:
+    """What the bench of a session may do, by what a nominal fit leaves."""
+    study, records = nominal.study, nominal.study.session.training
+    waves = [
+        _wave(wave_parameters(records, column, frequency, wave_size(study.nominal, records, column)))
+        for frequency in outstanding_frequencies(study, nominal.fit.readings)
+        for column in wave_columns(records)
+    ]
+    return [*waves, *steady_faults(study, options=options)]
+
+
+def steady_faults(study: Study, *, options: DiagnosisOptions) -> list[BenchFault]:
+    """What a bench may do that has no frequency: inputs that are off or wander, clocks and meters that drift."""
+    supply, records = float(study.session.valve.supply_pressure), study.session.training
     faults = []
-    for frequency in _frequencies(study, nominal, options=options):
-        faults.append(_wave(records, "supply_pressure", "the supply pressure ripples", frequency,
-                            options.bench.ripple * supply, "Pa"))  # fmt: skip
-        command = records[0].command
-        size = options.bench.hum * float(np.max([np.ptp(r.values[command]) for r in records]))
-        faults.append(_wave(records, command, f"the {command} hums", frequency, size, UNITS[command]))
     for column, words, size, unit in (
         ("oil_temperature", "the oil temperature is off", options.bench.oil_temperature, "delta_degC"),
         ("supply_pressure", "the supply pressure is off", options.bench.supply_pressure * supply, "Pa"),
@@ -158,57 +174,11 @@ def bench_faults(study: Study, nominal: NominalFit, *, options: DiagnosisOptions
     return faults
 
 
-def _frequencies(study: Study, nominal: NominalFit, *, options: DiagnosisOptions) -> list[float]:
-    """The few frequencies (Hz) at which what is left stands furthest above what is left beside them."""
-    longest = max(predictor.record.duration for predictor in study.predictors)
-    highest = min(predictor.record.rate for predictor in study.predictors) / 2.0
-    grid = np.arange(options.bench.turns / longest, options.bench.highest_share * highest, 0.5 / longest)
-    if len(grid) < options.bench.beside_bins:
-        return []
-    from scipy.ndimage import median_filter
-
-    power = _power(study, nominal, grid)
-    over = power / np.maximum(median_filter(power, options.bench.beside_bins), 1e-300)
-    found: list[float] = []
-    for k in np.argsort(-over, kind="stable"):
-        if over[k] < options.bench.peak or len(found) == options.bench.frequencies:
-            break
-        if all(abs(grid[k] - other) > 3.0 / longest for other in found):
-            best = float(grid[k])
-            for reach in (0.5, 0.025):  # a thousandth of a turn counts where the ripple stands far above the noise
-                fine = best + reach * np.linspace(-1.0, 1.0, 41) / longest
-                best = float(fine[int(np.argmax(_power(study, nominal, fine)))])
-            found.append(best)
-    return found
-
-
-def _power(study: Study, nominal: NominalFit, frequencies: np.ndarray) -> np.ndarray:
-    """The power (n,) of what is left at frequencies (n,) Hz, over all channels and records, each of power one."""
-    power = np.zeros(len(frequencies))
-    for predictor, read in zip(study.predictors, nominal.fit.readings, strict=True):
-        record = predictor.record
-        residual = residual_of(record, read)
-        waves = np.exp(-2j * np.pi * np.outer(frequencies, record.time))
-        for name in record.outputs:
-            left = np.where(record.usable[name], residual[name][:, 0], 0.0)
-            power += np.abs(waves @ left) ** 2 / max(float(left @ left), 1e-300)
-    return power
-
-
-def _wave(records, column: str, words: str, frequency: float, size: float, unit: str) -> BenchFault:
-    """A wave of one frequency on an input, of any amplitude and phase in each record."""
-    parameters = tuple(
-        NuisanceParameter(f"wave@{record.name}:{column}:{frequency:.4g}:{phase:.3g}", unit, 0.0, size,
-                          (-4.0 * size, 4.0 * size), input=Wave(record.name, column, frequency, phase))
-        for record in records
-        for phase in (0.0, 0.5 * np.pi)
-    )  # fmt: skip
-
-    def said(values: np.ndarray) -> str:
-        amplitude = float(np.median(np.hypot(values[::2], values[1::2])))
-        return f"{words} by {value_text(amplitude, unit)} at {frequency:.4g} Hz"
-
-    return BenchFault(f"{column} at {frequency:.4g} Hz", parameters, said, OF_WAVE.get(column, HUM))
+def _wave(parameters: tuple[NuisanceParameter, ...]) -> BenchFault:
+    """A wave on an input, see `wave_parameters`."""
+    wave = parameters[0].input
+    advice = OF_WAVE.get(wave.column, HUM) if isinstance(wave, Wave) else HUM
+    return BenchFault(parameters, lambda values: wave_words(parameters, values), advice)
 
 
 def _shift(records, column: str, words: str, size: float, unit: str, growing: bool) -> BenchFault:
@@ -223,7 +193,7 @@ def _shift(records, column: str, words: str, size: float, unit: str, growing: bo
         within = " within a record" if growing else ""
         return f"{words} by up to {value_text(float(np.abs(values).max()), unit)}{within}"
 
-    return BenchFault(f"{column} {'drift' if growing else 'offset'}", parameters, said, OF_INPUT[column])
+    return BenchFault(parameters, said, OF_INPUT[column])
 
 
 def _of_sensors(words: str, effect: ToleratedSensorError, channels: Sequence[str], size: float) -> BenchFault:
@@ -231,9 +201,7 @@ def _of_sensors(words: str, effect: ToleratedSensorError, channels: Sequence[str
         NuisanceParameter(f"{effect.name}@{channel}", "1", 0.0, size, effect.amplitude.bounds, effect.on(channel))
         for channel in channels
     )
-    return BenchFault(
-        effect.name, parameters, lambda values: f"{words} by up to {np.abs(values).max() * 1e6:.3g} ppm", CLOCKS
-    )
+    return BenchFault(parameters, lambda values: f"{words} by up to {np.abs(values).max() * 1e6:.3g} ppm", CLOCKS)
 
 
 def _drifting(channel: str, study: Study, *, options: DiagnosisOptions) -> BenchFault:
@@ -246,7 +214,6 @@ def _drifting(channel: str, study: Study, *, options: DiagnosisOptions) -> Bench
         f"meter_drift@{channel}", effect.amplitude.unit, 0.0, size, (-4.0 * size, 4.0 * size), effect
     )
     return BenchFault(
-        f"meter_drift@{channel}",
         (parameter,),
         lambda values: f"{channel} as read drifts by {abs(values[0]) * longest / span:.2g} of its span in a record",
         METER,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from valvesim.diagnosis.bench_faults import with_bench_faults
+from valvesim.diagnosis.bench_faults import explained_by_faults, fitted_faults, with_bench_faults
 from valvesim.diagnosis.detection import detect, is_inadequate, unexplained_share
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
@@ -37,7 +37,7 @@ from valvesim.diagnosis.second_cause import (
 )
 from valvesim.diagnosis.starts import single_starts, start_points
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import Fit, evaluate_fit, rescored
+from valvesim.identification.fit import Fit, evaluate_fit
 from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
 from valvesim.identification.nominal_fit import NominalFit, refit_nominal, unweighted
 
@@ -70,13 +70,14 @@ def isolate(
     only ones to begin with. `progress(stage, share)` is called with what is being done.
     """
     progress("looking for causes", 0.0)
-    scores, bench = score_test(nominal, nominal.fit, options=options), tuple[WhatToDo, ...]()
+    scores = score_test(nominal, nominal.fit, options=options)
     if detect(scores)[0]:
-        study, before = nominal.study, nominal.fit.chi_square
-        nominal, scores, bench = with_bench_faults(nominal, scores, options=options)
+        nominal, scores = with_bench_faults(nominal, scores, options=options)
+    bench = fitted_faults(nominal, options=options)
+    if bench and detect(scores)[0]:
         # no model is the plant: what is little beside what the bench explains may be the bench too
-        explained = before - rescored(study, nominal.fit).chi_square if bench else 0.0
-        if bench and nominal.fit.chi_square - nominal.fit.rows < options.isolation.unexplained_share * explained:
+        explained = explained_by_faults(nominal, options=options)
+        if nominal.fit.chi_square - nominal.fit.rows < options.isolation.unexplained_share * explained:
             level = scores.level(options.detection.false_alarm)
             return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
     return replace(_isolated(nominal, scores, progress, known, options=options), bench=bench)

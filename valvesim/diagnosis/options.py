@@ -58,17 +58,10 @@ class BenchOptions:
         0.05, "1", "the same as a share of what is left: linear answers of a strong cause err by as much", JUDGEMENT
     )
     causes_beside: int = option(3, "1", "likeliest causes beside which it must explain as much", JUDGEMENT)
-    ripple: float = option(0.05, "1", "amplitude of a ripple, share of the supply pressure", "ripple of piston pumps")
-    hum: float = option(0.02, "1", "amplitude of a hum, share of the command's span", JUDGEMENT)
     oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
     supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
     clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
     meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
-    frequencies: int = option(3, "1", "frequencies at which waves are thought of", JUDGEMENT)
-    peak: float = option(15.0, "1", "times the spectrum beside it that such a frequency stands out", JUDGEMENT)
-    beside_bins: int = option(25, "1", "bins of that spectrum beside it", JUDGEMENT)
-    turns: float = option(4.0, "1", "turns of a wave in the longest record, at least", JUDGEMENT)
-    highest_share: float = option(0.8, "1", "highest frequency, share of half the sampling rate", JUDGEMENT)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,8 @@ SIGNAL_NAMES = Signals._fields
 class LinearisedRecord:
     """A record linearised about the trajectory of one variant: its readings, and the tangent equations.
 
-    `model` has the effects of the variant alone, in the order of the trajectory's; `rates` and `signals` are its own.
+    `model` has the effects of the variant alone, in the order of the trajectory's; `along` (n or 1,) each are its flat
+    coefficients on the grid, `rates` and `signals` its own.
     """
 
     predictor: RecordPredictor
@@ -33,6 +34,7 @@ class LinearisedRecord:
     tangent: TangentLinear
     model: ValveModel
     readings: dict[str, np.ndarray]
+    along: tuple
     rates: tuple
     signals: Any
 
@@ -119,13 +121,16 @@ class LinearisedRecord:
 
         A variant whose valve is a batch (batch, 1) adds (n, s, batch) and (n, batch).
         """
+        if self._has_other_inputs_alone(variant):
+            return self._forcing_of_inputs(variant)
         added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
         inputs = tuple((self.predictor.inputs if added is None else self.predictor.inputs + added).T)
         n = len(self.predictor.times)
         own = {effect.name for effect in self.model.effects}
         more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
         model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
-        along = self.predictor.coefficients_along(variant, model)
+        path = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
+        along = self.predictor.coefficients_along(variant, model, path=path)
         states = [self.trajectory.states[:, k] for k in self.tangent.active]
         for active in more:
             states += self._memory_trajectories(active, tuple(states), along)
@@ -145,6 +150,31 @@ class LinearisedRecord:
             for name in self.trajectory.at_valve
             if name in SIGNAL_NAMES
         }
+        return g, direct
+
+    def _has_other_inputs_alone(self, variant: ModelVariant) -> bool:
+        if variant.deviations == self.variant.deviations:  # as those of a batch of valves are
+            return False
+        same = replace(variant, deviations=self.variant.deviations) == self.variant
+        return same and self.predictor.same_temperatures(variant, self.variant)
+
+    def _forcing_of_inputs(self, variant: ModelVariant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """`forcing` of a variant that differs in its command and pressures alone, worked out where these differ."""
+        n = len(self.predictor.times)
+        g = np.zeros((n, len(self.rates)))
+        direct = {name: np.zeros(n) for name in self.trajectory.at_valve if name in SIGNAL_NAMES}
+        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
+        if added is None:
+            return g, direct
+        rows = np.flatnonzero(added.any(axis=1))
+        along = tuple(column if len(column) == 1 else column[rows] for column in self.along)
+        states = self.trajectory.states[np.ix_(rows, self.tangent.active)]
+        inputs = self.predictor.inputs[rows] + added[rows]
+        rates, signals = self.model.evaluate(tuple(states.T), tuple(inputs.T), along)
+        for k, (new, old) in enumerate(zip(rates, self.rates, strict=True)):
+            g[rows, k] = (new - _at(old, rows)) / self.tangent.scale[k]
+        for name, column in direct.items():
+            column[rows] = getattr(signals, name) - _at(getattr(self.signals, name), rows)
         return g, direct
 
     def _memory_trajectories(self, active: ActiveEffect, states: tuple, along: tuple) -> list[np.ndarray]:
@@ -176,6 +206,11 @@ class LinearisedRecord:
         return memories
 
 
+def _at(values: Any, rows: np.ndarray) -> Any:
+    """A quantity along the trajectory at some rows of the grid; a constant as it is."""
+    return values[rows] if np.ndim(values) and len(values) > 1 else values
+
+
 def _batch(valves: Sequence[Valve]) -> Valve:
     """One valve whose quantities are (k, 1) where those of the valves differ."""
     first, differing = valves[0], dict[str, Any]()
@@ -193,8 +228,8 @@ def linearise_record(
     trajectory = predictor.run(variant) if trajectory is None else predictor.on_grid(trajectory)
     predictor = predictor.under(variant.deviations)
     model, own = predictor.reduced(trajectory.model, variant)
-    along = predictor.coefficients_along(variant, model)
+    along = predictor.coefficients_along(variant, model, path=trajectory.path)
     tangent = linearise_along(predictor, trajectory, own, model, along)
     rates, signals = model.evaluate(tuple(trajectory.states[:, own].T), tuple(predictor.inputs.T), along)
     readings = predictor.readings(trajectory, variant)
-    return LinearisedRecord(predictor, variant, trajectory, tangent, model, readings, rates, signals)
+    return LinearisedRecord(predictor, variant, trajectory, tangent, model, readings, along, rates, signals)

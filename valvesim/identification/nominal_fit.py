@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from valvesim.identification.down_weighting import down_weight_peaks, robust_wei
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
 from valvesim.identification.input_choice import STRAIGHT, InputChoice, choose_inputs, input_notes, input_spread
+from valvesim.identification.input_waves import dominant_wave, fitted_waves
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
@@ -40,32 +41,97 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
         reached = max(reached, share)
         progress(reached)
 
-    choice = _choice_at_start(prepared)
-    nominal = _fit_with_inputs(_with_inputs(prepared, choice), ahead)
-    return _with_inputs_reviewed(prepared, choice, nominal, ahead)
+    prepared, choice, nominal = _robust_with_inputs(prepared, ahead)
+    full = _finished(_with_inputs(prepared, choice), nominal, ahead)
+    better = _reviewed_choice(prepared, choice, full)
+    if better.name == choice.name:
+        return full
+    again = _with_inputs(prepared, better)
+    return _finished(again, _robustly_fitted(again, _point_by_name(full), ahead), ahead)
 
 
-def _fit_with_inputs(prepared: PreparedSession, ahead: Callable[[float], None]) -> NominalFit:
-    study = prepared.with_noise(initial_noise(prepared))
+def _robust_with_inputs(
+    prepared: PreparedSession, ahead: Callable[[float], None]
+) -> tuple[PreparedSession, InputChoice, NominalFit]:
+    """A robust start under what the inputs do that no sample tells: the session with the waves upon them among its
+    parameters, how its commands go between their samples, and the fit with both.
+    """
+    prepared, near = _with_waves_at_start(prepared, ahead)
+    choice = _choice_at_start(prepared, near)
+    nominal = _robustly_fitted(_with_inputs(prepared, choice), near, ahead)
+    for _ in range(prepared.options.wave.most):
+        wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
+        if wave:
+            prepared = prepared.with_nominal(prepared.nominal.extended(wave))
+            nominal = _robustly_fitted(_with_inputs(prepared, choice), _point_by_name(nominal), ahead)
+        weighted = replace(nominal, study=down_weight_peaks(nominal.study, nominal.linearised))
+        better = _reviewed_choice(prepared, choice, weighted)
+        if better.name != choice.name:
+            again = _with_inputs(prepared, better)
+            choice, nominal = better, _robustly_fitted(again, _point_by_name(nominal), ahead)
+        elif not wave:
+            break
+    return prepared, choice, nominal
+
+
+def _with_waves_at_start(
+    prepared: PreparedSession, ahead: Callable[[float], None]
+) -> tuple[PreparedSession, dict[str, float]]:
+    """The prepared session with the waves upon its inputs that the nominal valve shows already, and their components
+    in prior deviations, by name.
+    """
+    study = prepared.without_oversampling().with_noise(initial_noise(prepared))
     fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
+    nominal = assembled(study, fit, *linearise_fit(study, fit))
+    for _ in range(prepared.options.wave.most):
+        wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
+        if not wave:
+            break
+        prepared = prepared.with_nominal(prepared.nominal.extended(wave))
+        nominal = _robustly_fitted(prepared, _point_by_name(nominal), ahead)
+    waves = {p.name for wave in fitted_waves(prepared.nominal).values() for p in wave}
+    return prepared, {name: t for name, t in _point_by_name(nominal).items() if name in waves}
+
+
+def _point_by_name(nominal: NominalFit) -> dict[str, float]:
+    return {p.name: t for p, t in zip(nominal.study.nominal.parameters, nominal.fit.point, strict=True)}
+
+
+def _robustly_fitted(
+    prepared: PreparedSession, near: Mapping[str, float], ahead: Callable[[float], None]
+) -> NominalFit:
+    """A robust start at the samples alone under the noise of repeats or a first guess, from a point (prior deviations
+    by name; what is left out is nominal).
+    """
+    study = prepared.without_oversampling().with_noise(initial_noise(prepared))
+    fit = evaluate_fit(study, np.array([near.get(p.name, 0.0) for p in study.nominal.parameters]), ())
     labels = [predictor.record.repeats for predictor in study.predictors if predictor.record.repeats]
     noise = identify_noise(study, fit.readings) if len(labels) > len(set(labels)) else {}
     if noise and all(one.verified for one in noise.values()):
-        return fit_nominal_from(study.with_noise(noise), fit, ahead)
-    nominal = _preliminary(study, fit, ahead)
-    for _ in range(2):  # the noise is what the best fit leaves: again with its colour
-        noise = identify_noise(study, nominal.fit.readings)
-        nominal = _converge_down_weighted(replace(nominal, study=nominal.study.with_noise(noise)), ahead)
-    return _at_full_weight(study, nominal, ahead)
+        study = study.with_noise(noise)
+    return assembled(study, *robust_start(study, rescored(study, fit), ahead))
 
 
-def _choice_at_start(prepared: PreparedSession) -> InputChoice:
-    """How the commands go between their samples, by the nominal valve; samples that are far off count less.
+def _finished(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[float], None]) -> NominalFit:
+    """A robust start continued: preliminary, with the noise that it leaves where repeats have not told it, then in
+    full.
+    """
+    nominal = _converge_down_weighted(nominal, ahead)
+    if not all(one.verified for one in nominal.study.noise.values()):
+        for _ in range(2):  # the noise is what the best fit leaves: again with its colour
+            noise = identify_noise(nominal.study, nominal.fit.readings)
+            nominal = _converge_down_weighted(replace(nominal, study=nominal.study.with_noise(noise)), ahead)
+    return _at_full_weight(prepared.with_noise(nominal.study.noise), nominal, ahead)
+
+
+def _choice_at_start(prepared: PreparedSession, near: Mapping[str, float]) -> InputChoice:
+    """How the commands go between their samples, by the nominal valve at a point (prior deviations by name; what is
+    left out is nominal); samples that are far off count less.
 
     A fit under commands that went otherwise would move the valve's figures to make up for it.
     """
     study = prepared.without_oversampling().with_noise(initial_noise(prepared))
-    fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
+    fit = evaluate_fit(study, np.array([near.get(p.name, 0.0) for p in study.nominal.parameters]), ())
     study = robust_weights(study.with_noise(identify_noise(study, fit.readings)), fit.readings)
     return choose_inputs(study, fit.point, *linearise_fit(study, fit))
 
@@ -79,16 +145,11 @@ def _with_inputs(prepared: PreparedSession, choice: InputChoice) -> PreparedSess
     return replace(found, spread=input_spread(found))
 
 
-def _with_inputs_reviewed(
-    prepared: PreparedSession, choice: InputChoice, nominal: NominalFit, progress: Callable[[float], None]
-) -> NominalFit:
-    """A nominal fit under a choice of inputs, or the fit anew under another that its own figures ask for."""
+def _reviewed_choice(prepared: PreparedSession, choice: InputChoice, nominal: NominalFit) -> InputChoice:
+    """How the commands go between their samples, by the figures of a fit under one choice: this, or a better one."""
     study = replace(nominal.study, nominal=prepared.nominal, session=prepared.session)
     p = len(prepared.nominal.parameters)
-    better = choose_inputs(study, nominal.fit.point[:p], nominal.linearised, nominal.columns, choice)
-    if better.name == choice.name:
-        return nominal
-    return _fit_with_inputs(_with_inputs(prepared, better), progress)
+    return choose_inputs(study, nominal.fit.point[:p], nominal.linearised, nominal.columns, choice)
 
 
 def fit_nominal_from(study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
@@ -133,7 +194,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     """A preliminary fit continued at full weight; with peaks down-weighted where the model cannot follow them."""
     study = study.with_noise(nominal.study.noise)
     near = linearise_nominal(study, rescored(study, nominal.fit))
-    full = _converge(near, study.options.fit.nominal_ftol, progress)
+    full = _converge(near, study.options.fit.nominal_ftol, progress, to_adequate=True)
     left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
     follows = left <= study.options.fit.peak_ratio * max(left_between, 0.0) + 0.1 * full.fit.rows
     if follows and full.fit.chi_square < study.options.fit.inadequate_ratio * full.fit.rows:
@@ -192,18 +253,27 @@ def robust_start(
     return fit, linearised, columns
 
 
-def _converge(nominal: NominalFit, enough: float, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
-    """The nominal model fitted under its study's noise until a fresh linearisation predicts no more than `enough`.
+def _converge(
+    nominal: NominalFit,
+    enough: float,
+    progress: Callable[[float], None] = lambda share: None,
+    *,
+    to_adequate: bool = False,
+) -> NominalFit:
+    """The nominal model fitted under its study's noise until a fresh linearisation predicts no more than `enough`, or
+    than is worth it of the excess chi-square.
 
     What steps have gained is kept and linearised again, unless it is next to nothing: a first step that brings less
-    than `enough` may stand before as much again.
+    than `enough` may stand before as much again. `to_adequate` ends it where an adequate fit is no longer in sight.
     """
-    for iteration in range(nominal.study.options.fit.nominal_linearisations):
-        progress(0.5 + 0.5 * iteration / nominal.study.options.fit.nominal_linearisations)
-        fit, _ = levenberg_marquardt(nominal.study, nominal.fit, nominal.J, enough)
-        if nominal.fit.chi_square - fit.chi_square < max(
-            0.1 * enough, nominal.study.negligible_reduction(nominal.fit.chi_square, nominal.fit.rows)
-        ):
+    options = nominal.study.options.fit
+    for iteration in range(options.nominal_linearisations):
+        progress(0.5 + 0.5 * iteration / options.nominal_linearisations)
+        least = nominal.study.negligible_reduction(nominal.fit.chi_square, nominal.fit.rows)
+        fit, _ = levenberg_marquardt(nominal.study, nominal.fit, nominal.J, max(enough, least))
+        gained = nominal.fit.chi_square - fit.chi_square
+        beyond = fit.chi_square - options.inadequate_ratio * fit.rows
+        if gained < max(0.1 * enough, least) or (to_adequate and gained < options.adequate_pace * beyond):
             break
         nominal = linearise_nominal(nominal.study, fit)
     return nominal

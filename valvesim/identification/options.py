@@ -48,6 +48,7 @@ class AuditOptions:
         5e-3, "1", "share of an input's scale: white noise of smaller rms is a sensor's at rest", JUDGEMENT
     )
     flat_samples: int = option(10, "1", "equal readings in a row at the extreme that make a flat top", JUDGEMENT)
+    top_samples: int = option(3, "1", "equal readings in a row at the extreme that a step may leave there", JUDGEMENT)
     flat_reach: float = option(
         0.05, "1", "share of the output's span that the command must ask for beyond a flat top", JUDGEMENT
     )
@@ -151,6 +152,27 @@ class InputOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WaveOptions:
+    """Waves upon the inputs that no record tells; the sizes are prior deviations."""
+
+    ripple: float = option(0.05, "1", "amplitude of a ripple, share of the supply pressure", "ripple of piston pumps")
+    hum: float = option(0.02, "1", "amplitude of a hum, share of the command's span", JUDGEMENT)
+    frequencies: int = option(3, "1", "frequencies at which waves are thought of", JUDGEMENT)
+    peak: float = option(15.0, "1", "times the spectrum beside it that such a frequency stands out", JUDGEMENT)
+    beside_bins: int = option(25, "1", "bins of that spectrum beside it", JUDGEMENT)
+    turns: float = option(4.0, "1", "turns of a wave in the longest record, at least", JUDGEMENT)
+    highest_share: float = option(0.8, "1", "highest frequency, share of half the sampling rate", JUDGEMENT)
+    clipped: float = option(3.0, "1", "robust deviations at which what is left is clipped for the spectrum", JUDGEMENT)
+    minimum_gain: float = option(
+        60.0, "1", "chi-square that a wave must explain", "waves pass 40 by chance once in 1e3"
+    )
+    dominant_share: float = option(
+        0.3, "1", "share of the excess chi-square from which a wave is fitted before any cause is sought", JUDGEMENT
+    )
+    most: int = option(3, "1", "waves that are fitted so", JUDGEMENT)
+
+
+@dataclass(frozen=True, kw_only=True)
 class PriorOptions:
     """Priors of the nuisance parameters, and candidates."""
 
@@ -226,16 +248,23 @@ class FitOptions:
     long_session: int = option(
         60_000, "1", "points of all trajectories from which a session is long", "a linearisation takes minutes there"
     )
+    relative_ftol: float = option(
+        1e-3, "1", "share of the excess chi-square whose reduction is not worth a linearisation", JUDGEMENT
+    )
     negligible_share: float = option(
         0.02,
         "1",
-        "in a long session, share of the excess chi-square whose reduction is not worth a linearisation",
+        "the same in a long session, beyond `inadequate_ratio`",
         JUDGEMENT,
     )
     inadequate_ratio: float = option(
         1.5,
         "1",
         "chi-square over its expectation from which a fit is inadequate and is fitted robustly first",
+        JUDGEMENT,
+    )
+    adequate_pace: float = option(
+        0.1, "1", "share of what is beyond adequate that a linearisation must bring, or an adequate fit is given up",
         JUDGEMENT,
     )
     shape_stride: float = option(4.5, "1", "ratio by which one step may change a shape parameter", JUDGEMENT)
@@ -305,6 +334,7 @@ class IdentificationOptions:
     audit: AuditOptions = AuditOptions()
     predictor: PredictorOptions = PredictorOptions()
     input: InputOptions = InputOptions()
+    wave: WaveOptions = WaveOptions()
     prior: PriorOptions = PriorOptions()
     sensitivity: SensitivityOptions = SensitivityOptions()
     noise: NoiseOptions = NoiseOptions()

@@ -7,7 +7,7 @@ value unless the variant says otherwise, so that no combination of effects is ev
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -36,7 +36,7 @@ from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
 from valvesim.valve.equations import Model
 from valvesim.valve.parameters import Valve
-from valvesim.valve.thermal_network import TemperaturePath, ThermalNetwork
+from valvesim.valve.thermal_network import TemperaturePath, ThermalNetwork, temperature_path
 from valvesim.valve.valve_model import ValveModel
 
 
@@ -64,7 +64,7 @@ class Trajectory:
 
     `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there,
     and `at_valve` the record's output channels (n_f,) before their sensors; `knots` (m, n_c) are the coefficients at
-    the `knot_times` (m,) of its temperatures.
+    the knots of the temperature `path`.
     """
 
     model: Model
@@ -73,7 +73,7 @@ class Trajectory:
     fine: np.ndarray
     oil: np.ndarray
     at_valve: dict[str, np.ndarray]
-    knot_times: np.ndarray
+    path: TemperaturePath
     knots: np.ndarray
 
 
@@ -97,6 +97,7 @@ class RecordPredictor:
     starts: np.ndarray
     rows: np.ndarray
     inputs: np.ndarray  # (n, inputs): command, its rate, pressures
+    throttling: Callable | None  # of the scenario
     options: IdentificationOptions
     preliminary: bool = False
 
@@ -187,49 +188,75 @@ class RecordPredictor:
         fine = _integrate(under, compiled, path, flat, self.switched_off(model, variant.effects))
         oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
         return self.on_grid(
-            Trajectory(model, fine, flat, fine, oil, under._outputs(model, fine, variant), path.times, flat)
+            Trajectory(model, fine, flat, fine, oil, under._outputs(model, fine, variant, path), path, flat)
         )
 
     def on_grid(self, trajectory: Trajectory) -> Trajectory:
         """A trajectory of this predictor, or of the same at another spacing, on the grid of this one: nothing is
         integrated.
         """
-        one = len(trajectory.knot_times) == 1
-        along = trajectory.knots if one else between(self.times, trajectory.knot_times, trajectory.knots).T
+        knot_times = trajectory.path.times
+        along = trajectory.knots if len(knot_times) == 1 else between(self.times, knot_times, trajectory.knots).T
         return replace(
             trajectory, states=np.ascontiguousarray(trajectory.fine[:: self.sensor_oversampling]), coefficients=along
         )
 
-    def _coefficients(self, variant: ModelVariant, model: ValveModel) -> tuple[TemperaturePath, tuple]:
+    def _coefficients(
+        self, variant: ModelVariant, model: ValveModel, path: TemperaturePath | None = None
+    ) -> tuple[TemperaturePath, tuple]:
         """Temperature path, and flat coefficients of a model at its knots, (), (m,) or (batch, m) each."""
-        path = self._path(variant)
+        path = self._path(variant) if path is None else path
         with _naming_record(self.record):
             c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
         return path, model.flat_coefficients(c, _with_neutral(model, variant.effects), path.parts)
 
+    def same_temperatures(self, variant: ModelVariant, other: ModelVariant) -> bool:
+        """Whether the parts of two variants have the same temperatures throughout."""
+
+        def of(one: ModelVariant) -> tuple:
+            acting = tuple(a for a in one.effects if a.effect.temperatures is not None)
+            return acting, one.network, self._oil_deviations(one)
+
+        return of(variant) == of(other)
+
+    def _oil_deviations(self, variant: ModelVariant) -> Deviations:
+        own = acting_on(variant.deviations, self.record.name)
+        return tuple(each for each in own if each[0].column == "oil_temperature")
+
     def _path(self, variant: ModelVariant) -> TemperaturePath:
         """The temperatures of a variant: on knots of their own where an effect acts on them."""
-        oil = [each for each in acting_on(variant.deviations, self.record.name) if each[0].column == "oil_temperature"]
+        deviations, network = self._oil_deviations(variant), variant.network or self.scenario.thermal.network
         acts = any(active.effect.temperatures is not None for active in variant.effects)
-        other = variant.network not in (None, self.scenario.thermal.network)
-        if not acts and not oil and not other:
+        if not acts and not deviations and network == self.scenario.thermal.network:
             return self.path
-        scenario = replace(self.scenario, effects=variant.effects)
-        if other:
-            scenario = replace(scenario, thermal=replace(scenario.thermal, network=variant.network))
-        if oil:
-            points = deviating("oil_temperature", points_of(scenario.oil_temperature, scenario.duration), tuple(oil))
-            scenario = replace(scenario, oil_temperature=command_of(points, f"{self.record.name}, oil_temperature"))
-        if acts or (len(self.path.times) == 1 and not isinstance(scenario.oil_temperature, Constant)):
-            return temperature_knots(scenario)[0]
-        return scenario.temperatures(knots=self.path.times)
+        oil = self.scenario.oil_temperature
+        if deviations:
+            points = deviating("oil_temperature", points_of(oil, self.scenario.duration), deviations)
+            oil = command_of(points, f"{self.record.name}, oil_temperature")
+        if acts or (len(self.path.times) == 1 and not isinstance(oil, Constant)):
+            thermal = replace(self.scenario.thermal, network=network)
+            return temperature_knots(
+                replace(self.scenario, effects=variant.effects, thermal=thermal, oil_temperature=oil)
+            )[0]
+        thermal = self.scenario.thermal
+        return temperature_path(
+            oil, self.scenario.duration, network=network, initial=thermal.initial_temperature,
+            ambient=thermal.ambient_temperature, throttling=self.throttling, knots=self.path.times,
+        )  # fmt: skip
 
-    def coefficients_along(self, variant: ModelVariant, model: ValveModel, times: np.ndarray | None = None) -> tuple:
+    def coefficients_along(
+        self,
+        variant: ModelVariant,
+        model: ValveModel,
+        times: np.ndarray | None = None,
+        path: TemperaturePath | None = None,
+    ) -> tuple:
         """Flat coefficients of a model for a variant on the grid (or at `times`), (n,) each, (1,) where constant.
 
         Of a variant whose valve is a batch, quantities (batch, 1), they are (n, batch), with ones where constant.
+        `path` is that of the variant, where it is known.
         """
-        path, knots = self._coefficients(variant, model)
+        path, knots = self._coefficients(variant, model, path)
         dimensions = max(np.ndim(value) for value in knots)
         columns = [np.array(value, dtype=float, ndmin=max(dimensions, 1)).T for value in knots]
         if len(path.times) == 1:
@@ -254,13 +281,15 @@ class RecordPredictor:
         """What the record's sensors would have read, (n_samples,) by channel, before noise and resolution."""
         return self.apply_sensors(trajectory.at_valve, trajectory, variant)
 
-    def _outputs(self, model: ValveModel, fine: np.ndarray, variant: ModelVariant) -> dict[str, np.ndarray]:
+    def _outputs(
+        self, model: ValveModel, fine: np.ndarray, variant: ModelVariant, path: TemperaturePath
+    ) -> dict[str, np.ndarray]:
         """The record's output channels on the fine grid, (n_f,) each, as they are at the valve."""
         names = self.record.outputs
         values = {channel.name: fine[:, k] for k, channel in enumerate(model.state_channels) if channel.name in names}
         if set(names) - set(values):
             model, own = self.reduced(model, variant)
-            along = self.coefficients_along(variant, model, self.fine_times)
+            along = self.coefficients_along(variant, model, self.fine_times, path)
             signals = model.signals(tuple(fine[:, own].T), Inputs(*self.fine_inputs.T), along)
             for name in names:
                 if name not in values:
@@ -351,6 +380,7 @@ def prepare_record(
         starts=starts,
         rows=intervals.rows,
         inputs=_inputs((scenario.command, *scenario.pressures()), times),
+        throttling=scenario.throttling(),
         options=options,
     )
 

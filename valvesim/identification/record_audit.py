@@ -146,8 +146,23 @@ def audited_sensors(
                     f"{name}: readings sit on a grid of {value_text(step, sensor.unit)}, taken as the resolution"
                 )
             sensor = replace(sensor, resolution=step)
-        sensors[name] = sensor
+        sensors[name] = replace(sensor, range=_range_of(sensor, records, options=options))
     return sensors
+
+
+def _range_of(
+    sensor: Sensor, records: Sequence[Record], *, options: IdentificationOptions
+) -> tuple[float, float]:
+    """The range of a sensor: as stated, or narrower where its readings have a flat top; the same in all records."""
+    own = [record for record in records if sensor.channel in record.outputs]
+    low, high = sensor.range
+    for side in (-1.0, 1.0):
+        tops = [float(np.max(side * r.values[sensor.channel][r.usable[sensor.channel]])) for r in own]
+        flat = [top for record, top in zip(own, tops, strict=True) if _flat_top(record, sensor, side, options=options)]
+        flat += [max(tops)] if _common_top(own, sensor, side, max(tops), options=options) else []
+        if flat:
+            low, high = (max(low, -min(flat)), high) if side < 0.0 else (low, min(high, *flat))
+    return low, high
 
 
 def usable_record(
@@ -164,7 +179,7 @@ def usable_record(
             notes.append(f"{record.name}: {name} is stuck at {value_text(values[0], UNITS[name])} while the "
                          f"{record.command} moves, and is left out")  # fmt: skip
             continue
-        saturated = _saturated(record, sensors[name], options=options)
+        saturated = _saturated(record, sensors[name])
         good = record.usable[name] & ~saturated
         left_out = " and is left out" if np.mean(good) < 0.5 * record.shares.get(name, 1.0) else ""
         if saturated.any():
@@ -179,22 +194,47 @@ def usable_record(
     return replace(record, usable=usable)
 
 
-def _saturated(record: Record, sensor: Sensor, *, options: IdentificationOptions) -> np.ndarray:
-    """Where a channel stands at an end of its sensor's range, or at a flat top of its own while the command goes on."""
-    values, command = record.values[sensor.channel], record.values[record.command]
-    (low, high), half = sensor.range, 0.5 * sensor.resolution
-    saturated = (values <= low + half) | (values >= high - half)
-    span, asked = np.ptp(values), np.ptp(command)
+def _saturated(record: Record, sensor: Sensor) -> np.ndarray:
+    """Where a channel stands at an end of its sensor's range."""
+    values, (low, high), half = record.values[sensor.channel], sensor.range, 0.5 * sensor.resolution
+    return (values <= low + half) | (values >= high - half)
+
+
+def _flat_top(record: Record, sensor: Sensor, side: float, *, options: IdentificationOptions) -> bool:
+    """Whether a channel stands at its highest reading (`side` 1) or lowest (-1) while the command goes on."""
+    usable, command = record.usable[sensor.channel], record.values[record.command]
+    values = record.values[sensor.channel]
+    span, asked = np.ptp(values[usable]), np.ptp(command)
     if asked == 0.0:
-        return saturated
-    for side in (1.0, -1.0):
-        at_extreme = side * values == np.max(side * values)
-        outward = side * _SIGN[sensor.channel] * command * span / asked  # what the command asks for, as an output
-        runs = np.flatnonzero(np.diff(at_extreme.astype(int), prepend=0, append=0)).reshape(-1, 2)
-        for a, b in runs[np.diff(runs)[:, 0] >= options.audit.flat_samples]:
-            # Rest and friction are flat too, but there the command goes no further out than where the reading stopped.
-            if np.max(outward[a:b]) - max(outward[a], outward[b - 1]) > max(
-                3.0 * sensor.resolution, options.audit.flat_reach * span
-            ):
-                saturated[a:b] = True
-    return saturated
+        return False
+    outward = side * _SIGN[sensor.channel] * command * span / asked  # what the command asks for, as an output
+    least = max(3.0 * sensor.resolution, options.audit.flat_reach * span)
+    # Rest and friction are flat too, but there the command goes no further out than where the reading stopped.
+    return any(
+        np.max(outward[a:b]) - max(outward[a], outward[b - 1]) > least
+        for a, b in _runs_at(side * values, np.max(side * values[usable]), usable)
+        if b - a >= options.audit.flat_samples
+    )
+
+
+def _common_top(
+    records: Sequence[Record], sensor: Sensor, side: float, top: float, *, options: IdentificationOptions
+) -> bool:
+    """Whether a channel stops at the very same reading under commands that ask for different ones, as steps do."""
+    if _SIGN[sensor.channel] == 0.0:
+        return False
+    asked = max(float(np.ptp(record.values[record.command])) for record in records)
+    begins, count = [], 0
+    for record in records:
+        values, usable = side * record.values[sensor.channel], record.usable[sensor.channel]
+        for a, b in _runs_at(values, top, usable):
+            if b - a >= options.audit.top_samples:
+                begins.append(float(record.values[record.command][a]))
+                count += b - a
+    return count >= options.audit.flat_samples and float(np.ptp(begins)) > options.audit.flat_reach * asked
+
+
+def _runs_at(values: np.ndarray, top: float, usable: np.ndarray) -> np.ndarray:
+    """[first, end) of each run of readings (n,) at `top`, (runs, 2)."""
+    at_top = usable & (values == top)
+    return np.flatnonzero(np.diff(at_top.astype(int), prepend=0, append=0)).reshape(-1, 2)

@@ -60,17 +60,24 @@ def _input(record: Record, name: str, *, options: IdentificationOptions) -> Comm
 
 
 def _smoothed(time: np.ndarray, values: np.ndarray, *, options: IdentificationOptions) -> tuple[np.ndarray, np.ndarray]:
-    """(time, values) of joined straight lines by least squares, long enough to bring the noise below the resolution."""
+    """(time, values) of as few joined straight lines, by least squares, as leave no more than the noise.
+
+    The noise is that of the second differences: a ramp, however steep, has none. Values whose noise is below the
+    resolution come back as they are.
+    """
     from scipy.interpolate import make_lsq_spline
 
-    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0)  # a ramp, however steep, has none
+    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0)
     if 2.0 * noise < options.predictor.oil_resolution:
         return time, values
-    samples = max(
-        4.0, len(time) / options.predictor.oil_intervals, (2.0 * noise / options.predictor.oil_resolution) ** 2
-    )
-    edges = np.linspace(time[0], time[-1], max(int(len(time) / samples), 1) + 1)
-    return edges, make_lsq_spline(time, values, np.concatenate([edges[:1], edges, edges[-1:]]), k=1)(edges)
+    most = max(min(options.predictor.oil_intervals, len(time) // 4), 1)
+    for count in (2**k for k in range(most.bit_length())):
+        edges = np.linspace(time[0], time[-1], count + 1)
+        lines = make_lsq_spline(time, values, np.concatenate([edges[:1], edges, edges[-1:]]), k=1)
+        left = float(np.mean((values - lines(time)) ** 2)) - noise**2 * (1.0 - (count + 1) / len(time))
+        if left < max((0.5 * options.predictor.oil_resolution) ** 2, 3.0 * noise**2 * np.sqrt(2.0 / len(time))):
+            break
+    return edges, lines(edges)
 
 
 def _corners(time: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:

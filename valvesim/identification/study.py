@@ -38,12 +38,10 @@ class PreparedSession:
         return Study(**{f.name: getattr(self, f.name) for f in fields(PreparedSession)}, noise=noise)
 
     def negligible_reduction(self, chi_square: float, rows: float) -> float:
-        """Reduction of the chi-square not worth a linearisation: in a long session, a share of what a fit leaves."""
-        return (
-            self.options.fit.negligible_share * max(chi_square - self.options.fit.inadequate_ratio * rows, 0.0)
-            if self.is_long
-            else 0.0
-        )
+        """Reduction of the chi-square not worth a linearisation: a share of what a fit leaves beyond the noise."""
+        fit = self.options.fit
+        least = fit.relative_ftol * max(chi_square - rows, 0.0)
+        return max(least, fit.negligible_share * (chi_square - fit.inadequate_ratio * rows)) if self.is_long else least
 
     def with_nominal(self, nominal: NominalModel) -> Self:
         """The same with other nuisance parameters, or inputs that are told otherwise between their samples."""

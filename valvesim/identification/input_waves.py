@@ -1,0 +1,159 @@
+"""Waves upon an input that no record tells: the ripple of a pump upon the supply, a mains hum upon the command.
+
+A wave has one frequency in all records, and in each an amplitude and a phase of its own. Its frequency stands out of
+the spectrum of what a fit leaves; amplitude and phase are nuisance parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from valvesim.identification.between_samples import Wave
+from valvesim.identification.down_weighting import robust_weights
+from valvesim.identification.fit import Fit, rescored
+from valvesim.identification.input_choice import added_columns
+from valvesim.identification.linearised_record import LinearisedRecord
+from valvesim.identification.prior import NominalModel, NuisanceParameter
+from valvesim.identification.projection import inverse_of
+from valvesim.identification.session import UNITS, Record, value_text
+from valvesim.identification.study import PreparedSession, Study, residual_of
+
+Readings = Sequence[dict[str, np.ndarray]]
+
+
+def wave_columns(records: Sequence[Record]) -> tuple[str, ...]:
+    """The inputs on which waves are thought of."""
+    return "supply_pressure", records[0].command
+
+
+def wave_size(model: NominalModel, records: Sequence[Record], column: str) -> float:
+    """The amplitude that a wave on an input may have, one prior deviation, in its SI unit."""
+    if column == "supply_pressure":
+        return model.options.wave.ripple * float(model.variant.valve.supply_pressure)
+    return model.options.wave.hum * float(np.max([np.ptp(r.values[column]) for r in records]))
+
+
+def wave_parameters(
+    records: Sequence[Record], column: str, frequency: float, size: float
+) -> tuple[NuisanceParameter, ...]:
+    """The two components (cosine, sine) of a wave of `frequency` Hz on an input, in each record."""
+    return tuple(
+        NuisanceParameter(
+            f"wave@{record.name}:{column}:{frequency:.4g}:{phase:.3g}", UNITS[column], 0.0, size,
+            (-4.0 * size, 4.0 * size), input=Wave(record.name, column, frequency, phase),
+        )
+        for record in records
+        for phase in (0.0, 0.5 * np.pi)
+    )  # fmt: skip
+
+
+def wave_name(column: str, frequency: float) -> str:
+    """What tells a wave from others."""
+    return f"{column} at {frequency:.4g} Hz"
+
+
+def wave_words(parameters: Sequence[NuisanceParameter], values: np.ndarray) -> str:
+    """A wave in words, by the values of its `wave_parameters`: the median amplitude of all records."""
+    wave = parameters[0].input
+    assert isinstance(wave, Wave)  # noqa: S101 - the parameters are those of one
+    does = "the supply pressure ripples" if wave.column == "supply_pressure" else f"the {wave.column} hums"
+    amplitude = float(np.median(np.hypot(values[::2], values[1::2])))
+    return f"{does} by {value_text(amplitude, UNITS[wave.column])} at {wave.frequency:.4g} Hz"
+
+
+def fitted_waves(model: NominalModel) -> dict[str, tuple[NuisanceParameter, ...]]:
+    """The waves among the nuisance parameters of a model, by their names."""
+    found: dict[str, tuple[NuisanceParameter, ...]] = {}
+    for p in model.parameters:
+        if isinstance(p.input, Wave):
+            name = wave_name(p.input.column, p.input.frequency)
+            found[name] = (*found.get(name, ()), p)
+    return found
+
+
+def outstanding_frequencies(study: PreparedSession, readings: Readings) -> list[float]:
+    """The few frequencies (Hz) at which what is left stands furthest above what is left beside them."""
+    wave = study.options.wave
+    longest = max(predictor.record.duration for predictor in study.predictors)
+    highest = min(predictor.record.rate for predictor in study.predictors) / 2.0
+    grid = np.arange(wave.turns / longest, wave.highest_share * highest, 0.5 / longest)
+    if len(grid) < wave.beside_bins:
+        return []
+    from scipy.ndimage import median_filter
+
+    power = _power(study, readings, grid)
+    over = power / np.maximum(median_filter(power, wave.beside_bins), 1e-300)
+    found: list[float] = []
+    for k in np.argsort(-over, kind="stable"):
+        if over[k] < wave.peak or len(found) == wave.frequencies:
+            break
+        if all(abs(grid[k] - other) > 3.0 / longest for other in found):
+            best = float(grid[k])
+            for reach in (0.5, 0.025):  # a thousandth of a turn counts where the ripple stands far above the noise
+                fine = best + reach * np.linspace(-1.0, 1.0, 41) / longest
+                best = float(fine[int(np.argmax(_power(study, readings, fine)))])
+            found.append(best)
+    return found
+
+
+def _power(study: PreparedSession, readings: Readings, frequencies: np.ndarray) -> np.ndarray:
+    """The power (n,) of what is left at frequencies (n,) Hz, over all channels and records, each of power one.
+
+    What is far off is clipped (Huber): a peak that the model misses has power at all frequencies.
+    """
+    power = np.zeros(len(frequencies))
+    for predictor, read in zip(study.predictors, readings, strict=True):
+        record = predictor.record
+        residual = residual_of(record, read)
+        waves = np.exp(-2j * np.pi * np.outer(frequencies, record.time))
+        for name in record.outputs:
+            usable = record.usable[name]
+            left = residual[name][:, 0] - np.median(residual[name][usable, 0])
+            most = study.options.wave.clipped * 1.4826 * float(np.median(np.abs(left[usable])))
+            left = np.where(usable, np.clip(left, -most, most), 0.0)
+            power += np.abs(waves @ left) ** 2 / max(float(left @ left), 1e-300)
+    return power
+
+
+def dominant_wave(
+    study: Study, fit: Fit, linearised: Sequence[LinearisedRecord], columns: Sequence[dict[str, np.ndarray]]
+) -> tuple[NuisanceParameter, ...]:
+    """The wave that explains most of what a fit without candidates leaves beyond the noise; () where none does.
+
+    `linearised` are the records of the fit and `columns` their sensitivities. Samples that are far off count less.
+    """
+    study = robust_weights(study, fit.readings)
+    fit, J, options = rescored(study, fit), study.stack(columns), study.options
+    if fit.chi_square < 2.0 * fit.rows:  # what is less may wait for the search of causes
+        return ()
+    records, taken = study.session.training, fitted_waves(study.nominal)
+    waves = [
+        wave_parameters(records, column, frequency, wave_size(study.nominal, records, column))
+        for frequency in outstanding_frequencies(study, fit.readings)
+        for column in wave_columns(records)
+        if wave_name(column, frequency) not in taken
+    ]
+    if not waves:
+        return ()
+    together = [p for wave in waves for p in wave]
+    added = added_columns(study, linearised, study.nominal.extended(together), together)
+    parts = np.split(added, np.cumsum([len(wave) for wave in waves])[:-1], axis=1)
+    before = linear_reduction(J, fit, np.empty((len(J), 0)))
+    gains = [linear_reduction(J, fit, part) - before for part in parts]
+    best, left = int(np.argmax(gains)), fit.chi_square - fit.rows - before
+    return waves[best] if gains[best] > max(options.wave.minimum_gain, options.wave.dominant_share * left) else ()
+
+
+def linear_reduction(J: np.ndarray, fit: Fit, added: np.ndarray, without_prior: int = 0) -> float:
+    """The reduction of the penalised chi-square that the linearised equations predict with `added` columns (rows, k).
+
+    Each has a prior of one deviation, but for the first few `without_prior`.
+    """
+    A, p = np.column_stack([J, added]), J.shape[1]
+    prior = np.ones(A.shape[1])
+    prior[p : p + without_prior] = 0.0
+    gradient = A.T @ fit.residual
+    gradient[:p] -= fit.point
+    return float(gradient @ inverse_of(A.T @ A + np.diag(prior)) @ gradient)
