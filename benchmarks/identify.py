@@ -273,7 +273,7 @@ def write_records(hidden: HiddenValve, figures: dict[tuple[str, float], float], 
               "load_pressure": np.concatenate([pressure[::-1], pressure]),
               "internal_leakage": np.concatenate([leak[::-1], leak])}  # fmt: skip
     top = 2.5 * figures["frequency_minus_90_deg", TOLD[0]]
-    low, duration = slowest / 20.0, min(max(60.0 / slowest, 1.0), 6.0)
+    low, duration = slowest / 20.0, min(max(400.0 / slowest, 2.0), 15.0)
     t = np.arange(int(duration * 20.0 * top)) / (20.0 * top)
     phase = 2.0 * np.pi * (low * t + (top - low) * t**2 / (2.0 * duration))
     rest = np.zeros(int(len(t) / 12))

@@ -289,6 +289,11 @@ def test_first_order_falls_by_3_db_at_its_corner():
     assert value(of, "resonant_peak") == 0.0
 
 
+def test_a_lowest_frequency_near_the_corner_gives_no_corner():
+    of = join_points(points_of(lambda s: 1 / (1 + s / (2 * np.pi * 100.0)), np.geomspace(40.0, 400.0, 21))).figures
+    assert "the lowest frequency of 40 Hz, to which it refers, is too near" in reason(of, "frequency_minus_3_db")
+
+
 def test_second_order_lags_90_degrees_at_its_natural_frequency():
     response = join_points(points_of(second_order(), SIXTHS)[::-1])  # in any order
     assert value(response.figures, "frequency_minus_90_deg") == pytest.approx(120.0, rel=5e-4)

@@ -37,6 +37,7 @@ SETTLE_TIME = 0.05  # s of a sine before it is read: the slowest mode of the ref
 READ_TIME = 0.02  # s of a sine that are read at least, in whole cycles
 SINE_TOLERANCE = 1e-5  # of the integration: its error shows as a distortion of about 1e-7
 LEAST_COHERENCE = 0.8  # below it a point serves no figure
+HIGHEST_REFERENCE = 0.2  # of the -3 dB frequency: a first order has fallen by 0.2 dB there, 2 % of the frequency
 FREQUENCIES = tuple(np.geomspace(5.0, 500.0, 41))  # Hz, six to the octave
 
 
@@ -86,7 +87,7 @@ class FrequencyResponse:
         - largest_distortion, %: greatest THD of the output over the frequencies
         """
         return (
-            self._cross("frequency_minus_3_db", -self.amplitude_ratio, 3.0, "dB", "amplitude ratio at -3 dB"),
+            self._minus_3_db(),
             self._cross("frequency_minus_90_deg", self.phase_lag, 90.0, "degrees", "phase lag at 90 degrees"),
             self._peak(),
             self._distortion(),
@@ -106,6 +107,17 @@ class FrequencyResponse:
             value = float(PchipInterpolator(np.log(f), values[self.credible])(np.log(frequency)))
             told.append(FigureOfMerit(name, value, unit, f"at {frequency:.4g} Hz"))
         return tuple(told)
+
+    def _minus_3_db(self) -> FigureOfMerit | Absent:
+        """The -3 dB frequency, absent where the lowest frequency, its reference, is too near to it."""
+        found = self._cross("frequency_minus_3_db", -self.amplitude_ratio, 3.0, "dB", "amplitude ratio at -3 dB")
+        if isinstance(found, Absent):
+            return found
+        lowest, highest = float(self.frequency[self.credible][0]), HIGHEST_REFERENCE * found.value
+        if lowest <= highest:
+            return found
+        told = f"{lowest:.3g} Hz, to which it refers, is too near: a longer record, or {highest:.2g} Hz and lower"
+        return Absent(found.name, f"the lowest frequency of {told}")
 
     def _cross(self, name: str, fall: np.ndarray, level: float, unit: str, doc: str) -> FigureOfMerit | Absent:
         """Where `fall` first rises through `level`, on the credible points."""
