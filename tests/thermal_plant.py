@@ -22,6 +22,9 @@ import hidden_plant
 import numpy as np
 from hidden_plant import Case, Run
 
+from valvesim.errors import InputError
+from valvesim.valve.coefficients import PartTemperatures
+from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import ThermalNetwork
 
 PROFILES = ("warm_up", "launch")
@@ -58,7 +61,7 @@ def draw_thermal(
         channels = CHANNELS[1]
     names = () if hidden is None else (hidden,)
     first, second, locked = (_run(dice, k, profile, rate, duration) for k in range(3))
-    return Case(
+    case = Case(
         seed=seed,
         kind="effect" if hidden else "none",
         hidden=tuple((name, hidden_plant._figures(dice, name, channels)) for name in names),
@@ -69,6 +72,28 @@ def draw_thermal(
         network=ThermalNetwork() if network == "nominal" else scattered_network(dice, 0.3),
         between=OTHERWISE if network == "structure" else {},
     )
+    nominal = replace(case, hidden=(), unit={}, network=ThermalNetwork(), between={})
+    while not (_moves(case) and _moves(nominal)):
+        case, nominal = (replace(one, runs=tuple(map(_slower, one.runs))) for one in (case, nominal))
+    return case
+
+
+def _moves(case: Case) -> bool:
+    """Whether the spool has room in its sleeve throughout: on the way up the sleeve stays behind."""
+    hidden = dict(case.hidden)
+    lag = hidden.get("thermal_lag", {}).get("time_constant", 0.0)
+    grown = {name: getattr(case.valve, name) * (1.0 + p["offset"]) for name, p in hidden.items() if "offset" in p}
+    try:
+        for run in case.runs:
+            Valve(**{**case.unit, **grown}).at(PartTemperatures(**hidden_plant._parts(case, run, lag)))
+    except InputError:
+        return False
+    return True
+
+
+def _slower(run: Run) -> Run:
+    """The run with four fifths of the oil's change."""
+    return replace(run, oil=hidden_plant._rounded(run.oil[0] + 0.8 * (run.oil - run.oil[0]), 0.01))
 
 
 def scattered_network(dice: np.random.Generator, scatter: float) -> ThermalNetwork:
