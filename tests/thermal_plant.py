@@ -72,10 +72,14 @@ def draw_thermal(
         network=ThermalNetwork() if network == "nominal" else scattered_network(dice, 0.3),
         between=OTHERWISE if network == "structure" else {},
     )
-    nominal = replace(case, hidden=(), unit={}, network=ThermalNetwork(), between={})
-    while not (_moves(case) and _moves(nominal)):
-        case, nominal = (replace(one, runs=tuple(map(_slower, one.runs))) for one in (case, nominal))
+    while not all(map(_moves, (case, replace(case, hidden=()), _nominal(case)))):
+        case = replace(case, runs=tuple(map(_slower, case.runs)))
     return case
+
+
+def _nominal(case: Case) -> Case:
+    """The case on the model's own valve and network."""
+    return replace(case, hidden=(), unit={}, network=ThermalNetwork(), between={})
 
 
 def _moves(case: Case) -> bool:
