@@ -30,7 +30,7 @@ from valvesim.errors import InputError
 from valvesim.reports.diagnosis import page as diagnosis_page
 from valvesim.reports.diagnosis.page import draw
 from valvesim.reports.diagnosis.traces import worst_traces
-from valvesim.reports.diagnosis.words import estimate_words, gain_words, percent, spoken
+from valvesim.reports.diagnosis.words import estimate_words, gain_words, number, percent, spoken, unit_of
 from valvesim.reports.plotting import EXTENDED, MOST_POINTS
 
 FRICTION = Estimate(
@@ -361,9 +361,9 @@ def test_interrupted_while_drawing_it_leaves_nothing(tmp_path, monkeypatch):
 
 SAID = {
     "no_discrepancy": (
-        "Diagnosis: Valve 17", "No discrepancy found", "stays below the alarm.", "0.312 N", "0.00123 mm", "0.025 µm/K",
+        "Diagnosis: Valve 17", "No discrepancy found", "stays below the alarm.", "0.312 N", "1.23 µm", "0.025 µm/K",
         "2.31 %", "sensor temperature drift, spool position drift", "Blind to: coil resistance drift.",
-        "unverified for 1 of 2 channels", "0.004 mm", "0.192 L/min",
+        "unverified for 1 of 2 channels", "4 µm", "0.192 L/min",
         "white", "coloured, order 2", "repeats", "what the model leaves (unverified)", "210.0 bar 208.0 bar -95 %",
         "0.03175 mm 0.03212 mm +58 %", "sensor gain, load flow 0 % 0.12 % +30 %",
         "record idle: nothing moves; left out",
@@ -383,7 +383,7 @@ SAID = {
     ),
     "ambiguous": (
         "Several answers possible", "cannot tell them apart", "The data cannot tell the possible ones apart.",
-        "If it is the likeliest", "feedback ball backlash half play 0.0042 mm 0.0031 to 0.0053 mm half the play",
+        "If it is the likeliest", "feedback ball backlash half play 4.2 µm 3.1 to 5.3 µm half the play",
         "feedback ball backlash 58 % possible feedback rod 120.4 "
         "magnetic hysteresis 31 % possible magnetic circuit 119.5 spool silting 11 % less likely",
         "Next test Sine of 0.5 mA about 2 mA at 5 Hz", "load pressure 70 bar", "takes 2 s and would tell feedback ball "
@@ -456,7 +456,7 @@ def test_what_is_not_finite_is_said_in_words(tmp_path):
     page = report(lost, tmp_path)
     assert not re.search(r"\bnan\b|\binf\b|None", page.text)
     for words in (
-        "friction force not determined not determined", "below 0.0053 mm", "above 0.0031 mm",
+        "friction force not determined not determined", "below 5.3 µm", "above 3.1 µm",
         "a 2.00 not determined 1.00 not determined not claimed: the interval of the change is not determined",
         "It would tell feedback ball backlash from magnetic hysteresis.",
         "Blind to: the unseen.", "one not determined", "none holds up", "load flow 1000 Hz not determined",
@@ -505,7 +505,7 @@ def test_two_causes_are_both_named_one_without_figures(tmp_path):
 def test_a_sensor_is_named_once_with_its_channel(tmp_path):
     bias = replace(PLAY, name="bias", cause="sensor_bias@load_flow")
     page = report(empty(verdict="cause", causes=("sensor_bias",), parameters=(bias,)), tmp_path)
-    assert "sensor bias, load flow bias 0.0042 mm" in page.text and page.text.count("sensor bias") == 1
+    assert "sensor bias, load flow bias 4.2 µm" in page.text and page.text.count("sensor bias") == 1
 
 
 def test_without_locked_records_it_says_why_no_gain_is_claimed(tmp_path):
@@ -517,7 +517,7 @@ def test_without_locked_records_it_says_why_no_gain_is_claimed(tmp_path):
 def test_a_record_on_which_nothing_changes_has_a_change_of_zero(tmp_path):
     still = gain(record="still", change=0.0, low=0.0, high=0.0, claimed=False)
     text = report(cause(gain=(gain(), still), **BARE), tmp_path).text
-    assert "+0 % (0 to 0 %) not claimed" in text and "held fixed" not in text
+    assert " 0 % (0 to 0 %) not claimed" in text and "held fixed" not in text
 
 
 def test_where_nothing_extends_the_model_no_gain_is_drawn(tmp_path):
@@ -799,3 +799,17 @@ def test_the_page_ends_with_what_to_do_and_what_the_bench_did(tmp_path):
         assert said in text
     report(cause(), tmp_path)
     assert "What to do" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("reason, verdict, words", [
+    ("bench", "no_discrepancy", "The bench, not the valve"), ("other_valve", "unknown", "Not the stated valve"),
+    ("records_apart", "unknown", "Records that do not belong together"),
+])  # fmt: skip
+def test_the_banner_says_what_the_answer_is_about(reason, verdict, words):
+    assert diagnosis_page.banner(empty(verdict=verdict, reason=reason)).words == words
+
+
+def test_numbers_are_read_without_dead_zeros():
+    assert (number(-0.3, 10.0), number(-0.3, 0.1)) == ("0", "-0.30")
+    assert unit_of("m", 2e-7) == ("µm", 1e6) and unit_of("m", 2e-3)[0] == "mm"
+    assert unit_of("A", 3e3) == ("A", 1.0) and unit_of("A", 1e-3)[0] == "mA" and unit_of("1/K", 1e-5) == ("1e-6/K", 1e6)

@@ -10,9 +10,13 @@ import numpy as np
 
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
+    BENCH,
     CAUSE,
     NO_DISCREPANCY,
+    OTHER_VALVE,
+    RECORDS_APART,
     UNKNOWN,
+    CandidateAnswer,
     DetectionLimit,
     Diagnosis,
     NoiseFound,
@@ -60,6 +64,11 @@ VERDICTS = {  # words, edge and ground of the banner
     AMBIGUOUS: ("Several answers possible", COLOURS[3], "#fcf0dd"),
     UNKNOWN: ("Unknown mechanism", COLOURS[4], "#eee6f2"),
 }
+REASONS = {
+    BENCH: "The bench, not the valve",
+    RECORDS_APART: "Records that do not belong together",
+    OTHER_VALVE: "Not the stated valve",
+}  # words of the banner in place of the verdict's
 DPI = 140  # of the pictures: sharp on paper too
 MEMORIES = {NONE: "none", LAG: "follows with a lag", PATH: "turns with the direction, as hysteresis does"}
 MOST_SHIFTS, MOST_CANDIDATES = 8, 8  # that are shown, largest first
@@ -120,7 +129,8 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
                      "strongest of all candidates hardly ever reaches it." if np.isfinite(diagnosis.alarm_level)
                      else "These records show none of the candidates well enough to set an alarm level."),
         ),
-        _shifts(diagnosis.shifts), _noise(diagnosis.noise), _limits(diagnosis.detection_limits),
+        _shifts(diagnosis.shifts), _noise(diagnosis.noise),
+        _limits(() if diagnosis.reason == OTHER_VALVE else diagnosis.detection_limits),
         section("Notes", Bullets(diagnosis.notes)), _extended(diagnosis), _what_to_do(diagnosis), glossary(diagnosis),
     ]  # fmt: skip
 
@@ -128,6 +138,7 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
 def banner(diagnosis: Diagnosis) -> Banner:
     """The verdict, in its colours."""
     words, edge, ground = VERDICTS[diagnosis.verdict]
+    words = REASONS.get(diagnosis.reason, words)
     if diagnosis.verdict == CAUSE and len(diagnosis.causes) > 1:
         words = "Causes found"
     return Banner(words, diagnosis.summary, edge, ground)
@@ -173,17 +184,21 @@ def _answer_set(diagnosis: Diagnosis) -> Section:
     if len(candidates) < 2 and not several:
         return section(heading)
     ranked = sorted(candidates, key=lambda c: not c.in_set)  # the likeliest first, within each
+
+    def told(c: CandidateAnswer) -> bool:
+        return bool(np.isfinite(c.deviance_fall)) and c.names != (UNKNOWN,)
+
     rows = [
         (
             spoken(c.label), Bar(c.probability, percent(c.probability)), "possible" if c.in_set else "less likely",
             c.location,
-            number(c.deviance_fall, max(1.0, 0.01 * c.deviance_fall)) if np.isfinite(c.deviance_fall) else "",
+            number(c.deviance_fall, max(1.0, 0.01 * c.deviance_fall)) if told(c) else "",
         )
         for c in ranked[:MOST_CANDIDATES]
     ]  # fmt: skip
     headings = ("candidate", "probability", "answer", "where", "fall of deviance")
-    told = "The data cannot tell the possible ones apart." if several else ""
-    return section(heading, Text(told), Table(headings, rows, (4,)))
+    above = "The data cannot tell the possible ones apart." if several else ""
+    return section(heading, Text(above), Table(headings, rows, (4,)))
 
 
 def _next_test(diagnosis: Diagnosis) -> Section:
@@ -221,7 +236,9 @@ def _gain(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> Section:
     for g in diagnosis.gain:
         change, low, high = relative_change(g)
         errors = [number(v, 0.1) if np.isfinite(v) else UNDETERMINED for v in (g.before, g.after, g.floor)]
-        moved = f"{change:+.0f} % ({interval(low, high, 10.0, '%')})" if np.isfinite(change) else UNDETERMINED
+        sign = "+" if change >= 0.5 else ""
+        moved = f"{sign}{number(change, 10.0)} % ({interval(low, high, 10.0, '%')})"
+        moved = moved if np.isfinite(change) else UNDETERMINED
         rows.append((g.record, *errors, moved, gain_words(g)))
     headings = ("record", "before", "after", "noise floor", "change of mean square (95 % interval)", "so")
     caption = "Error on the hold-out records before and after; a hollow mark is not claimed."
@@ -294,7 +311,8 @@ def _limits(limits: Sequence[DetectionLimit]) -> Section:
             blind.append(spoken(limit.label))
             continue
         unit, factor = unit_of(limit.unit, limit.amplitude, limit.parameter)
-        seen.append((spoken(limit.label), spoken(limit.parameter), with_unit(f"{limit.amplitude * factor:.3g}", unit)))
+        parameter = "" if limit.label.endswith(f":{limit.parameter}") else spoken(limit.parameter)
+        seen.append((spoken(limit.label), parameter, with_unit(f"{limit.amplitude * factor:.3g}", unit)))
     told = (
         "The smallest amplitude that these records would have shown, nine times in ten, from where the effect vanishes."
         if seen

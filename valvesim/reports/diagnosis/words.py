@@ -19,6 +19,12 @@ def unit_of(unit: str, size: float, name: str = "") -> tuple[str, float]:
         return ("%", 100.0) if any(word in name for word in _SHARE_WORDS) else ("", 1.0)
     if unit == "s":
         return ("ms", 1e3) if abs(size) < 1.0 else ("s", 1.0)
+    if unit == "1/K":
+        return "1e-6/K", 1e6
+    if unit == "A" and abs(size) >= 10.0:  # of a magnet, not of a coil
+        return "A", 1.0
+    if unit == "m" and 0.0 < abs(size) < 1e-5:
+        return "µm", 1e6
     if unit.endswith("/K") and unit not in _UNITS:
         above, factor = DISPLAY.get(unit.removesuffix("/K"), (unit.removesuffix("/K"), 1.0))
         return f"{symbol(above)}/K", factor
@@ -34,7 +40,8 @@ def number(value: float, step: float) -> str:
     if not (np.isfinite(step) and step > 0.0) or not 1e-4 <= size < 1e6:
         return f"{value:.4g}"
     places = int(np.clip(1 - np.floor(np.log10(step)), 0, 9))
-    return f"{value:.{places}f}"
+    text = f"{value:.{places}f}"
+    return text if float(text) else text.removeprefix("-")
 
 
 def with_unit(text: str, unit: str) -> str:
