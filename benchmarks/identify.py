@@ -2,7 +2,8 @@
 
     python benchmarks/identify.py --cases 60 -o results/identify.jsonl             # half an hour of one core
     python benchmarks/identify.py --cases 60 --records -o results/records.jsonl
-    python benchmarks/identify.py --pages                                 # minutes
+    python benchmarks/identify.py --model-error --cases 24                         # two minutes
+    python benchmarks/identify.py --pages                                          # minutes
 
 A hidden valve is drawn from what similarity allows at its size (normal, cut at 2.5 deviations) and tested by the plant
 of the tests (`tests/hidden_plant.py`: classical Runge-Kutta, an amplifier, a supply line and a second mode of the
@@ -18,6 +19,7 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,6 +35,7 @@ from valvesim.characterisation.measured_valve import load_measured_valve  # noqa
 from valvesim.characterisation.specification import FIGURES, Limit, Specification, load_specification  # noqa: E402
 from valvesim.identification.from_figures.dynamic_figures import Bench, Sines  # noqa: E402
 from valvesim.identification.from_figures.identify import Identification, identify  # noqa: E402
+from valvesim.identification.from_figures.prediction import FigurePredictor, asked_of  # noqa: E402
 from valvesim.identification.from_figures.similarity import UNKNOWNS, similar_valves  # noqa: E402
 from valvesim.identification.from_figures.static_figures import static_figures  # noqa: E402
 from valvesim.units import quantities  # noqa: E402
@@ -248,7 +251,7 @@ def specification(hidden: HiddenValve, figures: dict[tuple[str, float], float], 
     for (name, amplitude), value in figures.items():
         if amplitude == HIDDEN:
             continue
-        told = value * (1.0 + NOISE[name] * dice.normal())
+        told = value * (1.0 + NOISE[name] * (0.0 if dice is None else dice.normal()))
         width = 2.0 * NOISE[name] * abs(told)
         at = {**{k: v for k, v in FIGURES[name].conditions.items() if v > 0.0}, **CONDITIONS}
         at |= {"amplitude": amplitude} if amplitude else {}
@@ -373,6 +376,23 @@ def summary(cases: list[dict]) -> str:
     )
 
 
+def model_error(numbers: Sequence[int]) -> None:
+    """How far the fit's own figures of the true valves are off the plant's: what `MODEL_ERROR` has to allow for."""
+    found: dict[str, list[float]] = {}
+    for number in numbers:
+        dice = np.random.default_rng([27, number])
+        hidden = hide(*SIZES[number % len(SIZES)], dice)
+        limits = specification(hidden, true_figures(hidden), None).limits
+        asked = tuple(asked_of(limit) for limit in limits if limit.figure in NOISE)
+        told = FigurePredictor(asked, CONDITIONS, OIL).predict(hidden.valve, 1)[0]
+        for one, value in zip(asked, told, strict=True):
+            name = f"{one.limit.figure}@{one.limit.conditions.get('amplitude', 0.0):g}"
+            found.setdefault(name, []).append(float(value / one.limit.value - 1.0))
+    for name, errors in found.items():
+        rms, worst = np.sqrt(np.mean(np.square(errors))), max(map(abs, errors))
+        print(f"{name}: rms {100 * rms:.2f} %, worst {100 * worst:.2f} %")
+
+
 def pages(folder: Path) -> None:
     """Every catalogue page: asked and reached."""
     for path in sorted(folder.glob("*.toml")):
@@ -398,6 +418,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=60)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--pages", action="store_true")
+    parser.add_argument("--model-error", action="store_true")
     parser.add_argument("--records", action="store_true")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("results/identify.jsonl"),
@@ -406,6 +427,9 @@ def main() -> None:
     options = parser.parse_args()
     if options.pages:
         pages(ROOT / "examples" / "specifications")
+        return
+    if options.model_error:
+        model_error(range(options.first, options.first + options.cases))
         return
     options.output.parent.mkdir(parents=True, exist_ok=True)
     lines = options.output.read_text(encoding="utf-8").splitlines() if options.output.is_file() else []
