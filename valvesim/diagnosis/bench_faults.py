@@ -29,7 +29,7 @@ from valvesim.identification.input_waves import (
     wave_words,
 )
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
-from valvesim.identification.nominal_fit import NominalFit, fit_nominal_near
+from valvesim.identification.nominal_fit import NominalFit, fit_nominal_near, with_inputs_reviewed
 from valvesim.identification.prior import NuisanceParameter, ToleratedSensorError, measured_channels
 from valvesim.identification.session import value_text
 from valvesim.identification.study import Study
@@ -65,6 +65,7 @@ def with_bench_faults(
         better = fit_nominal_near(prepared, point, full_weight=not study.weights)
         if nominal.fit.chi_square - rescored(study, better.fit).chi_square < 0.5 * fault.gain:
             break  # the linear answers were wrong: it is something else
+        better = with_inputs_reviewed(better)  # which the fault may have hidden
         nominal, scores = better, score_test(better, better.fit, options=options)
     return nominal, scores
 

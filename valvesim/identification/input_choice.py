@@ -28,6 +28,7 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.session import UNITS, Record, Session, value_text
 from valvesim.identification.study import PreparedSession, Study
+from valvesim.valve.catalogue import CATALOGUE
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,7 @@ class InputChoice:
 
 
 STRAIGHT = InputChoice("straight", (), ())
+HELD_NAME = "held until the next"
 
 
 def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[InputChoice, ...]:
@@ -56,7 +58,7 @@ def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[
     )
     choices = [
         STRAIGHT,
-        InputChoice("held until the next", tuple((Held(r.name, r.command), 1.0) for r in records), ()),
+        InputChoice(HELD_NAME, tuple((Held(r.name, r.command), 1.0) for r in records), ()),
         InputChoice("joined smoothly", smooth, ()),
     ]
     if edges:
@@ -89,21 +91,38 @@ def choose_inputs(
     p = len(point)
     J = study.stack([{name: each[:, :p] for name, each in own.items()} for own in columns])
     best, least, reached = now, np.inf, np.inf
+    punctual = np.where(are_delays(study.nominal), 0.0, point)
+    starts = [point] if np.array_equal(punctual, point) else [point, punctual]  # a hold is half a sample late
     for choice in sorted(input_choices(study.session, options=study.options), key=lambda one: one.name != now.name):
         nominal = study.nominal.extended(choice.parameters, choice.deviations)
         more = J
         if choice.parameters:
             more = np.column_stack([J, added_columns(study, linearised, nominal, choice.parameters)])
-        try:
-            tried = evaluate_fit(study.with_nominal(nominal), np.append(point, np.zeros(len(choice.parameters))), ())
-        except (SolveError, InputError):
+        added = np.zeros(len(choice.parameters))
+        tried = [_evaluated(study.with_nominal(nominal), np.append(start, added)) for start in starts]
+        predicted = [(_predicted(fit, more, nominal), fit.rows) for fit in tried if fit is not None]
+        if not predicted:
             continue
-        chi_square = _predicted(tried, more, nominal)
+        chi_square, rows = min(predicted)
         least = min(least, chi_square) if choice.name == now.name else least
-        gain = max(study.options.input.minimum_gain, study.options.input.gain_share * (least - tried.rows))
+        gain = max(study.options.input.minimum_gain, study.options.input.gain_share * (least - rows))
         if chi_square < least - gain and chi_square < reached:
             best, reached = choice, chi_square
     return best
+
+
+def are_delays(nominal: NominalModel) -> np.ndarray:
+    """(p,) True for the parameters that are a sensor's delay."""
+    delay = CATALOGUE["sensor_delay"].name
+    return np.array([p.sensor is not None and p.sensor.name == delay for p in nominal.parameters])
+
+
+def _evaluated(study: Study, point: np.ndarray) -> Fit | None:
+    """The fit at a point (p,); None where it cannot be simulated."""
+    try:
+        return evaluate_fit(study, point, ())
+    except (SolveError, InputError):
+        return None
 
 
 def _predicted(fit: Fit, J: np.ndarray, nominal: NominalModel) -> float:

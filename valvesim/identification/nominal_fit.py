@@ -7,10 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
-from valvesim.identification.input_choice import STRAIGHT, InputChoice, choose_inputs, input_notes, input_spread
+from valvesim.identification.input_choice import (
+    HELD_NAME,
+    STRAIGHT,
+    InputChoice,
+    are_delays,
+    choose_inputs,
+    input_choices,
+    input_notes,
+    input_spread,
+)
 from valvesim.identification.input_waves import dominant_wave, fitted_waves
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
@@ -43,7 +53,7 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
 
     prepared, choice, nominal = _robust_with_inputs(prepared, ahead)
     full = _finished(_with_inputs(prepared, choice), nominal, ahead)
-    better = _reviewed_choice(prepared, choice, full)
+    _, _, better = _reviewed_choice(full)
     if better.name == choice.name:
         return full
     again = _with_inputs(prepared, better)
@@ -65,7 +75,7 @@ def _robust_with_inputs(
             prepared = prepared.with_nominal(prepared.nominal.extended(wave))
             nominal = _robustly_fitted(_with_inputs(prepared, choice), _point_by_name(nominal), ahead)
         weighted = replace(nominal, study=down_weight_peaks(nominal.study, nominal.linearised))
-        better = _reviewed_choice(prepared, choice, weighted)
+        _, _, better = _reviewed_choice(weighted)
         if better.name != choice.name:
             again = _with_inputs(prepared, better)
             choice, nominal = better, _robustly_fitted(again, _point_by_name(nominal), ahead)
@@ -145,11 +155,55 @@ def _with_inputs(prepared: PreparedSession, choice: InputChoice) -> PreparedSess
     return replace(found, spread=input_spread(found))
 
 
-def _reviewed_choice(prepared: PreparedSession, choice: InputChoice, nominal: NominalFit) -> InputChoice:
-    """How the commands go between their samples, by the figures of a fit under one choice: this, or a better one."""
-    study = replace(nominal.study, nominal=prepared.nominal, session=prepared.session)
-    p = len(prepared.nominal.parameters)
-    return choose_inputs(study, nominal.fit.point[:p], nominal.linearised, nominal.columns, choice)
+def _reviewed_choice(nominal: NominalFit) -> tuple[Study, InputChoice, InputChoice]:
+    """The session of a fit without what it took of the commands between their samples; what that was; and the same or
+    a better one by the figures of the fit.
+    """
+    study, model = nominal.study, nominal.study.nominal
+    edges = {p.name for p in model.parameters if isinstance(p.input, EdgeTime)}
+    own = [k for k, p in enumerate(model.parameters) if p.name not in edges]
+    plain = replace(model, parameters=tuple(model.parameters[k] for k in own),
+                    variant=replace(model.variant, deviations=()))  # fmt: skip
+    now = next(
+        choice
+        for choice in input_choices(study.session, options=study.options)
+        if choice.deviations == model.variant.deviations and {p.name for p in choice.parameters} == edges
+    )
+    taken = () if now.name == STRAIGHT.name else input_notes(study.session, now)
+    session = replace(study.session, notes=tuple(note for note in study.session.notes if note not in taken))
+    without = replace(study, nominal=plain, session=session, spread={})
+    columns = [{name: each[:, own] for name, each in one.items()} for one in nominal.columns]
+    return without, now, choose_inputs(without, nominal.fit.point[own], nominal.linearised, columns, now)
+
+
+def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
+    """A nominal fit, or the one near it under another way of its commands between their samples that its figures ask
+    for now.
+
+    A command that is held is half a sample late. Where sensors seem late by more than they may be, the hold is fitted:
+    a linear prediction from so far off does not find it.
+    """
+    without, now, better = _reviewed_choice(nominal)
+    if better.name != now.name:
+        return _near_under(without, better, nominal, punctual=False)
+    delays = nominal.fit.point[are_delays(nominal.study.nominal)]
+    if not np.any(delays > 2.0 * nominal.study.options.fit.tolerance_deviations):
+        return nominal
+    held = next(c for c in input_choices(without.session, options=without.options) if c.name == HELD_NAME)
+    if held.name == now.name:
+        return nominal
+    tried = _near_under(without, held, nominal, punctual=True)
+    gain = (nominal.fit.chi_square - nominal.fit.rows) - (tried.fit.chi_square - tried.fit.rows)
+    return tried if gain > nominal.study.options.input.minimum_gain else nominal
+
+
+def _near_under(without: Study, choice: InputChoice, nominal: NominalFit, *, punctual: bool) -> NominalFit:
+    """The nominal fit near another one, under a choice of inputs; from where no sensor is late if `punctual`."""
+    again, near = _with_inputs(without.unweighted(), choice), _point_by_name(nominal)
+    point = np.array([near.get(p.name, 0.0) for p in again.nominal.parameters])
+    if punctual:
+        point[are_delays(again.nominal)] = 0.0
+    return fit_nominal_near(again, point, full_weight=not nominal.study.weights)
 
 
 def fit_nominal_from(study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
