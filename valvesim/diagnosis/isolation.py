@@ -77,7 +77,8 @@ def isolate(
     if bench and detect(scores)[0]:
         # no model is the plant: what is little beside what the bench explains may be the bench too
         explained = explained_by_faults(nominal, options=options)
-        if nominal.fit.chi_square - nominal.fit.rows < options.isolation.unexplained_share * explained:
+        left = max(nominal.fit.chi_square - nominal.fit.rows, float(np.max(scores.z(), initial=0.0)) ** 2)
+        if left < options.isolation.unexplained_share * explained:
             level = scores.level(options.detection.false_alarm)
             return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
     return replace(_isolated(nominal, scores, progress, known, options=options), bench=bench)
