@@ -82,9 +82,10 @@ clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage
 	find valvesim tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
+# The lock holds all that is needed: nothing is resolved, so that no newer release can stand in its way.
 $(STAMP): requirements.lock pyproject.toml | $(VENV)/bin/python
 	@echo "valvesim: installing the locked packages and valvesim into $(VENV) (a minute or so)"
-	@$(PIP) install -qq --require-hashes -r requirements.lock
+	@$(PIP) install -qq --require-hashes --no-deps -r requirements.lock
 	@$(PIP) install -qq --no-deps --no-build-isolation -e .
 	@touch $@
 
