@@ -242,6 +242,7 @@ class RecordPredictor:
         return temperature_path(
             oil, self.scenario.duration, network=network, initial=thermal.initial_temperature,
             ambient=thermal.ambient_temperature, throttling=self.throttling, knots=self.path.times,
+            prescribed=self.scenario.part_temperatures,
         )  # fmt: skip
 
     def coefficients_along(
