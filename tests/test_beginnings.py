@@ -15,7 +15,6 @@ from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.options import CoarseToFineOptions, DiagnosisOptions
 from valvesim.errors import SolveError
 from valvesim.identification.fit import predict_readings
-from valvesim.identification.nominal_fit import fit_nominal_near
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.options import FitOptions, IdentificationOptions
 from valvesim.identification.study import prepare_session, restricted_session
@@ -133,16 +132,6 @@ def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkey
     monkeypatch.setattr(leading_segments, "_without_outliers", lambda nominal: nominal)
     whole = prepare_session(session, options=LONG.identification)
     assert fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG) == (whole, ())
-
-
-def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(session, biased_fit):
-    afar = biased_fit
-    assert not afar.study.weights
-    for full_weight in (True, False):
-        near = fit_nominal_near(prepare_session(session), afar.fit.point, full_weight=full_weight)
-        assert bool(near.study.weights) is not full_weight
-        if full_weight:
-            assert near.fit.chi_square < afar.fit.chi_square + 2.0 * OPTIONS.fit.nominal_ftol
 
 
 def test_what_hardly_helps_is_left_and_more_so_in_a_long_session(session):

@@ -18,7 +18,7 @@ from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.least_squares import bounded_step, predict_reduction
 from valvesim.identification.noise_estimation import identify_noise
-from valvesim.identification.nominal_fit import fit_nominal, refit_nominal, within_tolerance
+from valvesim.identification.nominal_fit import fit_nominal, fit_nominal_near, refit_nominal, within_tolerance
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import RecordPredictor
 from valvesim.identification.session_toml import load_session
@@ -301,3 +301,13 @@ def test_repeats_of_one_record_do_not_keep_the_noise_of_others_at_what_the_nomin
     for name in slow.outputs:
         own, true = nominal.study.noise[name, rates[False]].deviation, nominal.study.noise[name, rates[True]].deviation
         assert 0.8 * true < own < 0.8 * unfitted[name, rates[False]].deviation
+
+
+def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(biased_session, biased_fit):
+    afar = biased_fit
+    assert not afar.study.weights
+    for full_weight in (True, False):
+        near = fit_nominal_near(prepare_session(biased_session), afar.fit.point, full_weight=full_weight)
+        assert bool(near.study.weights) is not full_weight
+        if full_weight:
+            assert near.fit.chi_square < afar.fit.chi_square + 2.0 * OPTIONS.fit.nominal_ftol

@@ -91,8 +91,9 @@ def choose_inputs(
     p = len(point)
     J = study.stack([{name: each[:, :p] for name, each in own.items()} for own in columns])
     best, least, reached = now, np.inf, np.inf
-    punctual = np.where(are_delays(study.nominal), 0.0, point)
-    starts = [point] if np.array_equal(punctual, point) else [point, punctual]  # a hold is half a sample late
+    delays, starts = are_delays(study.nominal), [point]
+    if np.any(np.abs(point[delays]) > study.options.fit.tolerance_deviations):  # a hold is half a sample late
+        starts.append(np.where(delays, 0.0, point))
     for choice in sorted(input_choices(study.session, options=study.options), key=lambda one: one.name != now.name):
         nominal = study.nominal.extended(choice.parameters, choice.deviations)
         more = J

@@ -25,6 +25,7 @@ from valvesim.identification.input_waves import dominant_wave, fitted_waves
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
+from valvesim.identification.prior import NuisanceParameter
 from valvesim.identification.study import PreparedSession, Study, with_records
 
 
@@ -66,41 +67,52 @@ def _robust_with_inputs(
     """A robust start under what the inputs do that no sample tells: the session with the waves upon them among its
     parameters, how its commands go between their samples, and the fit with both.
     """
-    prepared, near = _with_waves_at_start(prepared, ahead)
-    choice = _choice_at_start(prepared, near)
+    start = _at_nominal(prepared, {})
+    wave, near = dominant_wave(start.study, start.fit, start.linearised, start.columns), dict[str, float]()
+    if wave:
+        prepared, near = _with_waves(prepared, wave, ahead)
+        start = _at_nominal(prepared, near)
+    choice = _choice_at_start(start)
     nominal = _robustly_fitted(_with_inputs(prepared, choice), near, ahead)
-    for _ in range(prepared.options.wave.most):
-        wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
-        if wave:
-            prepared = prepared.with_nominal(prepared.nominal.extended(wave))
-            nominal = _robustly_fitted(_with_inputs(prepared, choice), _point_by_name(nominal), ahead)
-        weighted = replace(nominal, study=down_weight_peaks(nominal.study, nominal.linearised))
-        _, _, better = _reviewed_choice(weighted)
-        if better.name != choice.name:
-            again = _with_inputs(prepared, better)
-            choice, nominal = better, _robustly_fitted(again, _point_by_name(nominal), ahead)
-        elif not wave:
-            break
-    return prepared, choice, nominal
-
-
-def _with_waves_at_start(
-    prepared: PreparedSession, ahead: Callable[[float], None]
-) -> tuple[PreparedSession, dict[str, float]]:
-    """The prepared session with the waves upon its inputs that the nominal valve shows already, and their components
-    in prior deviations, by name.
-    """
-    study = prepared.without_oversampling().with_noise(initial_noise(prepared))
-    fit = evaluate_fit(study, np.zeros(len(study.nominal.parameters)), ())
-    nominal = assembled(study, fit, *linearise_fit(study, fit))
     for _ in range(prepared.options.wave.most):
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
             break
         prepared = prepared.with_nominal(prepared.nominal.extended(wave))
-        nominal = _robustly_fitted(prepared, _point_by_name(nominal), ahead)
-    waves = {p.name for wave in fitted_waves(prepared.nominal).values() for p in wave}
-    return prepared, {name: t for name, t in _point_by_name(nominal).items() if name in waves}
+        nominal = _robustly_fitted(_with_inputs(prepared, choice), _point_by_name(nominal), ahead)
+        weighted = replace(nominal, study=down_weight_peaks(nominal.study, nominal.linearised))
+        _, _, better = _reviewed_choice(weighted)
+        if better.name != choice.name:
+            again = _with_inputs(prepared, better)
+            choice, nominal = better, _robustly_fitted(again, _point_by_name(nominal), ahead)
+    return prepared, choice, nominal
+
+
+def _at_nominal(prepared: PreparedSession, near: Mapping[str, float]) -> NominalFit:
+    """The nominal valve linearised at the samples alone, under a first guess of the noise; `near` are parameters (prior
+    deviations by name) that are not nominal.
+    """
+    study = prepared.without_oversampling().with_noise(initial_noise(prepared))
+    fit = evaluate_fit(study, np.array([near.get(p.name, 0.0) for p in study.nominal.parameters]), ())
+    return assembled(study, fit, *linearise_fit(study, fit))
+
+
+def _with_waves(
+    prepared: PreparedSession, wave: tuple[NuisanceParameter, ...], ahead: Callable[[float], None]
+) -> tuple[PreparedSession, dict[str, float]]:
+    """The prepared session with a wave upon its inputs that the nominal valve shows already, and those that show beside
+    it; and their components in prior deviations, by name.
+    """
+    near = dict[str, float]()
+    for _ in range(prepared.options.wave.most):
+        prepared = prepared.with_nominal(prepared.nominal.extended(wave))
+        nominal = _robustly_fitted(prepared, near, ahead)
+        near = _point_by_name(nominal)
+        wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
+        if not wave:
+            break
+    waves = {p.name for one in fitted_waves(prepared.nominal).values() for p in one}
+    return prepared, {name: t for name, t in near.items() if name in waves}
 
 
 def _point_by_name(nominal: NominalFit) -> dict[str, float]:
@@ -134,16 +146,14 @@ def _finished(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[f
     return _at_full_weight(prepared.with_noise(nominal.study.noise), nominal, ahead)
 
 
-def _choice_at_start(prepared: PreparedSession, near: Mapping[str, float]) -> InputChoice:
-    """How the commands go between their samples, by the nominal valve at a point (prior deviations by name; what is
-    left out is nominal); samples that are far off count less.
+def _choice_at_start(start: NominalFit) -> InputChoice:
+    """How the commands go between their samples, by the nominal valve; samples that are far off count less.
 
     A fit under commands that went otherwise would move the valve's figures to make up for it.
     """
-    study = prepared.without_oversampling().with_noise(initial_noise(prepared))
-    fit = evaluate_fit(study, np.array([near.get(p.name, 0.0) for p in study.nominal.parameters]), ())
-    study = robust_weights(study.with_noise(identify_noise(study, fit.readings)), fit.readings)
-    return choose_inputs(study, fit.point, *linearise_fit(study, fit))
+    readings = start.fit.readings
+    study = robust_weights(start.study.with_noise(identify_noise(start.study, readings)), readings)
+    return choose_inputs(study, start.fit.point, start.linearised, start.columns)
 
 
 def _with_inputs(prepared: PreparedSession, choice: InputChoice) -> PreparedSession:
