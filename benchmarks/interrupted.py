@@ -72,7 +72,7 @@ def state(folder: Path) -> dict[str, str]:
 def killed(words: list[str], number: int, wait: float, environment: dict[str, str], cwd: Path):
     """(exit code, standard error, seconds from signal to end, processes left); code None where it was done before."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        program = [sys.executable, "-m", "valvesim.cli.main", *words]
+        program = [sys.executable, "-m", "valvesim", *words]
         process = subprocess.Popen(
             program, stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=cwd, env=environment, start_new_session=True
         )

@@ -435,7 +435,7 @@ def at_once(place: Path, count: int, cache: Path | None = None) -> list[bytes | 
     """The figures of so many runs at the same time, into the same folder."""
     out = place / "out"
     environment = dict(os.environ, VALVESIM_CACHE_DIR=str(cache or place / "cache"))
-    words = [sys.executable, "-m", "valvesim.cli.main", "run", "small.toml", "-o", str(out), "--no-pictures", "--csv"]
+    words = [sys.executable, "-m", "valvesim", "run", "small.toml", "-o", str(out), "--no-pictures", "--csv"]
     begun = [
         subprocess.Popen(words, cwd=place, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         for _ in range(count)

@@ -455,3 +455,9 @@ def test_an_error_of_a_picture_reaches_whoever_waits_for_it(tmp_path):
         waiting = draw("page_run", *[vs.Scenario()] * 2, date.today(), tmp_path / "none" / "run.html")
         with pytest.raises(AttributeError, match="no attribute 'scenario'"):
             waiting()
+
+
+def test_the_package_runs_as_the_command_does():
+    words = [sys.executable, "-m", "valvesim", "scenarios"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert "launch_shock" in done.stdout and not done.stderr
