@@ -29,6 +29,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session  # noqa: E402
 from hidden_plant import EFFECTS, truth  # noqa: E402
+from hidden_report import wilson  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 
@@ -148,13 +149,10 @@ def _line(row: dict[str, Any]) -> str:
 
 def _share(hits: list[bool]) -> str:
     """A share with its 95 % interval after Wilson."""
-    n, z = len(hits), 1.96
-    if not n:
+    if not hits:
         return "none"
-    p = sum(hits) / n
-    middle, half = p + z * z / (2 * n), z * (p * (1 - p) / n + z * z / (4 * n * n)) ** 0.5
-    low, high = ((middle + sign * half) / (1 + z * z / n) for sign in (-1, 1))
-    return f"{100 * p:.0f} % ({sum(hits)} of {n}; {100 * max(low, 0.0):.0f} to {100 * min(high, 1.0):.0f} %)"
+    n, (low, high) = len(hits), wilson(sum(hits), len(hits))
+    return f"{100 * sum(hits) / n:.0f} % ({sum(hits)} of {n}; {100 * low:.0f} to {100 * high:.0f} %)"
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from valvesim.identification.input_waves import dominant_wave, fitted_waves
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
-from valvesim.identification.prior import NuisanceParameter
+from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.study import PreparedSession, Study, with_records
 
 
@@ -93,7 +93,7 @@ def _at_nominal(prepared: PreparedSession, near: Mapping[str, float]) -> Nominal
     deviations by name) that are not nominal.
     """
     study = prepared.without_oversampling().with_noise(initial_noise(prepared))
-    fit = evaluate_fit(study, np.array([near.get(p.name, 0.0) for p in study.nominal.parameters]), ())
+    fit = evaluate_fit(study, _named_point(study.nominal, near), ())
     return assembled(study, fit, *linearise_fit(study, fit))
 
 
@@ -119,6 +119,11 @@ def _point_by_name(nominal: NominalFit) -> dict[str, float]:
     return {p.name: t for p, t in zip(nominal.study.nominal.parameters, nominal.fit.point, strict=True)}
 
 
+def _named_point(model: NominalModel, near: Mapping[str, float]) -> np.ndarray:
+    """The point (p,) of a model where parameters are at `near`, by name; what is left out is nominal."""
+    return np.array([near.get(p.name, 0.0) for p in model.parameters])
+
+
 def _robustly_fitted(
     prepared: PreparedSession, near: Mapping[str, float], ahead: Callable[[float], None]
 ) -> NominalFit:
@@ -126,7 +131,7 @@ def _robustly_fitted(
     by name; what is left out is nominal).
     """
     study = prepared.without_oversampling().with_noise(initial_noise(prepared))
-    fit = evaluate_fit(study, np.array([near.get(p.name, 0.0) for p in study.nominal.parameters]), ())
+    fit = evaluate_fit(study, _named_point(study.nominal, near), ())
     labels = [predictor.record.repeats for predictor in study.predictors if predictor.record.repeats]
     noise = identify_noise(study, fit.readings) if len(labels) > len(set(labels)) else {}
     if noise and all(one.verified for one in noise.values()):
@@ -210,7 +215,7 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
 def _near_under(without: Study, choice: InputChoice, nominal: NominalFit, *, punctual: bool) -> NominalFit:
     """The nominal fit near another one, under a choice of inputs; from where no sensor is late if `punctual`."""
     again, near = _with_inputs(without.unweighted(), choice), _point_by_name(nominal)
-    point = np.array([near.get(p.name, 0.0) for p in again.nominal.parameters])
+    point = _named_point(again.nominal, near)
     if punctual:
         point[are_delays(again.nominal)] = 0.0
     return fit_nominal_near(again, point, full_weight=not nominal.study.weights)
