@@ -502,6 +502,13 @@ def test_a_channel_that_stops_under_one_level_alone_may_stand_at_a_stop(session)
     assert loaded.records[0].usable["spool_position"].all()
 
 
+def test_levels_that_a_coarse_sensor_rounds_alike_are_no_flat_top(session):
+    levels = np.repeat([0.9, 0.1, 0.965, 0.4], 50)
+    coarse = np.round(0.2 * levels / 0.03) * 0.03
+    loaded = session("[sensors.spool_position]\nresolution = '30 um'", a=columns(**{CURRENT: levels, SPOOL: coarse}))
+    assert loaded.records[0].usable["spool_position"].all()
+
+
 RANGE = "[sensors.spool_position]\nresolution = '10 um'\nrange = ['-0.15 mm', '0.3 mm']"
 
 

@@ -231,7 +231,11 @@ def _common_top(
             if b - a >= options.audit.top_samples:
                 begins.append(float(record.values[record.command][a]))
                 count += b - a
-    return count >= options.audit.flat_samples and float(np.ptp(begins)) > options.audit.flat_reach * asked
+    if count < options.audit.flat_samples or asked == 0.0:
+        return False
+    span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
+    apart = float(np.ptp(begins)) * span / asked  # what the command asks for, as an output
+    return apart > max(3.0 * sensor.resolution, options.audit.flat_reach * span)
 
 
 def _runs_at(values: np.ndarray, top: float, usable: np.ndarray) -> np.ndarray:
