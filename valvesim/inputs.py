@@ -115,6 +115,8 @@ class Command(Protocol):
 def evaluate(command: Command, times) -> np.ndarray:
     """Values at `times` (s, any shape); at a jump, the value after it."""
     t = np.asarray(times, dtype=float)
+    if isinstance(command, Sum):
+        return np.sum([evaluate(term, t) for term in command.terms], axis=0)
     rows = command.pieces(float(np.max(t, initial=0.0)))
     which = np.clip(np.searchsorted(rows[:, 0], t, side="right") - 1, 0, None)
     if rows.shape[1] == PIECE_WIDTH:

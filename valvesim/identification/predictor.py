@@ -18,10 +18,8 @@ from valvesim.errors import InputError
 from valvesim.identification.between_samples import (
     Deviations,
     acting_on,
-    added_on_grid,
-    command_of,
-    deviating,
-    points_of,
+    added_input,
+    deviating_command,
 )
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
@@ -115,16 +113,10 @@ class RecordPredictor:
 
     def under(self, deviations: Deviations) -> RecordPredictor:
         """The same predictor where its command and pressures deviate so; a temperature is left to `_path`."""
-        own = acting_on(deviations, self.record.name)
-        columns = {deviation.column for deviation, _ in own} - {"oil_temperature"}
+        columns = {one.column for one, _ in acting_on(deviations, self.record.name)} - {"oil_temperature"}
         if not columns:
             return self
-        commands = []
-        for column, command in self._commands():
-            if column in columns:
-                points = deviating(column, points_of(command, self.scenario.duration), own)
-                command = command_of(points, f"{self.record.name}, {column}")
-            commands.append(command)
+        commands = [self._deviating(column, command, deviations) for column, command in self._commands()]
         starts, intervals = merge(commands, self.scenario.duration)
         return replace(
             self,
@@ -133,6 +125,11 @@ class RecordPredictor:
             inputs=_inputs(commands, self.times),
             fine_inputs=_inputs(commands, self.fine_times),
         )
+
+    def _deviating(self, column: str, command: Command, deviations: Deviations) -> Command:
+        """An input with what deviates of its column."""
+        own = acting_on(deviations, self.record.name, column)
+        return deviating_command(command, self.scenario.duration, own, f"{self.record.name}, {column}")
 
     def _commands(self) -> list[tuple[str, Command]]:
         """The inputs of the equations by their columns, in the order of `Inputs` without the rate."""
@@ -146,11 +143,10 @@ class RecordPredictor:
             return None
         added = np.zeros_like(self.inputs)
         for k, (column, command) in enumerate(self._commands()):
-            mine, others = (tuple(each for each in one if each[0].column == column) for one in (new, old))
+            mine, others = (acting_on(one, self.record.name, column) for one in (new, old))
             if mine == others:
                 continue
-            samples = points_of(command, self.scenario.duration)
-            by = added_on_grid(deviating(column, samples, mine), deviating(column, samples, others), self.times)
+            by = added_input(command, self.scenario.duration, mine, others, self.times)
             added[:, k + (k > 0)] = by
             if k == 0:
                 added[1:, 1] = np.gradient(by, self.times)[1:]
@@ -220,8 +216,7 @@ class RecordPredictor:
         return of(variant) == of(other)
 
     def _oil_deviations(self, variant: ModelVariant) -> Deviations:
-        own = acting_on(variant.deviations, self.record.name)
-        return tuple(each for each in own if each[0].column == "oil_temperature")
+        return acting_on(variant.deviations, self.record.name, "oil_temperature")
 
     def _path(self, variant: ModelVariant) -> TemperaturePath:
         """The temperatures of a variant: on knots of their own where an effect acts on them."""
@@ -231,8 +226,7 @@ class RecordPredictor:
             return self.path
         oil = self.scenario.oil_temperature
         if deviations:
-            points = deviating("oil_temperature", points_of(oil, self.scenario.duration), deviations)
-            oil = command_of(points, f"{self.record.name}, oil_temperature")
+            oil = self._deviating("oil_temperature", oil, deviations)
         if acts or (len(self.path.times) == 1 and not isinstance(oil, Constant)):
             thermal = replace(self.scenario.thermal, network=network)
             return temperature_knots(
