@@ -112,7 +112,7 @@ class RecordPredictor:
         )
 
     def under(self, deviations: Deviations) -> RecordPredictor:
-        """The same predictor where its command and pressures deviate so; a temperature is left to `_path`."""
+        """The same predictor where its command and pressures deviate so; a temperature is left to `temperatures`."""
         columns = {one.column for one, _ in acting_on(deviations, self.record.name)} - {"oil_temperature"}
         if not columns:
             return self
@@ -201,7 +201,7 @@ class RecordPredictor:
         self, variant: ModelVariant, model: ValveModel, path: TemperaturePath | None = None
     ) -> tuple[TemperaturePath, tuple]:
         """Temperature path, and flat coefficients of a model at its knots, (), (m,) or (batch, m) each."""
-        path = self._path(variant) if path is None else path
+        path = self.temperatures(variant) if path is None else path
         with _naming_record(self.record):
             c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
         return path, model.flat_coefficients(c, _with_neutral(model, variant.effects), path.parts)
@@ -218,7 +218,7 @@ class RecordPredictor:
     def _oil_deviations(self, variant: ModelVariant) -> Deviations:
         return acting_on(variant.deviations, self.record.name, "oil_temperature")
 
-    def _path(self, variant: ModelVariant) -> TemperaturePath:
+    def temperatures(self, variant: ModelVariant) -> TemperaturePath:
         """The temperatures of a variant: on knots of their own where an effect acts on them."""
         deviations, network = self._oil_deviations(variant), variant.network or self.scenario.thermal.network
         acts = any(active.effect.temperatures is not None for active in variant.effects)

@@ -148,6 +148,12 @@ def temperature_path(
     return TemperaturePath(times=times, parts=parts)
 
 
+def joint_path(paths: Sequence[TemperaturePath]) -> TemperaturePath:
+    """Paths on the same knots as one, each part (k, m)."""
+    parts = {name: np.stack([getattr(path.parts, name) for path in paths]) for name in PART_NAMES}
+    return TemperaturePath(times=paths[0].times, parts=PartTemperatures(**parts))
+
+
 def _followed(M: np.ndarray, N: np.ndarray, times: np.ndarray, sources: np.ndarray, first: np.ndarray) -> np.ndarray:
     """T (m, n) of T' = M T + N u from its `first` (n,), for `sources` u (m, s) straight between the times (m,)."""
     T = np.empty((len(times), len(first)))
