@@ -48,7 +48,7 @@ class DetectionOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions:
-    """What the bench may do that no record tells; the sizes are prior deviations."""
+    """What the bench may do that no record tells."""
 
     most_faults: int = option(3, "1", "faults of the bench at once", JUDGEMENT)
     minimum_gain: float = option(
@@ -58,10 +58,6 @@ class BenchOptions:
         0.05, "1", "the same as a share of what is left: linear answers of a strong cause err by as much", JUDGEMENT
     )
     causes_beside: int = option(3, "1", "likeliest causes beside which it must explain as much", JUDGEMENT)
-    oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
-    supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
-    clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
-    meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
 
 
 @dataclass(frozen=True, kw_only=True)

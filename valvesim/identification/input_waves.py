@@ -140,7 +140,7 @@ def dominant_wave(
     together = [p for wave in waves for p in wave]
     added = added_columns(study, linearised, study.nominal.extended(together), together)
     parts = np.split(added, np.cumsum([len(wave) for wave in waves])[:-1], axis=1)
-    before = linear_reduction(J, fit, np.empty((len(J), 0)))
+    before = linear_reduction(J, fit, J[:, :0])
     gains = [linear_reduction(J, fit, part) - before for part in parts]
     best, left = int(np.argmax(gains)), fit.chi_square - fit.rows - before
     return waves[best] if gains[best] > max(options.wave.minimum_gain, options.wave.dominant_share * left) else ()
@@ -157,3 +157,10 @@ def linear_reduction(J: np.ndarray, fit: Fit, added: np.ndarray, without_prior: 
     gradient = A.T @ fit.residual
     gradient[:p] -= fit.point
     return float(gradient @ inverse_of(A.T @ A + np.diag(prior)) @ gradient)
+
+
+def linear_gain(J: np.ndarray, fit: Fit, S: np.ndarray, beside: np.ndarray | None = None) -> float:
+    """The reduction of the chi-square by columns S (rows, k), with their priors, beyond that by those `beside`."""
+    beside = J[:, :0] if beside is None else beside
+    together = linear_reduction(J, fit, np.column_stack([beside, S]), beside.shape[1])
+    return together - linear_reduction(J, fit, beside, beside.shape[1])

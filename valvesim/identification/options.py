@@ -52,6 +52,12 @@ class AuditOptions:
     flat_reach: float = option(
         0.05, "1", "share of the output's span that the command must ask for beyond a flat top", JUDGEMENT
     )
+    crowd_width: float = option(
+        5e-4, "1", "share of the output's span next to its extreme in which readings are counted", JUDGEMENT
+    )
+    crowd_ratio: float = option(
+        5.0, "1", "times as many readings at the extreme as at any value next to it: saturated", "a sine has 2.4"
+    )
     finest_grid: float = option(
         1e-4,
         "1",
@@ -157,8 +163,10 @@ class WaveOptions:
 
     ripple: float = option(0.05, "1", "amplitude of a ripple, share of the supply pressure", "ripple of piston pumps")
     hum: float = option(0.02, "1", "amplitude of a hum, share of the command's span", JUDGEMENT)
-    frequencies: int = option(3, "1", "frequencies at which waves are thought of", JUDGEMENT)
-    peak: float = option(15.0, "1", "times the spectrum beside it that such a frequency stands out", JUDGEMENT)
+    frequencies: int = option(4, "1", "frequencies at which waves are thought of", JUDGEMENT)
+    peak: float = option(
+        5.0, "1", "times the spectrum beside it that such a frequency stands out", "a cause hides it; the gain decides"
+    )
     beside_bins: int = option(25, "1", "bins of that spectrum beside it", JUDGEMENT)
     turns: float = option(4.0, "1", "turns of a wave in the longest record, at least", JUDGEMENT)
     highest_share: float = option(0.8, "1", "highest frequency, share of half the sampling rate", JUDGEMENT)
@@ -170,6 +178,19 @@ class WaveOptions:
         0.3, "1", "share of the excess chi-square from which a wave is fitted before any cause is sought", JUDGEMENT
     )
     most: int = option(3, "1", "waves that are fitted so", JUDGEMENT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentOptions:
+    """Errors of a bench's instruments that no record tells; the sizes are prior deviations."""
+
+    oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
+    supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
+    clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
+    meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
+    least_share: float = option(
+        0.05, "1", "share of the excess chi-square that they must explain to be fitted before any cause", JUDGEMENT
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,7 +285,7 @@ class FitOptions:
         JUDGEMENT,
     )
     adequate_pace: float = option(
-        0.1, "1", "share of what is beyond adequate that a linearisation must bring, or an adequate fit is given up",
+        0.05, "1", "share of what is beyond adequate that a linearisation must bring, or an adequate fit is given up",
         JUDGEMENT,
     )
     shape_stride: float = option(4.5, "1", "ratio by which one step may change a shape parameter", JUDGEMENT)
@@ -335,6 +356,7 @@ class IdentificationOptions:
     predictor: PredictorOptions = PredictorOptions()
     input: InputOptions = InputOptions()
     wave: WaveOptions = WaveOptions()
+    instrument: InstrumentOptions = InstrumentOptions()
     prior: PriorOptions = PriorOptions()
     sensitivity: SensitivityOptions = SensitivityOptions()
     noise: NoiseOptions = NoiseOptions()
