@@ -10,6 +10,10 @@ import pytest
 
 import valvesim
 from valvesim.cli.main import COMMANDS
+from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES
+from valvesim.identification.options import option_table
+from valvesim.planning.options import DEFAULT_PLANNING
+from valvesim.units import parse
 
 PACKAGE = Path(valvesim.__file__).parent
 MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
@@ -124,3 +128,38 @@ def test_the_name_of_a_class_or_a_type_stands_for_one_thing():
                 if re.match("[A-Z]+[a-z]", name):
                     places.setdefault(name, []).append(module)
     assert {name for name, where in places.items() if len(where) > 1} == {"Table"}
+
+
+BARE = {  # numbers that no judgement sets
+    ("diagnosis/power.py", "NINE_IN_TEN"): "a quantile of the normal distribution",
+    ("diagnosis/power.py", "NINETEEN_IN_TWENTY"): "a quantile of the normal distribution",
+    ("identification/between_samples.py", "EDGE"): "how a jump is written as points, in every stored deviation alike",
+    ("identification/between_samples.py", "SMOOTH"): "how a smooth command is written as points, likewise",
+    ("identification/tangent_linear.py", "ENDLESS"): "where squares overflow",
+    ("identification/from_figures/identify.py", "TURNING_SHARE"): "as in the catalogue",
+    ("identification/from_figures/similarity.py", "ANCHOR_STIFFNESS"): "a dimension of the anchor, as published",
+    ("identification/from_figures/similarity.py", "ANCHOR_STROKE"): "a dimension of the anchor",
+}
+
+
+def test_thresholds_of_planning_diagnosis_and_identification_are_options():
+    found = set()
+    for module in MODULES:
+        if module.startswith(("planning/", "diagnosis/", "identification/")):
+            for node in ast.parse((PACKAGE / module).read_text(encoding="utf-8")).body:
+                parts = list(ast.walk(node.value)) if isinstance(node, ast.Assign) else []
+                if any(isinstance(getattr(one, "value", None), int | float) for one in parts) and not any(
+                    isinstance(one, ast.Call | ast.Dict) for one in parts
+                ):
+                    names = (one for target in node.targets for one in ast.walk(target))
+                    found |= {(module, one.id) for one in names if isinstance(one, ast.Name)}
+    assert found == set(BARE)
+
+
+def test_every_option_has_a_unit_a_meaning_and_a_source():
+    rows = [row for options in (DEFAULT_PLANNING, DEFAULT_FROM_FIGURES) for row in option_table(options)]
+    assert len(rows) > 200 and len({name for name, *_ in rows}) == len(rows)
+    assert {"diagnosis.identification.fit.steps", "choice.power", "posterior.step"} <= {name for name, *_ in rows}
+    for name, value, unit, doc, source in rows:
+        assert doc and source and (unit == "byte" or parse(f"{1.0} {unit}", unit, name) == 1.0), name
+        assert all(isinstance(one, int | float) for one in (value if isinstance(value, tuple) else (value,))), name
