@@ -14,6 +14,7 @@ from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES
 from valvesim.identification.options import option_table
 from valvesim.planning.options import DEFAULT_PLANNING
 from valvesim.units import parse
+from valvesim.valve.catalogue import CATALOGUE
 
 PACKAGE = Path(valvesim.__file__).parent
 MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
@@ -136,7 +137,6 @@ BARE = {  # numbers that no judgement sets
     ("identification/between_samples.py", "EDGE"): "how a jump is written as points, in every stored deviation alike",
     ("identification/between_samples.py", "SMOOTH"): "how a smooth command is written as points, likewise",
     ("identification/tangent_linear.py", "ENDLESS"): "where squares overflow",
-    ("identification/from_figures/identify.py", "TURNING_SHARE"): "as in the catalogue",
     ("identification/from_figures/similarity.py", "ANCHOR_STIFFNESS"): "a dimension of the anchor, as published",
     ("identification/from_figures/similarity.py", "ANCHOR_STROKE"): "a dimension of the anchor",
 }
@@ -163,3 +163,22 @@ def test_every_option_has_a_unit_a_meaning_and_a_source():
     for name, value, unit, doc, source in rows:
         assert doc and source and (unit == "byte" or parse(f"{1.0} {unit}", unit, name) == 1.0), name
         assert all(isinstance(one, int | float) for one in (value if isinstance(value, tuple) else (value,))), name
+
+
+NAMED_EFFECTS = {"cli/export.py": "the help gives an example of a name"}
+
+
+def test_only_the_catalogue_names_its_effects():
+    """Docstrings may: they show what a file may say. Elsewhere an effect is an object, or what its entry declares."""
+    named = re.compile(rf"\b({'|'.join(CATALOGUE)})\b")
+    found = set()
+    for module in MODULES:
+        if module.startswith("valve/effects/"):
+            continue
+        tree = ast.parse((PACKAGE / module).read_text(encoding="utf-8"))
+        shown = [node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in shown:
+                if named.search(node.value):
+                    found.add(module)
+    assert found == set(NAMED_EFFECTS)

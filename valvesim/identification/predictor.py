@@ -32,8 +32,8 @@ from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
 from valvesim.simulation.temperature_knots import between, brackets, on_lines, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
-from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
+from valvesim.valve.effects.sensors import sensor_lag
 from valvesim.valve.equations import Model
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath, ThermalNetwork, temperature_path
@@ -313,7 +313,7 @@ class RecordPredictor:
         )
         acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
         if self.lags.get(name, 0.0) > 0.0:
-            acting.append(CATALOGUE["sensor_lag"].on(name)(time_constant=self.lags[name]))
+            acting.append(sensor_lag(name, self.lags[name]))
         for active in acting:
             column = _apply_reading(active, times, column, oil)
         return column
@@ -337,7 +337,7 @@ class RecordPredictor:
 def _apply_reading(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.ndarray) -> np.ndarray:
     reading = active.effect.reading
     assert reading is not None  # noqa: S101 - the caller has chosen effects with one
-    if columns.ndim == 1 or active.effect.name == "sensor_lag":
+    if columns.ndim == 1 or active.effect.reads_columns:
         return reading(Reading(times, columns, oil), active.values)
     return np.column_stack([reading(Reading(times, column, oil), active.values) for column in columns.T])
 

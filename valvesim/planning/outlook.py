@@ -25,7 +25,7 @@ from valvesim.diagnosis.power import (
     separated_share,
     separation_power,
 )
-from valvesim.identification.candidates import WHOLE, Candidate
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.projection import GramMatrix, ProjectedScores, alarm_level, inverse_of, project
 from valvesim.planning.bench import Aim
 from valvesim.planning.options import DEFAULT_PLANNING, OutlookOptions, PlanningOptions
@@ -232,8 +232,9 @@ def _cause(
         return value if value <= reach else None
 
     assert candidate.effect is not None  # noqa: S101 - causes of an aim are effects
+    fitted = {p.name for p in candidate.shapes()}
     return CauseOutlook(
-        label=label, shape=tuple((name, value) for name, value in candidate.fixed if name not in WHOLE),
+        label=label, shape=tuple((name, value) for name, value in candidate.fixed if name in fitted),
         location=candidate.location(), parameter=candidate.effect.amplitude.name, unit=candidate.unit,
         size=size, limit=limit if np.isfinite(limit) else None, power=judged.power(k, size),
         isolated=within(max(aimed[rival], named)) if rival else within(named), rival=rival, nearest=nearest,

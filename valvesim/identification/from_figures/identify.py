@@ -24,8 +24,9 @@ from valvesim.identification.from_figures.posterior import Posterior, fit
 from valvesim.identification.from_figures.prediction import FITTED, Asked, FigurePredictor, asked_of
 from valvesim.identification.from_figures.similarity import ANCHOR, UNKNOWNS, similar_valves
 from valvesim.units import quantities
-from valvesim.valve.catalogue import effect
 from valvesim.valve.effect import ActiveEffect
+from valvesim.valve.effects.motor import hysteresis_of_width
+from valvesim.valve.effects.spool import COULOMB_FRICTION
 from valvesim.valve.parameters import Valve
 from valvesim.valve.valve_file import ValveFile
 
@@ -36,7 +37,6 @@ DERIVED = (
 )  # fmt: skip
 SCALED = ("air_gap_area", "magnet_reluctance")
 """Parameters that follow from what is fitted, and those that follow from the size alone."""
-TURNING_SHARE = 0.2  # of rated current: over which the loop of a magnetic hysteresis turns, as in the catalogue
 
 
 @dataclass(frozen=True)
@@ -195,8 +195,7 @@ def _in_service(specification: Specification, valve: Valve) -> tuple[ActiveEffec
     if not stated or stated[0] <= 0.0:
         return ()
     rated = float(valve.rated_current)
-    half, turning = (float(f"{value:.6g}") for value in (stated[0] * rated / 2.0, TURNING_SHARE * rated))
-    return (effect("magnetic_hysteresis")(coercive_current=half, turning_current=turning),)
+    return (hysteresis_of_width(stated[0] * rated, rated),)
 
 
 def _notes(specification: Specification, conditions: dict[str, float]) -> tuple[str, ...]:
@@ -208,5 +207,5 @@ def _notes(specification: Specification, conditions: dict[str, float]) -> tuple[
         if limits and all(math.isnan(limit.value) for limit in limits):
             notes.append(f"{name}: the valve has none, which keeps the limit; a value would be modelled")
         elif limits and name == "threshold":
-            notes.append("threshold: not modelled; add effects.spool_coulomb_friction to the valve file")
+            notes.append(f"threshold: not modelled; add effects.{COULOMB_FRICTION.name} to the valve file")
     return tuple(notes)
