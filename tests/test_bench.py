@@ -16,7 +16,7 @@ from valvesim.characterisation.acceptance.cycle import cycle
 from valvesim.characterisation.acceptance.leakage import common_hysteresis, half_split
 from valvesim.characterisation.acceptance.pressure_gain import blocked_load_pressure
 from valvesim.characterisation.acceptance.record import AcceptanceRecord, read_record
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, table
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, merit_rows
 from valvesim.errors import InputError
 from valvesim.reports import acceptance as report_acceptance
 from valvesim.valve.equations import main_stage
@@ -419,10 +419,10 @@ def test_a_missing_file_is_refused(tmp_path):
 
 
 def test_the_table_has_figures_with_units_and_reasons(figures):
-    rows = {row[0]: row for row in table(list(figures.values()))}
+    rows = {row[0]: row for row in merit_rows(list(figures.values()))}
     _, value, _, unit, _ = rows["flow.flow at rated"]
     assert unit == "L/min" and float(value) == pytest.approx(27.4, abs=0.1)
-    (row,) = table([Absent("tare", "why")])
+    (row,) = merit_rows([Absent("tare", "why")])
     assert row == ("tare", "absent", "", "", "why")
 
 

@@ -25,7 +25,7 @@ from valvesim.planning.session_folder import write_session_folder
 from valvesim.planning.structure import StructuralModel, isolability, overdetermined, structural_model
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.parameters import Valve
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 
 PLAN = """
 title = "friction or play"
@@ -235,7 +235,7 @@ def test_with_thermometers_at_the_parts_no_figure_of_their_heat_paths_is_left_op
     table = {"sensors": {"spool_position": {"noise": "0.01 um"}}, "bench": {"rate": "50 Hz", "tests": []},
              "tests": [warming], "aim": {"causes": ["spool_lap"]}}  # fmt: skip
     shown = []
-    for thermometers in ([], list(NODES)):
+    for thermometers in ([], list(THERMAL_NODES)):
         plan = read_plan(tmp_path, table | {"bench": table["bench"] | {"thermometers": thermometers}})
         planned = planned_sensitivities(plan)
         names = [p.name for p in planned.nominal.parameters]

@@ -22,7 +22,7 @@ from valvesim.characterisation.step_response import step_figures, step_response
 from valvesim.errors import InputError, ValidityWarning
 from valvesim.reports.response import draw_responses, response_report
 from valvesim.valve.equations import NOMINAL
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 
 valve = vs.reference_valve()
 DAY = datetime.date(2026, 1, 2)
@@ -634,7 +634,7 @@ def test_a_response_is_that_of_parts_at_their_own_temperatures():
         return figures["armature_frequency"], figures["loop_gain"]
 
     cold = stiffness(initial_temperature=20.0)
-    assert stiffness(initial_temperature=dict.fromkeys(NODES, 20.0)) == cold
-    hot_tube = stiffness(initial_temperature=dict.fromkeys(NODES, 20.0) | {"spring_tube": 120.0})
+    assert stiffness(initial_temperature=dict.fromkeys(THERMAL_NODES, 20.0)) == cold
+    hot_tube = stiffness(initial_temperature=dict.fromkeys(THERMAL_NODES, 20.0) | {"spring_tube": 120.0})
     assert hot_tube[0] != pytest.approx(cold[0], rel=1e-4)
     assert stiffness(initial_temperature={"pilot_metal": 120.0}) == stiffness()  # left out: with the oil

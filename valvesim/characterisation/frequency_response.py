@@ -22,8 +22,8 @@ from valvesim.characterisation.held_scenario import (
     held,
     held_oil_temperature,
     output_of,
+    output_unit,
     rated_command,
-    unit_of,
 )
 from valvesim.characterisation.record_checks import check_amplitude, check_frequencies
 from valvesim.characterisation.sine_point import SinePoint, fit_sine
@@ -208,7 +208,7 @@ def frequency_response(
         raise InputError("frequency response: needs two or more frequencies, the lowest as the reference")
     amplitude, bias = (in_si(each, base.drive.command_unit, "frequency response") for each in (amplitude, bias))
     check_amplitude(amplitude)
-    unit_of(base, output)
+    output_unit(base, output)
     for name, number in (("cycles", cycles), ("workers", workers)):
         if number < 1 or number != int(number):
             raise InputError(f"frequency response: {name} = {number:g} must be a whole number of 1 or more")

@@ -13,8 +13,8 @@
     test = "flow"
     supply_pressure = "70 bar"
 
-The tests are those of `TESTS`. Conditions of a record take the place of the folder's. What instruments may be off by is
-taken as an error of scale, at two standard deviations; the classes of ISO 10770-1 hold where none is stated.
+The tests are those of `RECORD_TESTS`. Conditions of a record take the place of the folder's. What instruments may be
+off by is taken as an error of scale, at two standard deviations; the classes of ISO 10770-1 hold where none is stated.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from valvesim.characterisation.acceptance.acceptance_tests import record_figures
+from valvesim.characterisation.acceptance.acceptance_tests import CYCLE_TESTS, record_figures
 from valvesim.characterisation.acceptance.coil import coil_figures
 from valvesim.characterisation.acceptance.measured_threshold import measured_threshold
-from valvesim.characterisation.acceptance.record import CHANNELS, AcceptanceRecord
+from valvesim.characterisation.acceptance.record import ACCEPTANCE_CHANNELS, AcceptanceRecord
 from valvesim.characterisation.dither import dither_of
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.frequency_response import join_points
@@ -39,15 +39,14 @@ from valvesim.characterisation.spectral_response import spectral_response
 from valvesim.characterisation.step_response import step_figures
 from valvesim.errors import InputError, unknown_name
 from valvesim.io import check_known, check_printable, check_tables, located, read_names, read_toml
-from valvesim.measurement.headings import UNITS
+from valvesim.measurement.headings import MEASURED_UNITS
 from valvesim.measurement.recording import read_recording
 from valvesim.units import parse
 from valvesim.valve.effect_trust import check_inside
 
-CYCLES = ("flow", "pressure-gain", "leakage", "flow-load")
-TESTS = (*CYCLES, "threshold", "step", "chirp", "sine", "coil")
+RECORD_TESTS = (*CYCLE_TESTS, "threshold", "step", "chirp", "sine", "coil")
 """Tests of a record, in the order of a report: slow cycles, then what moves, then the coils."""
-OUTPUTS = ("spool_position", "load_flow", "load_pressure")
+DYNAMIC_OUTPUTS = ("spool_position", "load_flow", "load_pressure")
 """What may be the output of a threshold or dynamic test, the first that a record has."""
 INSTRUMENTS = {"flow": 0.025, "current": 0.015, "pressure": 0.02, "resistance": 0.02, "dynamics": 0.01, "time": 0.01}
 """Classes of ISO 10770-1 (2009), and of pressure gauges of class 2, as shares."""
@@ -62,8 +61,9 @@ _EXACT = ("dead_zone", "meter_resolution", "polarity", "flow_exponent", "lag", "
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredResult:
-    """One test: which of `TESTS`, its `conditions` by the names of a specification's (SI), figures named as bench and
-    response do, and the columns (n,) in SI that they were reduced from; or of several sines their joint response.
+    """One test: which of `RECORD_TESTS`, its `conditions` by the names of a specification's (SI), figures named as
+    bench and response do, and the columns (n,) in SI that they were reduced from; or of several sines their joint
+    response.
     """
 
     test: str
@@ -145,7 +145,7 @@ def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
 
 
 def _in_order(tests: Sequence[MeasuredResult]) -> tuple[MeasuredResult, ...]:
-    order = (*TESTS, "null-shift")
+    order = (*RECORD_TESTS, "null-shift")
     return tuple(sorted(tests, key=lambda one: order.index(one.test)))
 
 
@@ -159,8 +159,8 @@ def _reduce(
 ) -> MeasuredResult:  # fmt: skip
     check_known(entry, ("file", "files", "test", "frequency", *HELD, "pressure_drop", "lag", "dead_zone"), where)
     test = entry.get("test")
-    if not isinstance(test, str) or test not in TESTS:
-        raise unknown_name("test", str(test), TESTS, f"{where}.test")
+    if not isinstance(test, str) or test not in RECORD_TESTS:
+        raise unknown_name("test", str(test), RECORD_TESTS, f"{where}.test")
     given = entry.get("files", [entry["file"]] if "file" in entry else [])
     names = read_names(given, f"{where}.files", "file")
     if not names:
@@ -170,7 +170,7 @@ def _reduce(
     may = (*HELD, "pressure_drop", "frequency")
     own = {n: read_condition(n, entry[n], f"{where}.{n}") for n in may if n in entry}
     options = {n: parse(entry[n], _OPTIONS[n], f"{where}.{n}") for n in ("lag", "dead_zone") if n in entry}
-    wanted = ("voltage", "current") if test == "coil" else (*CHANNELS, "spool_position")
+    wanted = ("voltage", "current") if test == "coil" else (*ACCEPTANCE_CHANNELS, "spool_position")
     recording = read_recording([folder / name for name in names], wanted)
     there = np.all([np.isfinite(column) for column in recording.values.values()], axis=0)
     values = {"time": recording.time[there]} | {name: column[there] for name, column in recording.values.items()}
@@ -207,10 +207,10 @@ def _cycle(test: str) -> Callable[..., Reduced]:
 
 
 def _output(source: str, values: Mapping[str, np.ndarray]) -> str:
-    for name in OUTPUTS:
+    for name in DYNAMIC_OUTPUTS:
         if name in values:
             return name
-    raise InputError(f"{source}: no output; expected one of {', '.join(OUTPUTS)}")
+    raise InputError(f"{source}: no output; expected one of {', '.join(DYNAMIC_OUTPUTS)}")
 
 
 def _needs(source: str, values: Mapping[str, np.ndarray], name: str) -> np.ndarray:
@@ -229,7 +229,7 @@ def _step(source, values, at, options, rated) -> Reduced:
     dither, last = dither_of(at), slice(-len(current) // 3, None)  # by then the step has settled
     current, moved = (dither.taken_off(values["time"], column, last) for column in (current, values[output]))
     amplitude = abs(float(np.median(current[-3:]) - np.median(current[:3]))) / rated
-    figures = step_figures(values["time"], current, moved, unit=UNITS[output])
+    figures = step_figures(values["time"], current, moved, unit=MEASURED_UNITS[output])
     return figures, {"amplitude": amplitude}
 
 
@@ -246,7 +246,8 @@ def _sine(source, values, at, options, rated) -> Reduced:
     point = fit_sine(values["time"], current, values[output], at["frequency"], dither=_fitted_beside(at))
     lag = float(-np.rad2deg(np.angle(point.gain)))
     figures = (
-        FigureOfMerit("gain", float(np.abs(point.gain)), f"{UNITS[output]}/A", "amplitude of output over current"),
+        FigureOfMerit("gain", float(np.abs(point.gain)), f"{MEASURED_UNITS[output]}/A",
+                      "amplitude of output over current"),
         FigureOfMerit("phase_lag", lag + 360.0 * (lag < -90.0), "deg", "output behind the current"),
     )
     return figures, {"amplitude": point.input_amplitude / rated}
@@ -265,7 +266,7 @@ def _coil(source, values, at, options, rated) -> Reduced:
     return _named("coil", figures), {}
 
 
-_REDUCTIONS: dict[str, Callable[..., Reduced]] = {name: _cycle(name) for name in CYCLES} | {
+_REDUCTIONS: dict[str, Callable[..., Reduced]] = {name: _cycle(name) for name in CYCLE_TESTS} | {
     "threshold": _threshold, "step": _step, "chirp": _chirp, "sine": _sine, "coil": _coil,
 }  # fmt: skip
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from valvesim.errors import InputError, SolveError, unknown_name
 
-LOWEST, HIGHEST = 0.1, 1e4  # Hz, between which bandwidths are looked for
+LOWEST_FREQUENCY, HIGHEST_FREQUENCY = 0.1, 1e4  # Hz, between which bandwidths are looked for
 FIT_POINTS = 200  # of a reduced form, even in log frequency
 FIT_DECADES = 2.0  # below the upper end of the fit
 
@@ -40,7 +40,7 @@ def bandwidth(system: Any, *, output: str = "spool_position", source: str = "cur
     from scipy.optimize import brentq
 
     H = _response(system, output, source)
-    log_f = np.linspace(np.log(LOWEST), np.log(HIGHEST), 2001)
+    log_f = np.linspace(np.log(LOWEST_FREQUENCY), np.log(HIGHEST_FREQUENCY), 2001)
     values = H(np.exp(log_f))
 
     def first(measure: Callable) -> float:

@@ -19,7 +19,7 @@ from valvesim.inputs import evaluate
 from valvesim.shown import Shown, notebook
 from valvesim.units import reads_units
 
-STEPS, SWEEPS = (0.05, 0.25, 1.0), (0.1, 0.25, 0.4, 1.0)  # shares of the rated current
+STEP_AMPLITUDES, SINE_AMPLITUDES = (0.05, 0.25, 1.0), (0.1, 0.25, 0.4, 1.0)  # shares of the rated current
 OF_A_STEP = ("time_to_90_percent", "rise_time", "overshoot")
 
 
@@ -45,9 +45,9 @@ class ResponseSet(Shown):
 @reads_units(oil_temperatures="degC", part_temperature="degC", frequencies="Hz")
 def measure_responses(
     source: Source, *, oil_temperatures: Sequence[float] | None = None, part_temperature: float | None = None,
-    steps: Sequence[float] = STEPS, sweeps: Sequence[float] = SWEEPS, frequencies: Sequence[float] = FREQUENCIES,
-    chirp: bool = True, output: str = "spool_position", workers: int = 1, dither: Dither = NO_DITHER,
-    progress: Callable[[float], None] | None = None,
+    steps: Sequence[float] = STEP_AMPLITUDES, sweeps: Sequence[float] = SINE_AMPLITUDES,
+    frequencies: Sequence[float] = FREQUENCIES, chirp: bool = True, output: str = "spool_position", workers: int = 1,
+    dither: Dither = NO_DITHER, progress: Callable[[float], None] | None = None,
 ) -> tuple[ResponseSet, ...]:  # fmt: skip
     """Steps, stepped sines and chirps at every oil temperature (°C; by default the source's own at its start).
 
@@ -101,14 +101,14 @@ def measure_responses(
 def amplitudes_of(specification: Specification | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """(steps, sweeps), shares of rated: the usual ones, and those at which a specification has limits."""
     limits = () if specification is None else specification.limits
-    asked = {True: set(STEPS), False: set(SWEEPS)}
+    asked = {True: set(STEP_AMPLITUDES), False: set(SINE_AMPLITUDES)}
     for limit in limits:
         if "amplitude" in limit.conditions:
             asked[limit.figure in OF_A_STEP].add(limit.conditions["amplitude"])
     return tuple(sorted(asked[True])), tuple(sorted(asked[False]))
 
 
-def tests_of(
+def response_tests(
     sets: Sequence[ResponseSet], source: Source, specification: Specification | None = None
 ) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:
     """Every step and sweep as (title, conditions by the names of a specification's, figures), SI.

@@ -24,7 +24,7 @@ from valvesim.valve.equilibrium import balances_at_rest, chamber_pressure, nozzl
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
 
-NODES, DENSITY = 81, 3.5  # angles of a characteristic, and how dense they are about null
+ANGLES, ANGLE_DENSITY = 81, 3.5  # angles of a characteristic, and how dense they are about null
 FALSE_POSITIONS = 7  # steps from two angles to the one in between
 
 
@@ -138,7 +138,7 @@ def rest_curve(valve: Valve, conditions: Mapping[str, float], oil: Oil) -> RestC
 def rest_curve_of(c: Coefficients, supply: float, back: float) -> RestCurve:
     """The rests from coefficients (k,): of a batch of valves, or of one valve at many temperatures of its parts."""
     c = columns_of(c)
-    nodes = np.sinh(np.linspace(-DENSITY, DENSITY, NODES)) / np.sinh(DENSITY)
+    nodes = np.sinh(np.linspace(-ANGLE_DENSITY, ANGLE_DENSITY, ANGLES)) / np.sinh(ANGLE_DENSITY)
     angle = nodes * 0.98 * np.minimum(c.null_gap_1, c.null_gap_2) / c.nozzle_arm
     return RestCurve(c, supply, back, angle, _chambers(c, supply, back, angle))
 

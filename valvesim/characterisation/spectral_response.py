@@ -22,8 +22,8 @@ from valvesim.characterisation.held_scenario import (
     held,
     held_oil_temperature,
     output_of,
+    output_unit,
     rated_command,
-    unit_of,
 )
 from valvesim.characterisation.record_checks import (
     check_amplitude,
@@ -149,7 +149,7 @@ def chirp_response(
     amplitude, bias = (in_si(each, base.drive.command_unit, "chirp response") for each in (amplitude, bias))
     check_amplitude(amplitude)
     check_frequencies(np.array([low, high]))
-    unit_of(base, output)
+    output_unit(base, output)
     if low >= high:
         raise InputError(f"chirp response: low = {low:g} Hz must be below high = {high:g} Hz")
     start, end = low / 5.0, 1.1 * high

@@ -22,8 +22,8 @@ from valvesim.characterisation.held_scenario import (
     held,
     held_oil_temperature,
     output_of,
+    output_unit,
     rated_command,
-    unit_of,
 )
 from valvesim.characterisation.record_checks import checked_record, flat_share
 from valvesim.errors import InputError
@@ -218,7 +218,7 @@ def step_response(
     amplitude, bias = (in_si(each, base.drive.command_unit, "step response") for each in (amplitude, bias))
     if not np.isfinite(amplitude) or amplitude == 0.0:
         raise InputError(f"step response: amplitude = {amplitude:g} must be a number other than zero")
-    unit = unit_of(base, output)
+    unit = output_unit(base, output)
     wait = DITHERED if dither.amplitude else 0.0
     step = Step(before=bias, after=bias + amplitude, time=wait + 0.002)
     command = dither.upon(step, rated_command(base))

@@ -149,7 +149,7 @@ def deviating(column: str, samples: Points, deviations: Deviations) -> Points:
     return points
 
 
-def command_of(points: Points, where: str) -> Command:
+def command_through(points: Points, where: str) -> Command:
     """The command that goes straight between points."""
     t, u = points
     if np.ptp(u) == 0.0:

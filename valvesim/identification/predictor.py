@@ -19,7 +19,7 @@ from valvesim.identification.between_samples import (
     Deviations,
     acting_on,
     added_on_grid,
-    command_of,
+    command_through,
     deviating,
     points_of,
 )
@@ -30,7 +30,7 @@ from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
-from valvesim.simulation.temperature_knots import between, brackets, on_lines, temperature_knots
+from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
 from valvesim.valve.effects.sensors import sensor_lag
@@ -123,7 +123,7 @@ class RecordPredictor:
         for column, command in self._commands():
             if column in columns:
                 points = deviating(column, points_of(command, self.scenario.duration), own)
-                command = command_of(points, f"{self.record.name}, {column}")
+                command = command_through(points, f"{self.record.name}, {column}")
             commands.append(command)
         starts, intervals = merge(commands, self.scenario.duration)
         return replace(
@@ -232,7 +232,7 @@ class RecordPredictor:
         oil = self.scenario.oil_temperature
         if deviations:
             points = deviating("oil_temperature", points_of(oil, self.scenario.duration), deviations)
-            oil = command_of(points, f"{self.record.name}, oil_temperature")
+            oil = command_through(points, f"{self.record.name}, oil_temperature")
         if acts or (len(self.path.times) == 1 and not isinstance(oil, Constant)):
             thermal = replace(self.scenario.thermal, network=network)
             return temperature_knots(
@@ -264,7 +264,9 @@ class RecordPredictor:
             return tuple(columns)
         k, share = brackets(self.times if times is None else times, path.times)
         share = share.reshape(-1, *(1,) * (columns[0].ndim - 1))
-        return tuple(column[:1] if np.all(column == column[0]) else on_lines(column, k, share) for column in columns)
+        return tuple(
+            column[:1] if np.all(column == column[0]) else linear_interpolation(column, k, share) for column in columns
+        )
 
     def switched_off(self, model: ValveModel, active: Sequence[ActiveEffect]) -> np.ndarray:
         """True for each state of the model that is the memory of an effect which is not active."""

@@ -44,7 +44,7 @@ from valvesim.units import parse, quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import Effect
 from valvesim.valve.equations import DRIVES
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 from valvesim.valve.valve_toml import read_tolerance
 
 _OWN = ("bench", "tests", "aim", "added_sensors", "sensors")
@@ -70,8 +70,8 @@ def read_plan(folder: Path, table: dict[str, Any], *, options: PlanningOptions =
     check_known(bench, ("rate", "oil_temperature", "setup", "tests", "command", "thermometers"), "bench")
     thermometers = read_names(bench.get("thermometers", []), "bench.thermometers", "part")
     for part in thermometers:
-        if part not in NODES:
-            raise unknown_name("part", part, NODES, "bench.thermometers")
+        if part not in THERMAL_NODES:
+            raise unknown_name("part", part, THERMAL_NODES, "bench.thermometers")
     sensors = _with_noise(stated_sensors(table.get("sensors", {})), "sensors")
     command = bench.get("command", "current")
     if not isinstance(command, str) or command not in DRIVES:

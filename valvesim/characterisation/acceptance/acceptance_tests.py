@@ -34,7 +34,7 @@ from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 
 DITHERED_PERIOD = 20.0  # s of a cycle with dither: the branches part by 0.05 % of i_R, which the valve trails by
-TESTS = ("flow", "pressure-gain", "leakage", "flow-load")
+CYCLE_TESTS = ("flow", "pressure-gain", "leakage", "flow-load")
 
 
 def record_figures(
@@ -60,12 +60,12 @@ def record_figures(
         return leakage_figures(cycle(record, "internal_leakage", resolution=resolution), lag=lag)
     if test == "flow-load":
         return flow_load_figures(record, resolution=resolution)
-    raise unknown_name("test", test, TESTS)
+    raise unknown_name("test", test, CYCLE_TESTS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredTest:
-    """One measured test: its record, which of `TESTS` it is, and the figures of merit reduced from it."""
+    """One measured test: its record, which of `CYCLE_TESTS` it is, and the figures of merit reduced from it."""
 
     record: AcceptanceRecord
     test: str

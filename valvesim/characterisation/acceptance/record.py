@@ -12,7 +12,7 @@ from valvesim.measurement.columns_table import NOTHING_STATED, Statements
 from valvesim.measurement.recording import read_recording
 
 LEAST_POINTS = 50  # of a branch
-GAP = 5.0  # times the usual sampling interval: longer is a gap
+LONGEST_INTERVAL = 5.0  # times the usual sampling interval: longer is a gap
 MOVED = 0.02  # share of its span that the current, or the pressure drop of flow over load, may move in a gap
 
 
@@ -37,7 +37,7 @@ class AcceptanceRecord:
         if np.min(steps) < 0.0 or usual <= 0.0:
             raise InputError(f"{self.source}: time must rise")
         drive = self.values.get("current", self.values.get("pressure_drop", t))
-        if steps[k] > GAP * usual and abs(drive[k + 1] - drive[k]) > MOVED * np.ptp(drive):
+        if steps[k] > LONGEST_INTERVAL * usual and abs(drive[k + 1] - drive[k]) > MOVED * np.ptp(drive):
             where = f"{steps[k]:.4g} s at {t[k]:.6g} s (samples come every {usual:.4g} s)"
             raise InputError(f"{self.source}: gap of {where}")
 
@@ -49,7 +49,7 @@ class AcceptanceRecord:
         return self.values[name]
 
 
-CHANNELS = ("current", "load_flow", "load_pressure", "internal_leakage", "pressure_drop")
+ACCEPTANCE_CHANNELS = ("current", "load_flow", "load_pressure", "internal_leakage", "pressure_drop")
 
 
 def read_record(*files: str | Path, stated: Statements = NOTHING_STATED) -> AcceptanceRecord:
@@ -59,8 +59,8 @@ def read_record(*files: str | Path, stated: Statements = NOTHING_STATED) -> Acce
     are samples at which one of them has no reading. Raises as `read_recording` does, and InputError for gaps.
     """
     paths = [Path(file) for file in files]
-    recording = read_recording(paths, CHANNELS, stated=stated)
-    values = {"time": recording.time} | {n: recording.values[n] for n in CHANNELS if n in recording.values}
+    recording = read_recording(paths, ACCEPTANCE_CHANNELS, stated=stated)
+    values = {"time": recording.time} | {n: recording.values[n] for n in ACCEPTANCE_CHANNELS if n in recording.values}
     there = np.all([np.isfinite(column) for column in values.values()], axis=0)
     return AcceptanceRecord(source=paths[0].name, values={name: column[there] for name, column in values.items()})
 

@@ -115,7 +115,7 @@ class Sines:
         return np.sqrt(at[k] * at[k + 1]) * np.exp(offset)
 
 
-def step_figures(bench: Bench, amplitude: float, expected: float) -> dict[str, np.ndarray]:
+def batch_step_figures(bench: Bench, amplitude: float, expected: float) -> dict[str, np.ndarray]:
     """time_to_90_percent, rise_time (s) and overshoot (%), each (k,), of a step from zero; `expected` time to 90 %."""
     before, last = 2e-4, 8.0 * expected
     run = bench.run(Step(after=amplitude * bench.rated, time=before), before + last, 2000.0 / last)

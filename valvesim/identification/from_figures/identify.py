@@ -30,7 +30,7 @@ from valvesim.valve.effects.spool import COULOMB_FRICTION
 from valvesim.valve.parameters import Valve
 from valvesim.valve.valve_file import ValveFile
 
-CONDITIONS = {"supply_pressure": 21e6, "return_pressure": 0.5e6, "oil_temperature": 40.0}
+ASSUMED_CONDITIONS = {"supply_pressure": 21e6, "return_pressure": 0.5e6, "oil_temperature": 40.0}
 """What is assumed where a specification is silent (ISO 10770-1: 40 °C)."""
 DERIVED = (
     "coil_turns", "spring_tube_stiffness", "fixed_orifice_diameter", "spool_stroke", "null_opening", "land_overlap",
@@ -98,7 +98,7 @@ def identify(
         specification = with_measurements(specification, measured, options=options.measurement)
     tell = progress if progress is not None else lambda share: None
     flow, current = (_needed(specification, name) for name in ("rated_flow", "rated_current"))
-    conditions = {**CONDITIONS, **specification.conditions}
+    conditions = {**ASSUMED_CONDITIONS, **specification.conditions}
     similar = similar_valves(
         rated_flow=flow.nominal, pressure_drop=flow.conditions["pressure_drop"], rated_current=current.nominal,
         conditions=conditions, oil=specification.oil, options=options,

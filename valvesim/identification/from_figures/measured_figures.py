@@ -13,7 +13,7 @@ from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES, F
 from valvesim.identification.from_figures.prediction import CENTRED, FITTED, FigurePredictor, asked_of
 from valvesim.valve.valve_file import ValveFile
 
-ASKED = {"coil.coil_resistance_at_20": "coil_resistance", "coil.coil_inductance": "coil_inductance"} | {
+SPECIFIED_FIGURES = {"coil.coil_resistance_at_20": "coil_resistance", "coil.coil_inductance": "coil_inductance"} | {
     shown: name for name, figure in FIGURES.items() if name in FITTED for shown in figure.shown_by
     if not shown.startswith(("valve.", "coil."))
 }  # fmt: skip
@@ -32,7 +32,7 @@ def measured_limits(
     """Each measured figure that can be predicted, once for its conditions: weighted mean of those that show it."""
     groups: dict[tuple[str, tuple[tuple[str, float], ...]], list[FigureOfMerit]] = {}
     for figure, at in measured.figures:
-        name = ASKED.get(figure.name)
+        name = SPECIFIED_FIGURES.get(figure.name)
         if name not in TELLING or not isinstance(figure, FigureOfMerit):
             continue
         groups.setdefault((name, tuple(sorted(_conditions(name, at).items()))), []).append(figure)
@@ -90,7 +90,7 @@ def model_figures(
     places, limits = [], []
     for test in measured.tests:
         for figure in test.figures:
-            name = ASKED.get(figure.name)
+            name = SPECIFIED_FIGURES.get(figure.name)
             if name is not None and isinstance(figure, FigureOfMerit):
                 places.append((test.title, figure.name))
                 limits.append(Limit(figure=name, value=figure.value, conditions=_conditions(name, test.conditions)))

@@ -13,22 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from valvesim.characterisation.specification import COMMON, FIGURES, Limit
-from valvesim.identification.from_figures.dynamic_figures import Bench, Sines, step_figures
+from valvesim.identification.from_figures.dynamic_figures import Bench, Sines, batch_step_figures
 from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES, FromFiguresOptions
 from valvesim.identification.from_figures.static_figures import static_figures
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
 
-SINES = ("frequency_minus_3_db", "frequency_minus_90_deg", "amplitude_ratio", "phase_lag")
-STEPS = ("time_to_90_percent", "rise_time", "overshoot")
+SINE_FIGURES = ("frequency_minus_3_db", "frequency_minus_90_deg", "amplitude_ratio", "phase_lag")
+STEP_FIGURES = ("time_to_90_percent", "rise_time", "overshoot")
 POSITIVE_UNITS = ("ohm", "H", "m^3/s", "m^3/s/A", "Pa/A", "-", "Hz", "s")
-OF_THE_COIL = ("coil_resistance", "coil_inductance")
-STATIC = (
+COIL_FIGURES = ("coil_resistance", "coil_inductance")
+STATIC_FIGURES = (
     "rated_flow", "flow_at_rated", "flow_gain", "linearity", "symmetry", "null_bias", "lap", "pressure_gain",
     "pressure_gain_share", "null_leakage", "tare_leakage", "null_shift_temperature", "null_shift_supply",
     "null_shift_return",
 )  # fmt: skip
-FITTED = (*OF_THE_COIL, *STATIC, *SINES, *STEPS)
+FITTED = (*COIL_FIGURES, *STATIC_FIGURES, *SINE_FIGURES, *STEP_FIGURES)
 """The figures that are predicted; hysteresis and threshold are those of effects in service."""
 CENTRED = ("null_bias", "lap", "null_shift_temperature", "null_shift_supply", "null_shift_return")
 """Figures that are as often negative as positive, so that a limit on their size tells how they scatter."""
@@ -126,9 +126,9 @@ class FigurePredictor:
         benches: dict[tuple[float, ...], Sines] = {}
         for k, asked in enumerate(self.asked):
             figure = asked.limit.figure
-            if figure in OF_THE_COIL:
+            if figure in COIL_FIGURES:
                 columns[:, k] = getattr(valves, figure)
-            elif figure in (*SINES, *STEPS):
+            elif figure in (*SINE_FIGURES, *STEP_FIGURES):
                 conditions = self.conditions_of(asked)
                 key = tuple(conditions[name] for name in COMMON)
                 if key not in benches:
@@ -144,7 +144,7 @@ class FigurePredictor:
         """The static figures by their conditions."""
         groups: dict[tuple[tuple[str, float], ...], list[int]] = {}
         for k, asked in enumerate(self.asked):
-            if asked.limit.figure in STATIC:
+            if asked.limit.figure in STATIC_FIGURES:
                 groups.setdefault(tuple(sorted(self.conditions_of(asked).items())), []).append(k)
         return groups
 
@@ -160,4 +160,4 @@ def _dynamic(asked: Asked, sines: Sines, conditions: Mapping[str, float]) -> np.
         frequency = conditions["frequency"]
         return sines.ratio(amplitude, frequency, frequency)
     expected = asked.expected if figure != "overshoot" else sines.bench.options.step_time
-    return step_figures(sines.bench, amplitude, expected)[figure]
+    return batch_step_figures(sines.bench, amplitude, expected)[figure]
