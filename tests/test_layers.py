@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 import valvesim
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION
 from valvesim.cli.main import COMMAND_NAMES
 from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES
-from valvesim.identification.options import option_table
+from valvesim.options import option_table
 from valvesim.planning.options import DEFAULT_PLANNING
 from valvesim.units import parse
 from valvesim.valve.catalogue import CATALOGUE
@@ -149,13 +150,28 @@ BARE = {  # numbers that no judgement sets
     ("identification/tangent_linear.py", "ENDLESS"): "where squares overflow",
     ("identification/from_figures/similarity.py", "ANCHOR_STIFFNESS"): "a dimension of the anchor, as published",
     ("identification/from_figures/similarity.py", "ANCHOR_STROKE"): "a dimension of the anchor",
+    ("characterisation/acceptance/flow.py", "LINE"): "what the flow gain is",
+    ("characterisation/acceptance/flow_load.py", "RATED_DROP"): "what rated flow is",
+    ("characterisation/acceptance/metrics.py", "BLOCKS"): "what the uncertainty of every figure is",
+    ("characterisation/acceptance/metrics.py", "NULL_SHARE"): "what the pressure gain is",
+    ("characterisation/acceptance/null_shift.py", "TEMPERATURE_DIFFERENCE"): "a condition, unless another is given",
+    ("characterisation/acceptance/null_shift.py", "PRESSURE_CHANGE"): "what the null shift is",
+    ("characterisation/dither.py", "SAMPLES"): "below which harmonics count",
+    ("characterisation/frequency_response.py", "SETTLE_TIME"): "an argument, unless another is given",
+    ("characterisation/response_set.py", "STEP_AMPLITUDES"): "an argument, unless others are given",
+    ("characterisation/response_set.py", "SINE_AMPLITUDES"): "an argument, unless others are given",
+    ("characterisation/rest_characteristic.py", "POINTS"): "points of a picture",
+    ("characterisation/sine_point.py", "HARMONICS"): "what the distortion is",
+    ("characterisation/sine_point.py", "FEWEST_A_CYCLE"): "samples that tell a sine from its offset and drift",
+    ("characterisation/specification.py", "COVERAGE"): "of ISO 14253-1",
+    ("characterisation/thermal_drift.py", "LEAST_MOTION"): "a share of a channel's scale, against a division by zero",
 }
 
 
-def test_thresholds_of_planning_diagnosis_and_identification_are_options():
+def test_thresholds_of_what_judges_are_options():
     found = set()
     for module in MODULES:
-        if module.startswith(("planning/", "diagnosis/", "identification/")):
+        if module.startswith(("planning/", "diagnosis/", "identification/", "characterisation/")):
             for node in ast.parse((PACKAGE / module).read_text(encoding="utf-8")).body:
                 parts = list(ast.walk(node.value)) if isinstance(node, ast.Assign) else []
                 if any(isinstance(getattr(one, "value", None), int | float) for one in parts) and not any(
@@ -167,7 +183,8 @@ def test_thresholds_of_planning_diagnosis_and_identification_are_options():
 
 
 def test_every_option_has_a_unit_a_meaning_and_a_source():
-    rows = [row for options in (DEFAULT_PLANNING, DEFAULT_FROM_FIGURES) for row in option_table(options)]
+    every = (DEFAULT_PLANNING, DEFAULT_FROM_FIGURES, DEFAULT_CHARACTERISATION)
+    rows = [row for options in every for row in option_table(options)]
     assert len(rows) > 200 and len({name for name, *_ in rows}) == len(rows)
     assert {"diagnosis.identification.fit.steps", "choice.power", "posterior.step"} <= {name for name, *_ in rows}
     for name, value, unit, doc, source in rows:

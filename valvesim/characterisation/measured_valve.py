@@ -33,6 +33,7 @@ from valvesim.characterisation.acceptance.record import ACCEPTANCE_CHANNELS, Acc
 from valvesim.characterisation.dither import dither_of
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.frequency_response import join_points
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, CharacterisationOptions
 from valvesim.characterisation.sine_point import fit_sine
 from valvesim.characterisation.specification import HELD, read_condition
 from valvesim.characterisation.spectral_response import spectral_response
@@ -96,7 +97,9 @@ class MeasuredValve:
         return [(figure, test.conditions) for test in self.tests for figure in test.figures]
 
 
-def load_measured_valve(folder: str | Path) -> MeasuredValve:
+def load_measured_valve(
+    folder: str | Path, *, options: CharacterisationOptions = DEFAULT_CHARACTERISATION
+) -> MeasuredValve:
     """Read a folder with `acceptance.toml` and its records, of any format, and reduce them.
 
     Raises InputError (file, line, key) for a broken file, an unknown test, and a record that its test cannot be told
@@ -106,10 +109,10 @@ def load_measured_valve(folder: str | Path) -> MeasuredValve:
     path = folder / "acceptance.toml"
     text, table = read_toml(path, "a measured valve is a folder with acceptance.toml and its records")
     with located(path, text, document="acceptance"):
-        return _read(table, folder)
+        return _read(table, folder, options)
 
 
-def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
+def _read(table: dict[str, Any], folder: Path, options: CharacterisationOptions) -> MeasuredValve:
     known = ("title", "serial_number", "rated_current", "conditions", "instruments", "records")
     check_known(table, known, "acceptance")
     check_tables(table, ("conditions", "instruments"))
@@ -133,10 +136,10 @@ def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
         raise InputError("expected [[records]], one for each test", key="records")
     instruments = {**INSTRUMENTS, **stated}
     results = [
-        _reduce(entry, f"records.{k}" if len(records) > 1 else "records", folder, common, rated)
+        _reduce(entry, f"records.{k}" if len(records) > 1 else "records", folder, common, rated, options)
         for k, entry in enumerate(records, start=1)
     ]
-    results = _join_sines(results, rated)
+    results = _join_sines(results, rated, options)
     told = tuple(replace(one, figures=_with_instruments(one.figures, instruments)) for one in results)
     told = (*told, *_null_shifts(told))
     return MeasuredValve(
@@ -151,11 +154,12 @@ def _in_order(tests: Sequence[MeasuredResult]) -> tuple[MeasuredResult, ...]:
 
 # ---------------------------------------------------------------- one record
 
-_OPTIONS = {"lag": "s", "dead_zone": "m^3/s", "resolution": ""}
+_STATED = {"lag": "s", "dead_zone": "m^3/s", "resolution": ""}
 
 
 def _reduce(
-    entry: Mapping[str, Any], where: str, folder: Path, common: Mapping[str, float], rated: float
+    entry: Mapping[str, Any], where: str, folder: Path, common: Mapping[str, float], rated: float,
+    options: CharacterisationOptions,
 ) -> MeasuredResult:  # fmt: skip
     check_known(entry, ("file", "files", "test", "frequency", *HELD, "pressure_drop", "lag", "dead_zone"), where)
     test = entry.get("test")
@@ -169,14 +173,14 @@ def _reduce(
         check_inside(name, folder, f"{where}.file")
     may = (*HELD, "pressure_drop", "frequency")
     own = {n: read_condition(n, entry[n], f"{where}.{n}") for n in may if n in entry}
-    options = {n: parse(entry[n], _OPTIONS[n], f"{where}.{n}") for n in ("lag", "dead_zone") if n in entry}
+    meter = {n: parse(entry[n], _STATED[n], f"{where}.{n}") for n in ("lag", "dead_zone") if n in entry}
     wanted = ("voltage", "current") if test == "coil" else (*ACCEPTANCE_CHANNELS, "spool_position")
     recording = read_recording([folder / name for name in names], wanted)
     there = np.all([np.isfinite(column) for column in recording.values.values()], axis=0)
     values = {"time": recording.time[there]} | {name: column[there] for name, column in recording.values.items()}
     at = {**common, **own}
     try:
-        figures, more = _REDUCTIONS[test](names[0], values, at, options, rated)
+        figures, more = _REDUCTIONS[test](names[0], values, at, meter, rated, options)
     except InputError as error:
         raise error if error.key or error.file else InputError(str(error), key=f"{where}.file") from None
     return MeasuredResult(
@@ -194,9 +198,9 @@ def _named(test: str, figures: FiguresOfMerit) -> FiguresOfMerit:
 def _cycle(test: str) -> Callable[..., Reduced]:
     """The reduction of a slow cycle."""
 
-    def reduce(source, values, at, options, rated) -> Reduced:
-        record = AcceptanceRecord(source=source, values=dither_of(at).means(values))
-        figures = record_figures(record, test, rated_current=None if test == "flow-load" else rated, **options)
+    def reduce(source, values, at, meter, rated, options) -> Reduced:
+        record = AcceptanceRecord(source=source, values=dither_of(at).means(values), options=options.acceptance)
+        figures = record_figures(record, test, rated_current=None if test == "flow-load" else rated, **meter)
         figures = tuple(one for one in figures if one.name != "threshold")  # of a record of its own
         if test == "flow-load":
             figures = tuple(replace(one, name=f"{one.name}_positive") for one in figures)
@@ -219,12 +223,12 @@ def _needs(source: str, values: Mapping[str, np.ndarray], name: str) -> np.ndarr
     return values[name]
 
 
-def _threshold(source, values, at, options, rated) -> Reduced:
-    record = AcceptanceRecord(source=source, values=dither_of(at).means(values))
+def _threshold(source, values, at, meter, rated, options) -> Reduced:
+    record = AcceptanceRecord(source=source, values=dither_of(at).means(values), options=options.acceptance)
     return _named("flow", (measured_threshold(record, _output(source, values), rated_current=rated),)), {}
 
 
-def _step(source, values, at, options, rated) -> Reduced:
+def _step(source, values, at, meter, rated, options) -> Reduced:
     current, output = _needs(source, values, "current"), _output(source, values)
     dither, last = dither_of(at), slice(-len(current) // 3, None)  # by then the step has settled
     current, moved = (dither.taken_off(values["time"], column, last) for column in (current, values[output]))
@@ -233,13 +237,15 @@ def _step(source, values, at, options, rated) -> Reduced:
     return figures, {"amplitude": amplitude}
 
 
-def _chirp(source, values, at, options, rated) -> Reduced:
+def _chirp(source, values, at, meter, rated, options) -> Reduced:
     current, output = _needs(source, values, "current"), _output(source, values)
-    response = spectral_response(values["time"], current, values[output], channel=output)
+    response = spectral_response(
+        values["time"], current, values[output], channel=output, options=options.response
+    )
     return response.figures, {"amplitude": response.amplitude / rated}
 
 
-def _sine(source, values, at, options, rated) -> Reduced:
+def _sine(source, values, at, meter, rated, options) -> Reduced:
     if "frequency" not in at:
         raise InputError(f"{source}: the frequency of a sine is missing, such as frequency = '40 Hz'")
     current, output = _needs(source, values, "current"), _output(source, values)
@@ -258,10 +264,10 @@ def _fitted_beside(at: Mapping[str, float]) -> float:
     return dither_of(at).frequency if at.get("dither_amplitude") else 0.0
 
 
-def _coil(source, values, at, options, rated) -> Reduced:
+def _coil(source, values, at, meter, rated, options) -> Reduced:
     figures = coil_figures(
         values["time"], _needs(source, values, "voltage"), _needs(source, values, "current"),
-        temperature=at.get("oil_temperature"),
+        temperature=at.get("oil_temperature"), options=options.acceptance,
     )  # fmt: skip
     return _named("coil", figures), {}
 
@@ -274,7 +280,9 @@ _REDUCTIONS: dict[str, Callable[..., Reduced]] = {name: _cycle(name) for name in
 # ---------------------------------------------------------------- several records
 
 
-def _join_sines(results: Sequence[MeasuredResult], rated: float) -> list[MeasuredResult]:
+def _join_sines(
+    results: Sequence[MeasuredResult], rated: float, options: CharacterisationOptions
+) -> list[MeasuredResult]:
     """Sines of one amplitude, oil temperature and supply as one frequency response; one alone stays a sine."""
     groups: dict[tuple[float, ...], list[MeasuredResult]] = {}
     joined = [one for one in results if one.test != "sine"]
@@ -292,7 +300,7 @@ def _join_sines(results: Sequence[MeasuredResult], rated: float) -> list[Measure
                 fit_sine(one.values["time"], one.values["current"], output, one.conditions["frequency"],
                          dither=_fitted_beside(one.conditions))
             )  # fmt: skip
-        response = join_points(points, share=group[0].conditions["amplitude"])
+        response = join_points(points, share=group[0].conditions["amplitude"], options=options.response)
         at = {name: value for name, value in group[0].conditions.items() if name != "frequency"}
         values = {"frequency": response.frequency, "amplitude_ratio": response.amplitude_ratio,
                   "phase_lag": response.phase_lag}  # fmt: skip

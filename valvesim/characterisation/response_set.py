@@ -12,6 +12,7 @@ from valvesim.characterisation.dither import NO_DITHER, Dither
 from valvesim.characterisation.figure_of_merit import FiguresOfMerit
 from valvesim.characterisation.frequency_response import FREQUENCIES, FrequencyResponse, frequency_response
 from valvesim.characterisation.held_scenario import Source, held, held_oil_temperature, rated_command
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, ResponseOptions
 from valvesim.characterisation.specification import Specification
 from valvesim.characterisation.spectral_response import chirp_response
 from valvesim.characterisation.step_response import StepResponse, step_response
@@ -48,6 +49,7 @@ def measure_responses(
     steps: Sequence[float] = STEP_AMPLITUDES, sweeps: Sequence[float] = SINE_AMPLITUDES,
     frequencies: Sequence[float] = FREQUENCIES, chirp: bool = True, output: str = "spool_position", workers: int = 1,
     dither: Dither = NO_DITHER, progress: Callable[[float], None] | None = None,
+    options: ResponseOptions = DEFAULT_CHARACTERISATION.response,
 ) -> tuple[ResponseSet, ...]:  # fmt: skip
     """Steps, stepped sines and chirps at every oil temperature (°C; by default the source's own at its start).
 
@@ -68,7 +70,10 @@ def measure_responses(
     sets = []
     for temperature in temperatures:
         base = held(source, oil_temperature=temperature, part_temperature=part_temperature)
-        stepped = tuple(step_response(base, amplitude=share * rated, output=output, dither=dither) for share in steps)
+        stepped = tuple(
+            step_response(base, amplitude=share * rated, output=output, dither=dither, options=options)
+            for share in steps
+        )
         swept, chirped = [], []
         for share in sweeps:
             swept.append(
@@ -80,6 +85,7 @@ def measure_responses(
                     workers=workers,
                     dither=dither,
                     progress=tell,
+                    options=options,
                 )  # fmt: skip
             )
             done += 1
@@ -88,7 +94,7 @@ def measure_responses(
                 chirped.append(
                     chirp_response(
                         base, amplitude=share * rated, low=band["low"], high=band["high"], output=output,
-                        dither=dither, progress=tell,
+                        dither=dither, progress=tell, options=options,
                     )  # fmt: skip
                 )
                 done += 1

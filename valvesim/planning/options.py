@@ -1,6 +1,6 @@
 """The options of planning: every threshold with its unit, meaning and where its value comes from.
 
-`plan_tests(bench, options=PlanningOptions(...))` passes them on. See `valvesim.identification.options`.
+`plan_tests(bench, options=PlanningOptions(...))` passes them on. See `valvesim.options`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.identification.options import JUDGEMENT, option
+from valvesim.options import JUDGEMENT, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,14 +1,14 @@
 """The options of identification from figures: every threshold with its unit, meaning and where its value comes from.
 
 `identify(specification, options=FromFiguresOptions(...))` passes them on; a `FigurePredictor` carries its own. See
-`valvesim.identification.options`.
+`valvesim.options`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from valvesim.identification.options import JUDGEMENT, option
+from valvesim.options import JUDGEMENT, option
 
 
 @dataclass(frozen=True, kw_only=True)
