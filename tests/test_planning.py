@@ -90,6 +90,16 @@ def test_a_plan_names_the_tests_the_causes_and_what_is_missed(found):
     assert found.with_added.causes[2].power > DEFAULT_PLANNING.choice.power
 
 
+def test_what_is_asked_goes_by_the_options(bench, planned, found):
+    sure = replace(DEFAULT_PLANNING, choice=replace(DEFAULT_PLANNING.choice, power=1.1))
+    chooser = Chooser(bench, planned, sure)
+    assert not any(goal.kind == "detect" for goal in chooser.reached([16] * 2, chooser.channels()))
+    gram = planned.gram([1] * len(planned.experiments), ("spool_position",))
+    options = replace(DEFAULT_PLANNING.outlook, hardly=0.0, known=0.0)
+    told = {one.verdict for one in parameter_outlooks(planned, gram, options=options)}
+    assert told <= {"hardly", "unseen", "combination"} and "hardly" in told
+
+
 def test_no_test_of_the_list_can_be_left_out_or_run_less(bench, planned, found):
     chooser = Chooser(bench, planned, DEFAULT_PLANNING)
     repeats, channels = found.selection.repeats, chooser.channels()

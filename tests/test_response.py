@@ -15,6 +15,7 @@ from valvesim.characterisation.figure_of_merit import Absent
 from valvesim.characterisation.frequency_response import FrequencyResponse, frequency_response, join_points
 from valvesim.characterisation.held_scenario import held, rated_command
 from valvesim.characterisation.lumped_figures import beside_class, lumped_figures
+from valvesim.characterisation.options import ResponseOptions
 from valvesim.characterisation.response_set import ResponseSet, measure_responses
 from valvesim.characterisation.sine_point import SinePoint, sine_point
 from valvesim.characterisation.spectral_response import chirp_response, spectral_response
@@ -320,6 +321,8 @@ def test_points_of_low_coherence_serve_no_figure():
     response = join_points(points_of(second_order(), SIXTHS))
     hidden = dataclasses.replace(response, coherence=np.where(abs(SIXTHS - 120) < 50, 0.5, 1.0))
     assert "coherence is below" in reason(hidden.figures, "frequency_minus_90_deg")
+    easy = dataclasses.replace(hidden, options=ResponseOptions(least_coherence=0.4))
+    assert value(easy.figures, "frequency_minus_90_deg") == value(response.figures, "frequency_minus_90_deg")
     one = dataclasses.replace(response, coherence=np.where(np.arange(55) == 3, 0.5, 1.0))
     assert value(one.figures, "frequency_minus_90_deg") == value(response.figures, "frequency_minus_90_deg")
     none = dataclasses.replace(response, coherence=np.zeros(55))
