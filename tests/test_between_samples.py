@@ -17,7 +17,7 @@ from valvesim.identification.between_samples import (
     added_input,
     added_on_grid,
     command_jumps,
-    command_of,
+    command_through,
     deviating_command,
 )
 from valvesim.identification.input_choice import edge_time, input_choices
@@ -66,7 +66,7 @@ def test_held_samples_stay_and_smooth_ones_go_through_the_samples():
 @pytest.mark.parametrize("column, values", [("supply_pressure", np.full(400, 2e7)), ("current", CHIRP)])
 def test_waves_and_shifts_are_added(column, values):
     samples = (TIME, values)
-    command = command_of(samples, "a")
+    command = command_through(samples, "a")
     both = ((Wave("a", column, 50.0, 0.3), 0.1), (InputShift("a", column), 1.0))
     moved = deviating_command(command, TIME[-1], both, "a")
     wave = 0.1 * np.cos(2.0 * np.pi * 50.0 * TIME - 0.3)

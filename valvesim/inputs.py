@@ -578,11 +578,11 @@ def read_table(path: Path, column: str, unit: str) -> Table:
 
 def _read_recorded(path: Path, channel: str) -> Table:
     """A channel of a record as a table. Raises InputError as `read_recording` does, and where readings are missing."""
-    from valvesim.measurement.headings import UNITS
+    from valvesim.measurement.headings import MEASURED_UNITS
     from valvesim.measurement.recording import read_recording
 
-    if channel not in UNITS:
-        raise unknown_name("channel", channel, UNITS).at(file=path)
+    if channel not in MEASURED_UNITS:
+        raise unknown_name("channel", channel, MEASURED_UNITS).at(file=path)
     recording = read_recording([path], (channel,))
     values = recording.values[channel]
     if len(values) >= MOST_PIECES:

@@ -61,14 +61,14 @@ def _print(found: Identification) -> None:
         condition_text,
         interval_text,
         limit_text,
-        value_text,
+        value_cells,
     )
     from valvesim.characterisation.specification import COMMON
 
     common, rows = found.specification.conditions.items(), []
     for one in found.figures:
         limit = one.asked.limit
-        value, error, unit = value_text(one.value, limit.unit, one.deviation)
+        value, error, unit = value_cells(one.value, limit.unit, one.deviation)
         at = condition_text(dict(limit.conditions.items() - common))
         told = (limit.figure.replace("_", " "), at, asked_text(limit))
         rows.append((*told, value, error, unit, "yes" if one.reached else "NO"))
@@ -83,7 +83,7 @@ def _print(found: Identification) -> None:
     screen = console()
     for conflict in found.conflicts:
         limit = conflict.figure.limit
-        value, _, unit = value_text(conflict.reached, limit.unit)
+        value, _, unit = value_cells(conflict.reached, limit.unit)
         others = " or ".join(a.limit.figure.replace("_", " ") for a in conflict.against)
         against = f"; it goes once {others} is given up" if others else ""
         missed = f"{limit.figure.replace('_', ' ')} of {limit_text(limit)} is not reached ({value} {unit}){against}"
@@ -91,7 +91,7 @@ def _print(found: Identification) -> None:
     for following in found.next_figures[:1]:
         name = following.limit.figure.replace("_", " ")
         at = condition_text(following.limit.conditions, COMMON)
-        value, error, unit = value_text(following.expected, following.limit.unit, following.deviation)
+        value, error, unit = value_cells(following.expected, following.limit.unit, following.deviation)
         screen.print(escape(
             f"measure next: {name}{f' ({at})' if at else ''}, expected {value} ± {error} {unit}; it narrows "
             f"{following.narrows.replace('_', ' ')} to {following.after / following.before:.0%} of what is open"

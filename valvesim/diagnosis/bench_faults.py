@@ -10,7 +10,7 @@ What is told of it in the end goes by a Wald statistic, beside the cause that is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 

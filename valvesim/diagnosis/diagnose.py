@@ -15,7 +15,7 @@ import numpy as np
 
 from valvesim.diagnosis.advice import advice_on_causes, advice_on_unknown
 from valvesim.diagnosis.answer_tables import (
-    UNITS,
+    CHANNEL_UNITS,
     candidate_answers,
     detection_limits,
     error_table,
@@ -162,8 +162,8 @@ def _answer(isolation: Isolation) -> Diagnosis:
         term=term,
         shifts=parameter_shifts(study, point),
         noise=tuple(
-            NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=UNITS[channel], order=len(n.lags),
-                       verified=n.verified, source=n.source)
+            NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=CHANNEL_UNITS[channel],
+                       order=len(n.lags), verified=n.verified, source=n.source)
             for (channel, rate), n in study.noise.items()
         ),
         scores=score_table(scores),

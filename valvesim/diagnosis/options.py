@@ -1,13 +1,14 @@
 """The options of a diagnosis: every threshold with its unit, meaning and where its value comes from.
 
-`diagnose(session, options=DiagnosisOptions(...))` passes them on. See `valvesim.identification.options`.
+`diagnose(session, options=DiagnosisOptions(...))` passes them on. See `valvesim.options`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from valvesim.identification.options import JUDGEMENT, IdentificationOptions, option
+from valvesim.identification.options import IdentificationOptions
+from valvesim.options import JUDGEMENT, option
 
 
 @dataclass(frozen=True, kw_only=True)

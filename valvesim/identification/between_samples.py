@@ -159,11 +159,11 @@ def deviating_command(command: Command, end: float, deviations: Deviations, wher
     """A measured input with deviations of it."""
     waves = [one.command(amount) for one, amount in deviations if isinstance(one, Wave)]
     if len(waves) < len(deviations):
-        command = command_of(deviating(points_of(command, end), deviations), where)
+        command = command_through(deviating(points_of(command, end), deviations), where)
     return Sum((command, *waves)) if waves else command
 
 
-def command_of(points: Points, where: str) -> Command:
+def command_through(points: Points, where: str) -> Command:
     """The command that goes straight between points."""
     t, u = points
     if np.ptp(u) == 0.0:

@@ -28,7 +28,7 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.session import UNITS, Record, Session, value_text
 from valvesim.identification.study import PreparedSession, Study
-from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.effects.sensors import SENSOR_DELAY
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +116,7 @@ def choose_inputs(
 
 def are_delays(nominal: NominalModel) -> np.ndarray:
     """(p,) True for the parameters that are a sensor's delay."""
-    delay = CATALOGUE["sensor_delay"].name
-    return np.array([p.sensor is not None and p.sensor.name == delay for p in nominal.parameters])
+    return np.array([p.sensor is not None and p.sensor.name == SENSOR_DELAY.name for p in nominal.parameters])
 
 
 def _evaluated(study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...]) -> Fit | None:

@@ -18,7 +18,6 @@ from valvesim.identification.fit import Fit, evaluate_fit, moved_candidates, sha
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.study import Study
 
-
 PIVOTS = 200  # of a bounded step: one for each parameter is seldom needed
 
 

@@ -1,32 +1,14 @@
 """The options of identification: every threshold with its unit, meaning and where its value comes from.
 
-Options are passed on: a `Study` carries its own. `option_table` lists them. A value whose source is `JUDGEMENT` follows
-from no data sheet or theorem; those of the diagnosis are held against `benchmarks/hidden_effects.py` as a whole.
+Options are passed on: a `Study` carries its own. Those that follow from judgement are held as a whole, with those of
+the diagnosis, against `benchmarks/hidden_effects.py`.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
-JUDGEMENT = "judgement"
-
-
-def option(value: Any, unit: str, doc: str, source: str) -> Any:
-    """A dataclass field that declares an option once: value, unit ("1" for a number), meaning, source of the value."""
-    return dataclasses.field(default=value, metadata={"unit": unit, "doc": doc, "source": source})
-
-
-def option_table(options: Any) -> Iterator[tuple[str, Any, str, str, str]]:
-    """(name, value, unit, doc, source) of each option, those of stages inside as `stage.name`."""
-    for declared in dataclasses.fields(options):
-        value = getattr(options, declared.name)
-        if dataclasses.is_dataclass(value):
-            yield from ((f"{declared.name}.{name}", *rest) for name, *rest in option_table(value))
-        else:
-            yield declared.name, value, *(declared.metadata[key] for key in ("unit", "doc", "source"))
+from valvesim.options import JUDGEMENT, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,10 +28,10 @@ from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
-from valvesim.simulation.temperature_knots import between, brackets, on_lines, temperature_knots
+from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
-from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
+from valvesim.valve.effects.sensors import sensor_lag
 from valvesim.valve.equations import Model
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath, ThermalNetwork, temperature_path
@@ -258,7 +258,9 @@ class RecordPredictor:
             return tuple(columns)
         k, share = brackets(self.times if times is None else times, path.times)
         share = share.reshape(-1, *(1,) * (columns[0].ndim - 1))
-        return tuple(column[:1] if np.all(column == column[0]) else on_lines(column, k, share) for column in columns)
+        return tuple(
+            column[:1] if np.all(column == column[0]) else linear_interpolation(column, k, share) for column in columns
+        )
 
     def switched_off(self, model: ValveModel, active: Sequence[ActiveEffect]) -> np.ndarray:
         """True for each state of the model that is the memory of an effect which is not active."""
@@ -307,7 +309,7 @@ class RecordPredictor:
         )
         acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
         if self.lags.get(name, 0.0) > 0.0:
-            acting.append(CATALOGUE["sensor_lag"].on(name)(time_constant=self.lags[name]))
+            acting.append(sensor_lag(name, self.lags[name]))
         for active in acting:
             column = _apply_reading(active, times, column, oil)
         return column
@@ -331,7 +333,7 @@ class RecordPredictor:
 def _apply_reading(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.ndarray) -> np.ndarray:
     reading = active.effect.reading
     assert reading is not None  # noqa: S101 - the caller has chosen effects with one
-    if columns.ndim == 1 or active.effect.name == "sensor_lag":
+    if columns.ndim == 1 or active.effect.reads_columns:
         return reading(Reading(times, columns, oil), active.values)
     return np.column_stack([reading(Reading(times, column, oil), active.values) for column in columns.T])
 

@@ -18,8 +18,8 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.session import PART_TEMPERATURES, Record, Session
 from valvesim.units import quantities
-from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import Effect
+from valvesim.valve.effects.sensors import SENSOR_BIAS, SENSOR_DELAY, SENSOR_GAIN
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import ThermalNetwork
 
@@ -164,15 +164,17 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
             )
     for channel in measured_channels(session):
         span = _span(session, channel)
-        for name, tolerance in (
-            ("sensor_bias", options.prior.sensor_bias * span),
-            ("sensor_gain", options.prior.sensor_gain),
-            ("sensor_delay", options.prior.sensor_delay),
+        for error, tolerance in (
+            (SENSOR_BIAS, options.prior.sensor_bias * span),
+            (SENSOR_GAIN, options.prior.sensor_gain),
+            (SENSOR_DELAY, options.prior.sensor_delay),
         ):
-            effect = _either_way(CATALOGUE[name].on(channel))
+            effect = _either_way(error.on(channel))
             amplitude = effect.amplitude
             parameters.append(
-                NuisanceParameter(f"{name}@{channel}", amplitude.unit, 0.0, tolerance / 2.0, amplitude.bounds, effect)
+                NuisanceParameter(
+                    f"{error.name}@{channel}", amplitude.unit, 0.0, tolerance / 2.0, amplitude.bounds, effect
+                )
             )
     network = session.thermal.network if _warms(session) else None
     if network is not None:

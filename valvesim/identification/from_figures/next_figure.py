@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.characterisation.specification import FIGURES, Limit
-from valvesim.identification.from_figures.posterior import STEP, Posterior
+from valvesim.identification.from_figures.posterior import Posterior
 from valvesim.identification.from_figures.prediction import Asked, FigurePredictor
 from valvesim.identification.from_figures.similarity import UNKNOWNS
 
@@ -51,15 +51,15 @@ def next_figures(posterior: Posterior, predictor: FigurePredictor) -> tuple[Next
                 continue
             own = {**defaults, **({} if amplitude is None else {"amplitude": amplitude})}
             candidates.append(Limit(figure=name, conditions=own))
-    n, similar = len(posterior.point), posterior.similar
-    points = posterior.point + STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
+    n, similar, step = len(posterior.point), posterior.similar, predictor.options.posterior.step
+    points = posterior.point + step * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
     guess = {"frequency_minus_3_db": 100.0, "frequency_minus_90_deg": 150.0, "time_to_90_percent": 5e-3}
     expected = np.array([_expected(posterior, limit.figure, guess.get(limit.figure, 1.0)) for limit in candidates])
     for at in (points[:1], points):  # first where they are, then how they move
         asked = tuple(Asked(limit, value, 1.0) for limit, value in zip(candidates, expected, strict=True))
         figures = replace(predictor, asked=asked).predict(similar.valves(at), len(at))
         expected = figures[0]
-    slopes = (figures[1 : n + 1] - figures[n + 1 :]).T / (2.0 * STEP)
+    slopes = (figures[1 : n + 1] - figures[n + 1 :]).T / (2.0 * step)
     C = posterior.covariance
     found = []
     for limit, value, slope in zip(candidates, expected, slopes, strict=True):

@@ -19,15 +19,7 @@ from valvesim.errors import InputError, SolveError
 from valvesim.identification.from_figures.prediction import Asked, FigurePredictor
 from valvesim.identification.from_figures.similarity import UNKNOWNS, SimilarValves
 
-STEP = 0.05  # prior deviations of a difference
-FORWARD = 0.005  # of one to one side alone, on the way
-FARTHEST = 4.0  # prior deviations from similarity: no believable valve is beyond
-EVALUATIONS = 25  # of the fit, each with a Jacobian
-ENOUGH = 1e-3  # `ftol` of the penalised chi-square
-RESTARTS = 2  # from drawn points, where a fit is inadequate
-ADEQUATE = 2.0  # deviations of a chi-square above its mean, q with sqrt(2 q), that a fit may have
-LAP = [unknown.name for unknown in UNKNOWNS].index("lap")
-NO_VALVE = 1e3  # deviations: the misfit of a point at which there is no valve
+_LAP = [unknown.name for unknown in UNKNOWNS].index("lap")
 
 
 @dataclass(frozen=True)
@@ -54,7 +46,7 @@ class Posterior:
         """
         whitened = _whitened(self.asked, self.predicted, self.slopes, self.turns_slopes)
         if all(asked.limit.figure != "lap" for asked in self.asked):
-            whitened[:, LAP] = 0.0
+            whitened[:, _LAP] = 0.0
         return _covariance(whitened)
 
     @property
@@ -77,11 +69,11 @@ def fit(
 
     Raises SolveError where no point near similarity is a valve that runs.
     """
-    n, draw = len(UNKNOWNS), np.random.default_rng(seed)
+    n, draw, options = len(UNKNOWNS), np.random.default_rng(seed), predictor.options.posterior
     best = descend(similar, predictor, np.zeros(n), progress)
     expected = len(best.asked)
-    for _ in range(RESTARTS):
-        if best.chi_square <= expected + ADEQUATE * np.sqrt(2.0 * expected):
+    for _ in range(options.restarts):
+        if best.chi_square <= expected + options.adequate * np.sqrt(2.0 * expected):
             break
         other = descend(similar, predictor, 0.7 * draw.normal(size=n), progress)
         best = other if other.chi_square < best.chi_square else best
@@ -90,20 +82,23 @@ def fit(
 
 def descend(
     similar: SimilarValves, predictor: FigurePredictor, start: np.ndarray,
-    progress: Callable[[float], None] | None = None, *, evaluations: int = EVALUATIONS,
+    progress: Callable[[float], None] | None = None, *, evaluations: int | None = None,
 ) -> Posterior:  # fmt: skip
-    """The maximum a posteriori that lies downhill of a point. Raises SolveError where that is no valve that runs."""
+    """The maximum a posteriori that lies downhill of a point, in `evaluations` (those of the options by default).
+
+    Raises SolveError where the point is no valve that runs.
+    """
     from scipy.optimize import least_squares
 
-    n, asked = len(start), predictor.asked
+    n, asked, options = len(start), predictor.asked, predictor.options.posterior
     done: dict[bytes, _Local] = {}
 
     def at(point: np.ndarray) -> _Local:
         key = point.tobytes()
         if key not in done:
-            done[key] = _local(similar, predictor, point, FORWARD * np.eye(n))
+            done[key] = _local(similar, predictor, point, options.forward_step * np.eye(n))
             if progress is not None:
-                progress(min(len(done) / EVALUATIONS, 1.0))
+                progress(min(len(done) / options.evaluations, 1.0))
         return done[key]
 
     def misfit(point: np.ndarray) -> np.ndarray:
@@ -112,7 +107,7 @@ def descend(
         except (SolveError, InputError):
             if not done:
                 raise
-            return np.full(len(asked) + n + 1, NO_VALVE)
+            return np.full(len(asked) + n + 1, options.no_valve)
         misfits = [a.misfit(float(v)) for a, v in zip(asked, local.figures, strict=True)]
         return np.concatenate([misfits, [local.turns], point])
 
@@ -121,10 +116,10 @@ def descend(
         return np.vstack([_whitened(asked, local.figures, local.slopes, local.turns_slopes), np.eye(n)])
 
     found = least_squares(
-        misfit, start, jac=jacobian, bounds=(-FARTHEST, FARTHEST), method="trf", x_scale=1.0, ftol=ENOUGH, xtol=1e-4,
-        gtol=1e-6, max_nfev=evaluations,
+        misfit, start, jac=jacobian, bounds=(-options.farthest, options.farthest), method="trf", x_scale=1.0,
+        ftol=options.ftol, xtol=1e-4, gtol=1e-6, max_nfev=evaluations or options.evaluations,
     )  # fmt: skip
-    end = _local(similar, predictor, found.x, STEP * np.vstack([np.eye(n), -np.eye(n)]))
+    end = _local(similar, predictor, found.x, options.step * np.vstack([np.eye(n), -np.eye(n)]))
     return Posterior(
         similar, asked, found.x, end.figures, end.slopes, end.turns_slopes, float(2.0 * found.cost)
     )  # fmt: skip
