@@ -32,7 +32,7 @@ class FittedHypothesis:
     @property
     def least_chi_square(self) -> float:
         """The chi-square less what the fit still predicts to gain."""
-        return self.fit.chi_square - min(self.fit.predicted_reduction, self.options.identification.fit.unconverged)
+        return self.fit.chi_square - min(self.fit.predicted_reduction, 2.0 * self.options.identification.fit.hypothesis_ftol)
 
     @property
     def prior_penalty(self) -> float:

@@ -138,9 +138,6 @@ class SelectionOptions:
         "twice the log prior odds against a cause that nobody has listed",
         "of a hundred names given alone four stand for one",
     )
-    most_shift: float = option(
-        10.0, "1", "prior deviations that no unnamed figure may be off in an answer", "five tolerances: another part"
-    )
     record_share: float = option(
         0.8, "1", "share of what is left beyond the noise that one test carries where it may not belong", JUDGEMENT
     )

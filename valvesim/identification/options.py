@@ -187,6 +187,9 @@ class PriorOptions:
     least_share: float = option(
         0.01, "1", "share of its nominal value that a positive quantity keeps: the equations divide by some", JUDGEMENT
     )
+    reach: float = option(
+        10.0, "1", "prior deviations that no nuisance parameter goes beyond", "five tolerances: another part"
+    )
     network_reach: float = option(
         100.0, "1", "factor within which a figure of the thermal network is sought either way", JUDGEMENT
     )
@@ -325,8 +328,8 @@ class FitOptions:
         "reduction of the chi-square that ends the fit of a hypothesis",
         "the answer set goes by several, and the rest is predicted",
     )
-    unconverged: float = option(
-        4.0, "1", "predicted reduction from which a fit has not converged", "twice `hypothesis_ftol`"
+    most_explained: float = option(
+        10.0, "1", "multiple of the rows up to which what is explained counts for `relative_ftol`", JUDGEMENT
     )
 
 

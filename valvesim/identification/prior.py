@@ -129,13 +129,13 @@ class NominalModel:
 
     @property
     def limits(self) -> np.ndarray:
-        """(2, p): how far down and up each parameter may go, in prior deviations."""
+        """(2, p): how far down and up each parameter may go, in prior deviations: a part further off is another one."""
         ends = [
             (np.log(np.maximum(p.bounds, 1e-300) / p.nominal) if p.logarithmic else np.subtract(p.bounds, p.nominal))
             / p.deviation
             for p in self.parameters
         ]
-        return np.transpose(ends)
+        return np.clip(np.transpose(ends), -self.options.prior.reach, self.options.prior.reach)
 
     def extended(self, parameters: Sequence[NuisanceParameter], deviations: Deviations = ()) -> NominalModel:
         """The same with more nuisance parameters, after its own, and with what inputs do beside their samples."""
