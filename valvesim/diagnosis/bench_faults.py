@@ -227,7 +227,8 @@ def _wave_advice(wave: Sequence[NuisanceParameter]) -> Advice:
 
 def _shift_words(column: str, growing: bool) -> Callable[[np.ndarray], str]:
     what, within = column.replace("_", " "), " within a record" if growing else ""
-    return lambda values: f"the {what} is off by up to {value_text(float(np.abs(values).max()), SHIFTED[column])}{within}"
+    unit = SHIFTED[column]
+    return lambda values: f"the {what} is off by up to {value_text(float(np.abs(values).max()), unit)}{within}"
 
 
 def _clock_words(values: np.ndarray) -> str:

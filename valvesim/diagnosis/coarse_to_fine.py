@@ -49,7 +49,7 @@ def fit_coarse_to_fine(
 
 
 def _without_outliers(nominal: NominalFit) -> NominalFit:
-    """The nominal fit without single readings far off it, if there are such: where it is adequate, else it errs itself."""
+    """The nominal fit without single readings far off it, if there are such; an inadequate fit errs itself."""
     if nominal.fit.chi_square > nominal.study.options.fit.inadequate_ratio * nominal.fit.rows:
         return nominal
     own = nominal.study.unweighted()

@@ -22,7 +22,7 @@ def detect(scores: ScoreTest) -> tuple[bool, float]:
 
 
 def beyond_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> float:
-    """The chi-square that a fit leaves beyond the noise where that is verified, and what its own estimate may be off."""
+    """The chi-square that a fit leaves beyond the noise where that is verified, and beyond what that may be off."""
     chi_square, rows = verified_chi_square(fit, study)
     return max(chi_square - rows - options.detection.noise_error * rows - 5.0 * float(np.sqrt(2.0 * rows)), 0.0)
 

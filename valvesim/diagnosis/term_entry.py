@@ -31,7 +31,9 @@ def as_catalogue_entry(isolation: Isolation, recovered: RecoveredTerm) -> Isolat
     entries = [
         FittedHypothesis(fit, options=options)
         for fit in fits
-        if fit is not None and fit.chi_square - fit.predicted_reduction < most and not at_limit(fit, nominal.study).any()
+        if fit is not None
+        and fit.chi_square - fit.predicted_reduction < most
+        and not at_limit(fit, nominal.study).any()
     ]
     if not entries:
         return isolation

@@ -21,7 +21,7 @@ from valvesim.valve.effect import Parameter
 def instrument_errors(session: Session, *, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
     """All of them."""
     return (
-        *(p for column in SHIFTED for growing in (False, True) for p in input_shifts(session, column, growing, options)),
+        *(p for column in SHIFTED for late in (False, True) for p in input_shifts(session, column, late, options)),
         *clock_rates(session, options),
         *meter_drifts(session, options),
     )

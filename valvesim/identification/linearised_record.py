@@ -120,14 +120,14 @@ class LinearisedRecord:
         alone = set(range(len(variants)))
         for alike in (
             [j for j, one in enumerate(variants) if replace(one, valve=own.valve) == own],
-            [] if own_knots else [j for j, one in enumerate(variants) if replace(one, network=own.network) == own != one],
+            [j for j, one in enumerate(variants) if not own_knots and replace(one, network=own.network) == own != one],
         ):
             alone -= set(alike)
             batches += [alike[start : start + size] for start in range(0, len(alike), size)]
         return [*batches, *([j] for j in sorted(alone))]
 
     def _joint_path(self, variants: Sequence[ModelVariant]) -> TemperaturePath | None:
-        """The temperatures (batch, m) of variants whose networks differ; None where they are those of the trajectory."""
+        """The temperatures (batch, m) of variants whose networks differ; None where these are the trajectory's."""
         if all(one.network == self.variant.network for one in variants):
             return None
         return joint_path([self.predictor.temperatures(one) for one in variants])

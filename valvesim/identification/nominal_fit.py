@@ -236,7 +236,7 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
 
 
 def with_inputs_beside(nominal: NominalFit, beside: NominalFit) -> NominalFit:
-    """A nominal fit, or the one near it under the way of its commands that a fit `beside` it, with candidates, asks for.
+    """A nominal fit, or the one near it under the way of its commands that a fit `beside` it asks for, with candidates.
     """
     without, now, better = _reviewed_choice(beside, beside.fit.fitted)
     return nominal if better.name == now.name else _near_under(without, better, nominal, punctual=False)
