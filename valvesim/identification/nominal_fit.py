@@ -10,7 +10,7 @@ import numpy as np
 from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, rescored
-from valvesim.identification.fit_jacobian import added_jacobian_of, jacobian_of, linearise_fit
+from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
 from valvesim.identification.input_choice import (
     HELD_NAME,
     STRAIGHT,
@@ -21,8 +21,7 @@ from valvesim.identification.input_choice import (
     input_notes,
     input_spread,
 )
-from valvesim.identification.input_waves import dominant_wave, fitted_waves, linear_gain
-from valvesim.identification.instrument_errors import has_instrument_errors, instrument_errors
+from valvesim.identification.input_waves import dominant_wave, fitted_waves
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
@@ -54,33 +53,12 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
         progress(reached)
 
     prepared, choice, nominal = _robust_with_inputs(prepared, ahead)
-    prepared, nominal = _with_instrument_errors(prepared, choice, nominal, ahead)
     full = _finished(_with_inputs(prepared, choice), nominal, ahead)
     _, _, better = _reviewed_choice(full)
     if better.name == choice.name:
         return full
-    nominal = _robustly_fitted(_with_inputs(prepared, better), _point_by_name(full), ahead)
-    prepared, nominal = _with_instrument_errors(prepared, better, nominal, ahead)
-    return _finished(_with_inputs(prepared, better), nominal, ahead)
-
-
-def _with_instrument_errors(
-    prepared: PreparedSession, choice: InputChoice, nominal: NominalFit, ahead: Callable[[float], None]
-) -> tuple[PreparedSession, NominalFit]:
-    """A robust start continued to a preliminary fit, with errors of the instruments among the parameters of the session
-    where it is inadequate without, and these explain a good part of what it leaves.
-    """
-    nominal, options = _converge_down_weighted(nominal, ahead), prepared.options
-    fit, excess = nominal.fit, nominal.fit.chi_square - nominal.fit.rows
-    if fit.chi_square < options.fit.inadequate_ratio * fit.rows or has_instrument_errors(prepared.nominal.parameters):
-        return prepared, nominal
-    errors = instrument_errors(prepared.session, options=options)
-    added = added_jacobian_of(nominal.study, nominal.linearised, errors)
-    if linear_gain(nominal.J, fit, added) < options.instrument.least_share * excess:
-        return prepared, nominal
-    prepared = prepared.with_nominal(prepared.nominal.extended(errors))
-    nominal = _robustly_fitted(_with_inputs(prepared, choice), _point_by_name(nominal), ahead)
-    return prepared, _converge_down_weighted(nominal, ahead)
+    again = _with_inputs(prepared, better)
+    return _finished(again, _robustly_fitted(again, _point_by_name(full), ahead), ahead)
 
 
 def _robust_with_inputs(
@@ -162,7 +140,10 @@ def _robustly_fitted(
 
 
 def _finished(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[float], None]) -> NominalFit:
-    """A preliminary fit continued: with the noise that it leaves where repeats have not told it, then in full."""
+    """A robust start continued: preliminary, with the noise that it leaves where repeats have not told it, then in
+    full.
+    """
+    nominal = _converge_down_weighted(nominal, ahead)
     if not all(one.verified for one in nominal.study.noise.values()):
         for _ in range(2):  # the noise is what the best fit leaves: again with its colour
             noise = identify_noise(nominal.study, nominal.fit.readings)

@@ -170,9 +170,6 @@ class InstrumentOptions:
     supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
     clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
     meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
-    least_share: float = option(
-        0.05, "1", "share of the excess chi-square that they must explain to be fitted before any cause", JUDGEMENT
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
