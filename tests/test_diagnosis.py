@@ -13,7 +13,7 @@ from marks import slow_but
 import valvesim as vs
 from valvesim.diagnosis import isolation, refits, second_cause
 from valvesim.diagnosis.answer_tables import candidate_answers
-from valvesim.diagnosis.detection import unexplained_share
+from valvesim.diagnosis.detection import rests_on_limits, unexplained_share
 from valvesim.diagnosis.diagnose import _term_explains_more, verdict_of
 from valvesim.diagnosis.holdout_gain import holdout_gain
 from valvesim.diagnosis.isolation import _better_nominal, _known_hypotheses, unknown_reason_of
@@ -41,7 +41,7 @@ from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.prior import NuisanceParameter
-from valvesim.identification.projection import ProjectedScores
+from valvesim.identification.projection import GramMatrix, ProjectedScores
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
 from valvesim.units import quantities
@@ -311,9 +311,10 @@ def test_however_much_a_cause_explains_it_may_be_one_that_nobody_has_listed(fall
 def leaving(z, *names, gained=1000.0, term=3.0, wander=0.0):
     """(base, final scene) of a hypothesis that leaves one further candidate at z, a free term, an amplitude astray."""
     noise = {"any": SimpleNamespace(verified=True)}
-    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=1.0 + gained), study=SimpleNamespace(noise=noise))
+    study = SimpleNamespace(noise=noise, options=OPTIONS)
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=1.0 + gained), study=study)
     scores = SimpleNamespace(
-        options=DIAGNOSIS,
+        options=DIAGNOSIS, study=study,
         fit=explained(1.0, *names).fit, z=lambda: np.array([z]), level=lambda probability: 4.0,
         term_tests=lambda: [(term, 5), (0.0, 0)], constancy=lambda: (wander, 7),
     )  # fmt: skip
@@ -335,7 +336,22 @@ def test_what_is_left_is_a_share_of_what_is_explained_beyond_chance():
     assert unexplained_share(*leaving(0.0, "spool_lap", wander=chi2.isf(1e-3, 7) + 10.0)) == pytest.approx(0.01)
     nominal, scores = leaving(0.0, "spool_lap")
     scores.fit = replace(scores.fit, chi_square=2.0 * scores.fit.rows)
-    assert unexplained_share(nominal, scores) == np.inf  # more than the noise
+    nominal.fit.chi_square = scores.fit.chi_square + 1e5
+    error = DIAGNOSIS.detection.noise_error * scores.fit.rows + 5.0 * np.sqrt(2.0 * scores.fit.rows)
+    assert unexplained_share(nominal, scores) == pytest.approx((scores.fit.rows - error) / 1e5)  # more than the noise
+
+
+@pytest.mark.parametrize("bias, rests", [(0.0, 0.0), (8.0, 0.0), (30.0, 25.0**2 - 20.0**2)])
+def test_what_rests_on_a_figure_that_no_part_has_is_left_over(bias, rests):
+    """One figure that a single reading of weight one shows: at its limit of ten, halfway back it would miss more."""
+    point = np.array([min(bias / 2.0, OPTIONS.prior.reach)])
+    left = bias - point[0]
+    gram = GramMatrix(np.array([[[left**2, left], [left, 1.0]]]), point, (1,))
+    final = SimpleNamespace(
+        gram=gram, own=(), fit=SimpleNamespace(point=point), study=SimpleNamespace(options=OPTIONS)
+    )
+    prior = 10.0**2 - 5.0**2 if rests else 0.0
+    assert rests_on_limits(final) == pytest.approx(rests - prior)
 
 
 def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_causes():
@@ -551,20 +567,21 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
 
 
 def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeypatch):
-    asked = []
+    asked, much = [], 3.0 * OPTIONS.fit.hypothesis_ftol
+    nominal = SimpleNamespace(study=SimpleNamespace(options=OPTIONS), fit=explained(120.0).fit)
 
     def unsettled(chi_square, predicted_reduction):
         return replace(explained(chi_square, "spool_lap").fit, predicted_reduction=predicted_reduction)
 
     def fit_hypothesis(nominal, fitted, point):
         asked.append(point)
-        return unsettled(100.0 - 10.0 * len(asked), OPTIONS.fit.unconverged + 1.0 if len(asked) == 1 else 0.0)
+        return unsettled(100.0 - 10.0 * len(asked), much if len(asked) == 1 else 0.0)
 
     monkeypatch.setattr(refits, "clipped_to_tolerance", lambda nominal: "within")
     monkeypatch.setattr(refits, "fit_hypothesis", fit_hypothesis)
     monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, fitted: None)  # no valve runs there
-    assert _restarted_within_tolerance(None, unsettled(100.0, 0.0), options=DIAGNOSIS) == [] and not asked
-    again = _restarted_within_tolerance(None, unsettled(100.0, OPTIONS.fit.unconverged + 1.0), options=DIAGNOSIS)
+    assert _restarted_within_tolerance(nominal, unsettled(100.0, 0.0), options=DIAGNOSIS) == [] and not asked
+    again = _restarted_within_tolerance(nominal, unsettled(100.0, much), options=DIAGNOSIS)
     assert asked == ["within"] * 2 and [one.fit.chi_square for one in again] == [90.0, 80.0]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis import isolation
-from valvesim.diagnosis.detection import exceeds_noise, verified_chi_square
+from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.identification.candidates import Candidate
@@ -92,7 +92,7 @@ def white_study(verified, excess, seed=0):
 )
 def test_more_than_the_noise_is_looked_for_in_every_channel_whose_noise_is_verified(verified, excess, exceeds):
     study, fit = white_study(verified, excess)
-    assert exceeds_noise(fit, study, options=DIAGNOSIS) is exceeds
+    assert (beyond_noise(fit, study, options=DIAGNOSIS) > 0.0) is exceeds
 
 
 def test_the_parts_of_channels_add_up_to_the_chi_square():
@@ -104,8 +104,8 @@ def test_the_parts_of_channels_add_up_to_the_chi_square():
     assert whole[1] == 2 * ROWS
 
 
-@pytest.mark.parametrize("inadequate, far", [(True, ""), (False, ""), (False, "nozzle_arm 24 tolerances off")])
-def test_of_an_answer_set_that_was_emptied_no_candidate_is_told_to_be_in_it(inadequate, far, monkeypatch):
+@pytest.mark.parametrize("inadequate", [True, False])
+def test_of_an_answer_set_that_was_emptied_no_candidate_is_told_to_be_in_it(inadequate, monkeypatch):
     best, base, told = hypothesis(4900.0, "spool_lap"), nominal(9000.0), {}
     scores = SimpleNamespace(options=DIAGNOSIS)
     ended = isolation.Isolation(base, scores, scores, [best], [best], "", True, 4.0)
@@ -123,10 +123,10 @@ def test_of_an_answer_set_that_was_emptied_no_candidate_is_told_to_be_in_it(inad
     own = diagnosing.candidate_answers
     base.study.session = SimpleNamespace(notes=())
     monkeypatch.setattr(diagnosing, "is_inadequate", lambda nominal, fit, options: inadequate)
-    monkeypatch.setattr(diagnosing, "_far_off", lambda study, point, options: far)
+    monkeypatch.setattr(diagnosing, "_far_off", lambda study, point: "")
     monkeypatch.setattr(diagnosing, "candidate_answers", answers)
     monkeypatch.setattr(diagnosing, "verdict_of", verdict_of)
     with pytest.raises(Told):
         diagnosing._answer(ended)
     in_set = {answer.label for answer in told["candidates"] if answer.in_set}
-    assert in_set == ({"none of the known causes"} if inadequate or far else {"spool_lap"})
+    assert in_set == ({"none of the known causes"} if inadequate else {"spool_lap"})

@@ -39,9 +39,10 @@ def test_the_base_fit_is_a_minimum(biased):
     nominal, _ = biased
     gradient = nominal.J.T @ nominal.fit.residual - nominal.fit.point
     H = nominal.J.T @ nominal.J + np.eye(len(gradient))
-    assert (
-        gradient @ np.linalg.solve(H, gradient) < 2.0 * OPTIONS.fit.nominal_ftol
-    )  # of the deviance is all that a step promises
+    step = bounded_step(H, gradient, nominal.study.nominal.limits - nominal.fit.point)
+    promised = (2.0 * gradient - H @ step) @ step
+    beyond = nominal.fit.chi_square - OPTIONS.fit.inadequate_ratio * nominal.fit.rows  # no adequate fit is in sight
+    assert promised < max(2.0 * OPTIONS.fit.nominal_ftol, OPTIONS.fit.adequate_pace * beyond)
     assert nominal.fit.chi_square == pytest.approx(
         nominal.fit.residual @ nominal.fit.residual + nominal.fit.point @ nominal.fit.point
     )
@@ -146,7 +147,7 @@ def test_a_refit_begun_far_off_begins_small_and_great_where_the_small_does_not_s
     fit_hypothesis(nominal, (FittedCandidate(candidate, bias),))
     assert asked == pytest.approx([1.0, 0.3]) and begun == pytest.approx([0.3])
     begun.clear()
-    predicted_reduction = 2.0 * OPTIONS.fit.unconverged
+    predicted_reduction = 8.0 * OPTIONS.fit.hypothesis_ftol
     least = fit_hypothesis(nominal, (FittedCandidate(candidate, bias),))
     assert begun == pytest.approx([0.3, 1.0]) and least.fitted[0].above_neutral == pytest.approx(0.3 * bias)
     asked.clear()
@@ -250,8 +251,9 @@ def test_room_is_up_to_the_limits_of_an_amplitude_and_a_stride_of_a_shape(biased
     fit = Fit(np.ones(p), (member,), 0.0, (), np.zeros(0), 0.0)
     limits = step_limits(fit, nominal, options=OPTIONS)
     assert limits.shape == (2, p + 2) and limits[:, :p] == pytest.approx(nominal.limits - 1.0)
-    for k, parameter in enumerate(nominal.parameters):  # a figure at its limit is at its bound, and positive ones are
-        assert parameter.at(nominal.limits[0, k]) == pytest.approx(parameter.bounds[0])
+    for k, parameter in enumerate(nominal.parameters):  # a figure at its limit is at its bound, or as far as it may be
+        for limit, bound in zip(nominal.limits[:, k], parameter.bounds, strict=True):
+            assert abs(limit) == OPTIONS.prior.reach or parameter.at(limit) == pytest.approx(bound)
     limits = limits[:, p - 2 :]
     for step in limits[:, 2:]:
         (moved,) = moved_candidates(fit, step, options=OPTIONS)

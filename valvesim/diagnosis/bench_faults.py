@@ -194,7 +194,7 @@ def _hypotheses(study: Study, scores: ScoreTest) -> list[tuple[NuisanceParameter
     records = study.session.training
     waves = [
         wave_parameters(records, column, frequency, wave_size(study.nominal, records, column))
-        for frequency in outstanding_frequencies(study, scores.fit.readings)
+        for frequency in outstanding_frequencies(study, scores.fit.readings, scores.options.bench.wave_peak)
         for column in wave_columns(records)
         if wave_name(column, frequency) not in fitted_waves(study.nominal)
     ]

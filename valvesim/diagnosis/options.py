@@ -58,6 +58,9 @@ class BenchOptions:
     gain_share: float = option(
         0.05, "1", "the same as a share of what is left: linear answers of a strong cause err by as much", JUDGEMENT
     )
+    wave_peak: float = option(
+        5.0, "1", "times the spectrum beside it at which a wave is thought of", "a cause hides it: the gain decides"
+    )
     causes_beside: int = option(3, "1", "likeliest causes beside which it must explain as much", JUDGEMENT)
 
 

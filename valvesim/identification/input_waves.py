@@ -73,8 +73,10 @@ def fitted_waves(model: NominalModel) -> dict[str, tuple[NuisanceParameter, ...]
     return found
 
 
-def outstanding_frequencies(study: PreparedSession, readings: Readings) -> list[float]:
-    """The few frequencies (Hz) at which what is left stands furthest above what is left beside them."""
+def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: float) -> list[float]:
+    """The few frequencies (Hz) at which what is left stands furthest above what is left beside them, by a ratio of at
+    least `peak`.
+    """
     wave = study.options.wave
     longest = max(predictor.record.duration for predictor in study.predictors)
     highest = min(predictor.record.rate for predictor in study.predictors) / 2.0
@@ -87,7 +89,7 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings) -> list[
     over = power / np.maximum(median_filter(power, wave.beside_bins), 1e-300)
     found: list[float] = []
     for k in np.argsort(-over, kind="stable"):
-        if over[k] < wave.peak or len(found) == wave.frequencies:
+        if over[k] < peak or len(found) == wave.frequencies:
             break
         if all(abs(grid[k] - other) > 3.0 / longest for other in found):
             best = float(grid[k])
@@ -131,7 +133,7 @@ def dominant_wave(
     records, taken = study.session.training, fitted_waves(study.nominal)
     waves = [
         wave_parameters(records, column, frequency, wave_size(study.nominal, records, column))
-        for frequency in outstanding_frequencies(study, fit.readings)
+        for frequency in outstanding_frequencies(study, fit.readings, options.wave.peak)
         for column in wave_columns(records)
         if wave_name(column, frequency) not in taken
     ]

@@ -18,8 +18,6 @@ from valvesim.identification.fit import Fit, evaluate_fit, moved_candidates, sha
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.study import Study
 
-PIVOTS = 200  # of a bounded step: one for each parameter is seldom needed
-
 
 def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
     """The fit after damped Gauss-Newton steps, damped in the metric of the priors (Marquardt 1963), and its
@@ -93,7 +91,7 @@ def bounded_step(H: np.ndarray, gradient: np.ndarray, limits: np.ndarray) -> np.
     low, high = limits
     step, held = solve_normal(H, gradient), np.zeros(len(gradient), dtype=bool)
     fewest, patience = len(gradient) + 1, 3
-    for _ in range(PIVOTS):
+    for _ in range(4 * len(gradient)):  # far more than it needs
         beyond = ~held & ((step < low) | (step > high))
         pull = gradient - H @ step
         inwards = held & np.where(step <= low, pull > 0.0, pull < 0.0)

@@ -145,10 +145,8 @@ class WaveOptions:
 
     ripple: float = option(0.05, "1", "amplitude of a ripple, share of the supply pressure", "ripple of piston pumps")
     hum: float = option(0.02, "1", "amplitude of a hum, share of the command's span", JUDGEMENT)
-    frequencies: int = option(4, "1", "frequencies at which waves are thought of", JUDGEMENT)
-    peak: float = option(
-        5.0, "1", "times the spectrum beside it that such a frequency stands out", "a cause hides it; the gain decides"
-    )
+    frequencies: int = option(3, "1", "frequencies at which waves are thought of", JUDGEMENT)
+    peak: float = option(15.0, "1", "times the spectrum beside it that such a frequency stands out", JUDGEMENT)
     beside_bins: int = option(25, "1", "bins of that spectrum beside it", JUDGEMENT)
     turns: float = option(4.0, "1", "turns of a wave in the longest record, at least", JUDGEMENT)
     highest_share: float = option(0.8, "1", "highest frequency, share of half the sampling rate", JUDGEMENT)
