@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hidden_plant import draw, truth, write_session
+from hidden_plant import draw, shortened, truth, write_session
 from marks import slow_but
 
 import valvesim as vs
@@ -45,12 +45,10 @@ from valvesim.diagnosis.starts import _joint_reductions
 from valvesim.diagnosis.wording import OTHERWISE, location_text, summary_text
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
-from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.prior import NETWORK, NuisanceParameter
 from valvesim.identification.projection import ProjectedScores
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_session
 from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.parameters import Valve
@@ -58,15 +56,15 @@ from valvesim.valve.parameters import Valve
 BEFORE = SimpleNamespace(options=DIAGNOSIS)  # a score test that is made anew where the best has changed
 
 
-def diagnosed(folder, seed, kind, name=None, strength=1.0):
+def diagnosed(folder, seed, kind, name=None, strength=1.0, samples=1001):
     case = draw(seed, kind, name=name)
-    write_session(case, folder, strength)
+    write_session(shortened(case, samples), folder, strength)
     return vs.diagnose(folder), truth(case, strength)
 
 
 @pytest.mark.parametrize("seed", slow_but([6], [0, 6]))
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, seed):
-    found, _ = diagnosed(tmp_path, seed, "none")
+    found, _ = diagnosed(tmp_path, seed, "none", samples=501)
     assert found.verdict == NO_DISCREPANCY and not found.causes and not found.gain_claimed
     assert not found.extension_offered
     assert found.detection_limits and found.noise and all(noise.verified for noise in found.noise)
@@ -74,9 +72,9 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, seed):
     assert 0.0 < limits["spool_coulomb_friction"].amplitude < 1.0  # N: what this session would have shown
 
 
-def test_a_biased_sensor_is_named_with_its_bias(tmp_path):
-    found, hidden = diagnosed(tmp_path, 9, "sensor", "sensor_bias")
-    (figures,) = hidden["parameters"].values()
+def test_a_biased_sensor_is_named_with_its_bias(biased_session):
+    found = vs.diagnose(biased_session)
+    (figures,) = truth(draw(9, "sensor", name="sensor_bias"))["parameters"].values()
     assert found.verdict == CAUSE and found.causes == ("sensor_bias",)
     assert figures["channel"].replace("_", " ") in found.location.replace("_", " ")
     (bias,) = [e for e in found.parameters if e.name == "bias"]
@@ -154,9 +152,8 @@ def test_the_same_session_gives_the_same_answer(tmp_path):
     assert shares == sorted(shares) and shares[0] == 0.0 and len({stage for stage, _ in stages}) >= 3
 
 
-def test_a_locked_record_that_cannot_be_simulated_costs_its_gain_and_nothing_else(tmp_path, monkeypatch):
-    write_session(draw(0, "none"), tmp_path)
-    nominal = fit_nominal(prepare_session(load_session(tmp_path)))
+def test_a_locked_record_that_cannot_be_simulated_costs_its_gain_and_nothing_else(biased_fit, monkeypatch):
+    nominal = biased_fit
     (locked, *_) = nominal.study.session.locked
 
     def prepare_record(session, record, universe, *, options):

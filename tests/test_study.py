@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hidden_plant import draw, write_session
+from hidden_plant import draw, shortened, write_session
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
@@ -362,8 +362,7 @@ def test_what_a_saturated_sensor_lost_is_no_part_of_its_noise(tmp_path):
 
 
 def test_repeats_of_one_record_do_not_keep_the_noise_of_others_at_what_the_nominal_valve_leaves(tmp_path):
-    case = draw(0, "none")
-    write_session(case, tmp_path)
+    write_session(shortened(draw(0, "none"), 501), tmp_path)
     session = load_session(tmp_path)
     last = next(record for record in session.training if record.repeats is None)
     others = [record for record in session.training if record is not last]
