@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hidden_plant import draw, shortened, write_session
+from hidden_plant import draw, write_session
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
@@ -106,6 +106,14 @@ def test_a_hypothesis_that_no_valve_can_have_is_no_fit(biased, monkeypatch):
     monkeypatch.setattr(hypothesis_fit, "evaluate_fit", cannot)
     for fit in (fit_hypothesis(nominal, start), fit_from_prior(nominal, start), continue_fit(nominal, absent)):
         assert fit is None
+
+
+def test_a_refit_from_within_tolerance_finds_the_bias_too(biased):
+    nominal, bias = biased
+    (candidate,) = [c for c in nominal.study.candidates if c.label == "sensor_bias@load_flow"]
+    fit = fit_from_prior(nominal, (FittedCandidate(candidate, candidate.typical),))
+    assert fit.fitted[0].above_neutral == pytest.approx(bias, rel=0.1)
+    assert np.abs(fit.point).max() < 1.5 * OPTIONS.fit.tolerance_deviations
 
 
 def test_a_cause_that_no_valve_has_at_the_nominal_figures_is_no_fit(biased, monkeypatch):
@@ -362,7 +370,7 @@ def test_what_a_saturated_sensor_lost_is_no_part_of_its_noise(tmp_path):
 
 
 def test_repeats_of_one_record_do_not_keep_the_noise_of_others_at_what_the_nominal_valve_leaves(tmp_path):
-    write_session(shortened(draw(0, "none"), 501), tmp_path)
+    write_session(draw(0, "none"), tmp_path)
     session = load_session(tmp_path)
     last = next(record for record in session.training if record.repeats is None)
     others = [record for record in session.training if record is not last]
