@@ -150,6 +150,16 @@ def test_a_command_that_goes_straight_is_left_as_it_is(tmp_path):
     assert not any("taken as" in note for note in nominal.study.session.notes)
 
 
+def test_a_strong_ripple_of_the_supply_is_fitted_with_its_frequency(tmp_path):
+    case, bench = draw_bench(505, "none", imperfections=("ripple",), duration=0.3)
+    write_bench_session(case, bench, tmp_path)
+    nominal = fit_nominal(prepare_session(load_session(tmp_path)))
+    (found,) = {p.input.frequency for p in nominal.study.nominal.parameters if isinstance(p.input, Wave)}
+    frequency = next(run.ripple[1] for run in case.runs)
+    assert abs(found - frequency) < 0.5 / 0.3  # half of what records of 0.3 s tell apart
+    assert nominal.fit.chi_square < 1.2 * nominal.fit.rows
+
+
 def test_an_edge_may_be_anywhere_in_its_interval_and_nowhere_else(stepped):
     _, session = stepped
     record = session.training[0]

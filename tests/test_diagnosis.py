@@ -7,11 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hidden_plant import draw, truth, write_session
+from hidden_plant import draw, shortened, truth, write_session
 from marks import slow_but
 
 import valvesim as vs
 from valvesim.diagnosis import isolation, refits, second_cause
+from valvesim.diagnosis.advice import advice_on_unknown
 from valvesim.diagnosis.answer_tables import candidate_answers
 from valvesim.diagnosis.detection import rests_on_limits, unexplained_share
 from valvesim.diagnosis.diagnose import _term_explains_more, verdict_of
@@ -27,7 +28,13 @@ from valvesim.diagnosis.model_selection import (
 )
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.refits import _from_best_point, _pairs_from_members, _restarted_within_tolerance, fit_starts
-from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, UNKNOWN
+from valvesim.diagnosis.result import (
+    AMBIGUOUS,
+    CAUSE,
+    NO_DISCREPANCY,
+    UNKNOWN,
+    Term,
+)
 from valvesim.diagnosis.second_cause import (
     effects_for_parameters,
     start_keys,
@@ -35,15 +42,13 @@ from valvesim.diagnosis.second_cause import (
     with_singles_from_prior,
 )
 from valvesim.diagnosis.starts import _joint_reductions
-from valvesim.diagnosis.wording import summary_text
+from valvesim.diagnosis.wording import OTHERWISE, location_text, summary_text
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
-from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
-from valvesim.identification.prior import NuisanceParameter
+from valvesim.identification.prior import NETWORK, NuisanceParameter
 from valvesim.identification.projection import GramMatrix, ProjectedScores
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_session
 from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.parameters import Valve
@@ -51,15 +56,15 @@ from valvesim.valve.parameters import Valve
 BEFORE = SimpleNamespace(options=DIAGNOSIS)  # a score test that is made anew where the best has changed
 
 
-def diagnosed(folder, seed, kind, name=None, strength=1.0):
+def diagnosed(folder, seed, kind, name=None, strength=1.0, samples=1001):
     case = draw(seed, kind, name=name)
-    write_session(case, folder, strength)
+    write_session(shortened(case, samples), folder, strength)
     return vs.diagnose(folder), truth(case, strength)
 
 
 @pytest.mark.parametrize("seed", slow_but([6], [0, 6]))
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, seed):
-    found, _ = diagnosed(tmp_path, seed, "none")
+    found, _ = diagnosed(tmp_path, seed, "none", samples=501)
     assert found.verdict == NO_DISCREPANCY and not found.causes and not found.gain_claimed
     assert not found.extension_offered
     assert found.detection_limits and found.noise and all(noise.verified for noise in found.noise)
@@ -67,9 +72,9 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, seed):
     assert 0.0 < limits["spool_coulomb_friction"].amplitude < 1.0  # N: what this session would have shown
 
 
-def test_a_biased_sensor_is_named_with_its_bias(tmp_path):
-    found, hidden = diagnosed(tmp_path, 9, "sensor", "sensor_bias")
-    (figures,) = hidden["parameters"].values()
+def test_a_biased_sensor_is_named_with_its_bias(biased_session):
+    found = vs.diagnose(biased_session)
+    (figures,) = truth(draw(9, "sensor", name="sensor_bias"))["parameters"].values()
     assert found.verdict == CAUSE and found.causes == ("sensor_bias",)
     assert figures["channel"].replace("_", " ") in found.location.replace("_", " ")
     (bias,) = [e for e in found.parameters if e.name == "bias"]
@@ -147,9 +152,8 @@ def test_the_same_session_gives_the_same_answer(tmp_path):
     assert shares == sorted(shares) and shares[0] == 0.0 and len({stage for stage, _ in stages}) >= 3
 
 
-def test_a_locked_record_that_cannot_be_simulated_costs_its_gain_and_nothing_else(tmp_path, monkeypatch):
-    write_session(draw(0, "none"), tmp_path)
-    nominal = fit_nominal(prepare_session(load_session(tmp_path)))
+def test_a_locked_record_that_cannot_be_simulated_costs_its_gain_and_nothing_else(biased_fit, monkeypatch):
+    nominal = biased_fit
     (locked, *_) = nominal.study.session.locked
 
     def prepare_record(session, record, universe, *, options):
@@ -585,6 +589,22 @@ def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeyp
     assert asked == ["within"] * 2 and [one.fit.chi_square for one in again] == [90.0, 80.0]
 
 
+def test_a_fit_that_never_settles_is_given_up_after_so_many_restarts(monkeypatch):
+    asked = []
+
+    def fit_hypothesis(nominal, fitted, point):
+        asked.append(point)
+        fit = explained(100.0 - 10.0 * len(asked), "spool_lap").fit
+        return replace(fit, predicted_reduction=OPTIONS.fit.unconverged + 1.0)
+
+    monkeypatch.setattr(refits, "clipped_to_tolerance", lambda nominal: "within")
+    monkeypatch.setattr(refits, "fit_hypothesis", fit_hypothesis)
+    monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, fitted: None)
+    unsettled = replace(explained(100.0, "spool_lap").fit, predicted_reduction=OPTIONS.fit.unconverged + 1.0)
+    again = _restarted_within_tolerance(None, unsettled, options=DIAGNOSIS)
+    assert len(asked) == len(again) == DIAGNOSIS.isolation.restarts
+
+
 def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_its_place(monkeypatch):
     figure, beside, other = explained(100.0, "parameter:chamber_volume"), "eddy_current_lag", "entrained_air"
     pair = explained(90.0, beside, "parameter:chamber_volume")
@@ -675,3 +695,47 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
         BEFORE,
     )
     assert DIAGNOSIS.isolation.shifted > 2.0  # beyond a tolerance
+
+
+# ---------------------------------------------------------------- the answer in words
+
+
+def test_an_unknown_cause_is_told_with_the_reason_the_place_and_what_is_like_it():
+    term = Term(
+        port="spool_force", port_unit="N", variable="spool_position", variable_unit="m", memory="none", at=(), value=(),
+        deviation=(), formula="", formula_error=0.0, alike=("pilot flow of current",),
+    )  # fmt: skip
+    told = [summary_text(UNKNOWN, [], one, why) for one, why in ((None, "mixed records"), (None, ""), (term, ""))]
+    assert told[0] == "Nothing is named: mixed records"
+    assert told[1] == "Something is wrong that none of the known causes explains."
+    assert told[2].endswith(
+        "it acts like a term in the spool force that depends on the spool position, and nearly as well like pilot flow "
+        "of current."
+    )
+    many = replace(term, alike=("a", "b", "c", "d"))
+    assert summary_text(UNKNOWN, [], many).endswith("nearly as well like a or b (and 2 more).")
+    assert summary_text(UNKNOWN, [], replace(term, alike=())).endswith("depends on the spool position.")
+    assert location_text(UNKNOWN, []) == ""
+    (todo,) = advice_on_unknown("", "", term)
+    assert todo.label == "a term in the spool force that depends on the spool position" and todo.part and todo.remedy
+
+
+def test_causes_that_cannot_be_told_apart_are_told_with_their_places_once():
+    pair, wear = explained(1.0, "spool_lap", "sensor_bias@load_flow").fit, explained(1.0, "spool_edge_wear")
+    lap, bias = pair.fitted
+    bias = replace(bias, candidate=replace(bias.candidate, name="sensor_bias"))
+    both = [FittedHypothesis(replace(pair, fitted=(lap, bias)), options=DIAGNOSIS), wear]
+    assert summary_text(AMBIGUOUS, both, None) == (
+        "Something is wrong, and these cannot be told apart: spool lap together with sensor bias of load flow; "
+        "spool edge wear."
+    )
+    places = [CATALOGUE["spool_lap"].location, "sensor of load_flow", CATALOGUE["spool_edge_wear"].location]
+    assert location_text(AMBIGUOUS, both) == " or ".join(dict.fromkeys(places))
+
+
+def test_a_figure_of_the_heat_paths_is_told_as_what_the_parts_do():
+    heat = NuisanceParameter(f"{NETWORK}body_to_ambient", "W/K", 3.0, 1.0, (0.1, 30.0))
+    member = FittedCandidate(Candidate("parameter:heat", parameter=heat), 1.0)
+    one = FittedHypothesis(replace(explained(1.0).fit, fitted=(member,)), options=DIAGNOSIS)
+    assert summary_text(CAUSE, [one], None).startswith(f"The cause is {OTHERWISE} (")
+    assert location_text(CAUSE, [one]) == "thermal network"
