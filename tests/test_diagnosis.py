@@ -595,13 +595,14 @@ def test_a_fit_that_never_settles_is_given_up_after_so_many_restarts(monkeypatch
     def fit_hypothesis(nominal, fitted, point):
         asked.append(point)
         fit = explained(100.0 - 10.0 * len(asked), "spool_lap").fit
-        return replace(fit, predicted_reduction=OPTIONS.fit.unconverged + 1.0)
+        return replace(fit, predicted_reduction=3.0 * OPTIONS.fit.hypothesis_ftol)
 
     monkeypatch.setattr(refits, "clipped_to_tolerance", lambda nominal: "within")
     monkeypatch.setattr(refits, "fit_hypothesis", fit_hypothesis)
     monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, fitted: None)
-    unsettled = replace(explained(100.0, "spool_lap").fit, predicted_reduction=OPTIONS.fit.unconverged + 1.0)
-    again = _restarted_within_tolerance(None, unsettled, options=DIAGNOSIS)
+    unsettled = replace(explained(100.0, "spool_lap").fit, predicted_reduction=3.0 * OPTIONS.fit.hypothesis_ftol)
+    nominal = SimpleNamespace(study=SimpleNamespace(options=OPTIONS), fit=explained(120.0).fit)
+    again = _restarted_within_tolerance(nominal, unsettled, options=DIAGNOSIS)
     assert len(asked) == len(again) == DIAGNOSIS.isolation.restarts
 
 

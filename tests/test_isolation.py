@@ -72,8 +72,9 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
-    monkeypatch.setattr(isolation, "fitted_faults", lambda nominal, options: ("a ripple",))
-    monkeypatch.setattr(isolation, "explained_by_faults", lambda nominal, options: beside)
+    monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores))
+    monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
+    monkeypatch.setattr(isolation, "explained_by_bench", lambda scores: beside)
 
     def isolated(nominal, scores, progress, known, *, options):
         return isolation.Isolation(nominal, scores, scores, found, [], "", True, 4.0)

@@ -20,8 +20,8 @@ from valvesim.diagnosis.term_estimation import (
     TermFit,
     TermProblem,
     estimate_term,
-    normal_equations,
     shortened_step,
+    term_normal_equations,
 )
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.nominal_fit import fit_nominal
@@ -205,7 +205,7 @@ def test_records_that_no_fit_comes_near_are_told_to_be_of_another_valve(answer):
 
 
 def test_a_term_that_moves_figures_by_more_than_any_part_can_be_off_tells_another_valve(answer, found):
-    far = replace(found, point=np.eye(len(found.point))[0] * (DIAGNOSIS.selection.most_shift + 1.0))
+    far = replace(found, point=np.eye(len(found.point))[0] * OPTIONS.prior.reach)
     told = answer(recovered=far)
     assert (told.verdict, told.reason, told.term) == (UNKNOWN, OTHER_VALVE, None) and "tolerances off" in told.summary
 
@@ -311,7 +311,7 @@ def solved(monkeypatch):
         study = SimpleNamespace(nominal=SimpleNamespace(limits=np.array([[-9.0], [9.0]])))
         hypothesis = TermHypothesis(PORTS["spool_force"], VARIABLES["spool_position"])
         problem = LinearProblem(study, hypothesis, KNOTS, np.ones(k), size, options=DIAGNOSIS, y=V @ true + noise, V=V)
-        H, gradient = normal_equations(problem, problem.evaluate(np.zeros(1), np.zeros(k), 0.0), J, V)
+        H, gradient = term_normal_equations(problem, problem.evaluate(np.zeros(1), np.zeros(k), 0.0), J, V)
         state = problem.evaluate(np.zeros(1), np.linalg.solve(H, gradient)[1:], 0.0)
         monkeypatch.setattr(symbolic_form, "_linearised_at", lambda problem, held: (J, V))
         return problem, TermEstimate(state, np.linalg.inv(H), J, V)

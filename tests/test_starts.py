@@ -39,7 +39,7 @@ def scores(hidden, fit=None, options=DIAGNOSIS):
     study = SimpleNamespace(session=SimpleNamespace(seed=1), noise={})
     sizes = np.array([search_size(one) for one in candidates])
     fit = hypothesis(1000.0).fit if fit is None else fit
-    return ScoreTest(study, fit, (), None, candidates, sizes, (), (), (), projected, options=options)
+    return ScoreTest(study, fit, (), (), (), None, candidates, sizes, (), (), (), projected, options=options)
 
 
 def labels(starts):

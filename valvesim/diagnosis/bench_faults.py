@@ -15,12 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
+from valvesim.diagnosis.detection import nuisance_covariance, wald_statistic
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import start_points
 from valvesim.identification.between_samples import Wave
-from valvesim.identification.fit import evaluate_fit, rescored
+from valvesim.identification.fit import rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import fit_hypothesis
 from valvesim.identification.input_waves import (
@@ -50,7 +51,6 @@ from valvesim.identification.nominal_fit import (
     with_inputs_reviewed,
 )
 from valvesim.identification.prior import NuisanceParameter
-from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import Session, value_text
 from valvesim.identification.study import Study
 from valvesim.valve.effect import Advice
@@ -123,30 +123,15 @@ def _extended(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> N
 def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatToDo, ...]:
     """What the bench did by a fit, with what to do about it: what the readings would miss by more than chance."""
     study, fit = scores.study, scores.fit
-    model = study.nominal
+    model, covariance = study.nominal, nuisance_covariance(scores)
     at = {p.name: k for k, p in enumerate(model.parameters)}
-    G, p = scores.gram.total, scores.gram.parameters
-    free = [*range(1, 1 + p), *(1 + p + j for j in scores.own)]
-    covariance = inverse_of(G[np.ix_(free, free)] + np.diag([1.0] * p + [0.0] * len(scores.own)))
     told = []
     for fault in _known_faults(study):
         own = [at[one.name] for one in fault.parameters if one.name in at]
-        if not own:
-            continue
-        moved = fit.point[own]
-        wald = float(moved @ inverse_of(covariance[np.ix_(own, own)]) @ moved)
-        if wald > options.bench.minimum_gain:
-            values = np.array([model.parameters[k].at(t) for k, t in zip(own, moved, strict=True)])
+        if own and wald_statistic(scores, own, covariance) > options.bench.minimum_gain:
+            values = np.array([model.parameters[k].at(fit.point[k]) for k in own])
             told.append(what_to_do(fault.words(values), fault.advice))
     return tuple(told)
-
-
-def explained_by_faults(nominal: NominalFit) -> float:
-    """By how much the chi-square of a nominal fit is larger where what the bench did is taken off it."""
-    own = {p.name for fault in _known_faults(nominal.study) for p in fault.parameters}
-    parameters = nominal.study.nominal.parameters
-    without = [0.0 if p.name in own else t for p, t in zip(parameters, nominal.fit.point, strict=True)]
-    return evaluate_fit(nominal.study, np.array(without), ()).chi_square - nominal.fit.chi_square
 
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import largest_shift
 from valvesim.diagnosis.score_test import ScoreTest
 from valvesim.identification.fit import Fit
+from valvesim.identification.instrument_errors import is_of_bench
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.nominal_fit import NominalFit
+from valvesim.identification.projection import inverse_of
 from valvesim.identification.study import Study, residual_of
 
 
@@ -71,6 +75,30 @@ def is_inadequate(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -
     return bool(shares) and float(np.median(shares)) > options.selection.inadequate_share
 
 
+def nuisance_covariance(scores: ScoreTest) -> np.ndarray:
+    """The covariance (p, p) of the nuisance parameters of a fit, in prior deviations, its candidates being free."""
+    G, p, own = scores.gram.total, scores.gram.parameters, len(scores.own)
+    free = [*range(1, 1 + p), *(1 + p + j for j in scores.own)]
+    return inverse_of(G[np.ix_(free, free)] + np.diag([1.0] * p + [0.0] * own))[:p, :p]
+
+
+def wald_statistic(scores: ScoreTest, which: Sequence[int], covariance: np.ndarray | None = None) -> float:
+    """By how much the chi-square would be larger without some nuisance parameters (Wald 1943), by the linearised
+    equations; `covariance` is `nuisance_covariance`, where it is known.
+    """
+    if not len(which):
+        return 0.0
+    covariance = nuisance_covariance(scores) if covariance is None else covariance
+    moved = scores.fit.point[list(which)]
+    return float(moved @ inverse_of(covariance[np.ix_(which, which)]) @ moved)
+
+
+def explained_by_bench(scores: ScoreTest) -> float:
+    """The chi-square that a fit explains by what the bench did."""
+    parameters = scores.study.nominal.parameters
+    return wald_statistic(scores, [k for k, p in enumerate(parameters) if is_of_bench(p)])
+
+
 def at_limit(fit: Fit, study: Study) -> np.ndarray:
     """(p,) True for the figures that a fit has as far off as it may: the part would be another one."""
     return np.abs(fit.point) > (1.0 - 1e-6) * study.options.prior.reach
@@ -98,7 +126,7 @@ def rests_on_limits(final: ScoreTest) -> float:
 def unexplained_share(nominal: NominalFit, final: ScoreTest) -> float:
     """The share of what the best explains that it leaves, beyond chance, for others to explain: a free term, an
     amplitude that wanders or, beside two causes, a third one; more than the noise; or what it explains by figures that
-    no such part has.
+    no such part has. What the bench explains may leave a little itself.
     """
     from scipy.stats import chi2
 
@@ -116,4 +144,5 @@ def unexplained_share(nominal: NominalFit, final: ScoreTest) -> float:
     ) > final.level(final.options.detection.false_alarm):
         over.append(third**2)
     gained = max(nominal.fit.chi_square - final.fit.chi_square, 1.0)
-    return max([0.0, *over]) / gained
+    bearable = final.options.bench.unexplained_share * explained_by_bench(final)
+    return max(max(over) - bearable, 0.0) / gained

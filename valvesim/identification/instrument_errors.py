@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valvesim.identification.between_samples import InputShift
+from valvesim.identification.between_samples import InputShift, Wave
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NuisanceParameter, ToleratedSensorError, measured_channels
 from valvesim.identification.session import Session
@@ -71,6 +71,12 @@ def _sensor_error(
 ) -> NuisanceParameter:
     own = effect.on(channel)
     return NuisanceParameter(f"{effect.name}@{channel}", own.amplitude.unit, 0.0, size, bounds, own)
+
+
+def is_of_bench(parameter: NuisanceParameter) -> bool:
+    """Whether a parameter is of the bench and not of the valve: an instrument's error, or a wave upon an input."""
+    sensor = "" if parameter.sensor is None else parameter.sensor.name
+    return isinstance(parameter.input, InputShift | Wave) or sensor in (CLOCK_RATE.name, METER_DRIFT.name)
 
 
 def has_instrument_errors(parameters: Sequence[NuisanceParameter]) -> bool:
