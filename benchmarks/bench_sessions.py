@@ -195,8 +195,8 @@ def report(name: str, results: Path, document: Path) -> None:
     lines = [
         "# Sessions of a bench with imperfections", "",
         f"Written by `benchmarks/bench_sessions.py report --set {name}` from {len(rows)} of the {number} sessions of",
-        f"the {name} set. All imperfections of `tests/bench_plant.py` in each; what is hidden has the size that is drawn for",
-        "it, however little that shows. d' is what it changes of the noise-free readings, less what valve, instruments",
+        f"the {name} set. All imperfections of `tests/bench_plant.py` in each; what is hidden has the size that is drawn",
+        "for it, however little that shows. d' is what it changes of the noise-free readings, less what valve, instruments",
         "and ripple may take up by the linear equations about the nominal valve: more than a fit leaves.", "",
         "|  | measured (95 % interval after Wilson) |", "|---|---|",
         *(f"| {test} | {_share(hits)} |" for test, hits in tests.items()),
