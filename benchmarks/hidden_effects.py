@@ -59,7 +59,6 @@ import valvesim as vs  # noqa: E402
 from valvesim.diagnosis import coarse_to_fine as leading_segments  # noqa: E402
 from valvesim.diagnosis import diagnose as engine  # noqa: E402
 from valvesim.diagnosis import isolation, refits, second_cause  # noqa: E402
-from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS  # noqa: E402
 from valvesim.diagnosis.result import Diagnosis, NextTest, Term, plain_json  # noqa: E402
 from valvesim.diagnosis.score_test import ScoreTest, score_test  # noqa: E402
 from valvesim.identification.candidates import Candidate  # noqa: E402
@@ -561,7 +560,7 @@ def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, fl
         return caught.nominal
 
     def catching_look(nominal: NominalFit, fit: Fit, **named) -> ScoreTest:
-        scores = score_test(nominal, fit, **named, options=DEFAULT_DIAGNOSIS)
+        scores = score_test(nominal, fit, **named)
         caught.scores = scores if fit is nominal.fit and caught.scores is None else caught.scores
         return scores
 
