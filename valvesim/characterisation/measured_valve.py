@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,9 +32,10 @@ from valvesim.characterisation.acceptance.measured_threshold import measured_thr
 from valvesim.characterisation.acceptance.record import CHANNELS, AcceptanceRecord
 from valvesim.characterisation.dither import dither_of
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
-from valvesim.characterisation.frequency_response import join_points
+from valvesim.characterisation.frequency_response import FrequencyResponse, at_single_frequencies, join_points
+from valvesim.characterisation.judgement_table import Tests
 from valvesim.characterisation.sine_point import fit_sine
-from valvesim.characterisation.specification import HELD, read_condition
+from valvesim.characterisation.specification import HELD, Specification, read_condition
 from valvesim.characterisation.spectral_response import spectral_response
 from valvesim.characterisation.step_response import step_figures
 from valvesim.errors import InputError, unknown_name
@@ -63,7 +64,7 @@ _EXACT = ("dead_zone", "meter_resolution", "polarity", "flow_exponent", "lag", "
 @dataclass(frozen=True, kw_only=True)
 class MeasuredResult:
     """One test: which of `TESTS`, its `conditions` by the names of a specification's (SI), figures named as bench and
-    response do, and the columns (n,) in SI that they were reduced from; or of several sines their joint response.
+    response do, and the columns (n,) in SI that they were reduced from; of a chirp or several sines also `response`.
     """
 
     test: str
@@ -72,6 +73,7 @@ class MeasuredResult:
     figures: FiguresOfMerit
     values: Mapping[str, np.ndarray]
     notes: tuple[str, ...] = ()
+    response: FrequencyResponse | None = None
 
     @property
     def title(self) -> str:
@@ -94,6 +96,16 @@ class MeasuredValve:
     def figures(self) -> list[tuple[FigureOfMerit | Absent, Mapping[str, float]]]:
         """Every figure with its conditions, as `specification.judge` takes them."""
         return [(figure, test.conditions) for test in self.tests for figure in test.figures]
+
+
+def tests_of(measured: MeasuredValve, specification: Specification | None = None) -> Tests:
+    """Every test; responses also at the single frequencies that a specification has limits at."""
+    frequencies = () if specification is None else specification.single_frequencies
+    tests = [(test.title, test.conditions, test.figures) for test in measured.tests]
+    for test in measured.tests:
+        if test.response is not None:
+            tests += at_single_frequencies(test.title, test.conditions, test.response, frequencies)
+    return tests
 
 
 def load_measured_valve(folder: str | Path) -> MeasuredValve:
@@ -176,15 +188,21 @@ def _reduce(
     values = {"time": recording.time[there]} | {name: column[there] for name, column in recording.values.items()}
     at = {**common, **own}
     try:
-        figures, more = _REDUCTIONS[test](names[0], values, at, options, rated)
+        reduced = _REDUCTIONS[test](names[0], values, at, options, rated)
     except InputError as error:
         raise error if error.key or error.file else InputError(str(error), key=f"{where}.file") from None
     return MeasuredResult(
-        test=test, source=names[0], conditions=at | more, figures=figures, values=values, notes=recording.notes
+        test=test, source=names[0], conditions={**at, **reduced.conditions}, figures=reduced.figures, values=values,
+        notes=recording.notes, response=reduced.response,
     )  # fmt: skip
 
 
-Reduced = tuple[FiguresOfMerit, dict[str, float]]
+class Reduced(NamedTuple):
+    """What a record gives: figures, conditions that it tells itself, and its frequency response."""
+
+    figures: FiguresOfMerit
+    conditions: Mapping[str, float] = {}
+    response: FrequencyResponse | None = None
 
 
 def _named(test: str, figures: FiguresOfMerit) -> FiguresOfMerit:
@@ -200,8 +218,8 @@ def _cycle(test: str) -> Callable[..., Reduced]:
         figures = tuple(one for one in figures if one.name != "threshold")  # of a record of its own
         if test == "flow-load":
             figures = tuple(replace(one, name=f"{one.name}_positive") for one in figures)
-            return _named(test, figures), {"pressure_drop": 7e6}
-        return _named(test, figures), {}
+            return Reduced(_named(test, figures), {"pressure_drop": 7e6})
+        return Reduced(_named(test, figures))
 
     return reduce
 
@@ -221,7 +239,7 @@ def _needs(source: str, values: Mapping[str, np.ndarray], name: str) -> np.ndarr
 
 def _threshold(source, values, at, options, rated) -> Reduced:
     record = AcceptanceRecord(source=source, values=dither_of(at).means(values))
-    return _named("flow", (measured_threshold(record, _output(source, values), rated_current=rated),)), {}
+    return Reduced(_named("flow", (measured_threshold(record, _output(source, values), rated_current=rated),)))
 
 
 def _step(source, values, at, options, rated) -> Reduced:
@@ -230,13 +248,13 @@ def _step(source, values, at, options, rated) -> Reduced:
     current, moved = (dither.taken_off(values["time"], column, last) for column in (current, values[output]))
     amplitude = abs(float(np.median(current[-3:]) - np.median(current[:3]))) / rated
     figures = step_figures(values["time"], current, moved, unit=UNITS[output])
-    return figures, {"amplitude": amplitude}
+    return Reduced(figures, {"amplitude": amplitude})
 
 
 def _chirp(source, values, at, options, rated) -> Reduced:
     current, output = _needs(source, values, "current"), _output(source, values)
     response = spectral_response(values["time"], current, values[output], channel=output)
-    return response.figures, {"amplitude": response.amplitude / rated}
+    return Reduced(response.figures, {"amplitude": response.amplitude / rated}, response)
 
 
 def _sine(source, values, at, options, rated) -> Reduced:
@@ -249,7 +267,7 @@ def _sine(source, values, at, options, rated) -> Reduced:
         FigureOfMerit("gain", float(np.abs(point.gain)), f"{UNITS[output]}/A", "amplitude of output over current"),
         FigureOfMerit("phase_lag", lag + 360.0 * (lag < -90.0), "deg", "output behind the current"),
     )
-    return figures, {"amplitude": point.input_amplitude / rated}
+    return Reduced(figures, {"amplitude": point.input_amplitude / rated})
 
 
 def _fitted_beside(at: Mapping[str, float]) -> float:
@@ -262,7 +280,7 @@ def _coil(source, values, at, options, rated) -> Reduced:
         values["time"], _needs(source, values, "voltage"), _needs(source, values, "current"),
         temperature=at.get("oil_temperature"),
     )  # fmt: skip
-    return _named("coil", figures), {}
+    return Reduced(_named("coil", figures))
 
 
 _REDUCTIONS: dict[str, Callable[..., Reduced]] = {name: _cycle(name) for name in CYCLES} | {
@@ -293,10 +311,9 @@ def _join_sines(results: Sequence[MeasuredResult], rated: float) -> list[Measure
             )  # fmt: skip
         response = join_points(points, share=group[0].conditions["amplitude"])
         at = {name: value for name, value in group[0].conditions.items() if name != "frequency"}
-        values = {"frequency": response.frequency, "amplitude_ratio": response.amplitude_ratio,
-                  "phase_lag": response.phase_lag}  # fmt: skip
         joined.append(MeasuredResult(
-            test="sine", source=f"{len(group)} records", conditions=at, figures=response.figures, values=values
+            test="sine", source=f"{len(group)} records", conditions=at, figures=response.figures, values={},
+            response=response,
         ))  # fmt: skip
     return joined
 

@@ -227,6 +227,12 @@ class Specification:
         """The limits of one figure."""
         return tuple(limit for limit in self.limits if limit.figure == figure)
 
+    @property
+    def single_frequencies(self) -> tuple[float, ...]:
+        """The frequencies, Hz, at which it limits amplitude ratio or phase lag."""
+        limits = (*self.of("amplitude_ratio"), *self.of("phase_lag"))
+        return tuple(sorted({limit.conditions["frequency"] for limit in limits}))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
