@@ -6,9 +6,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit, shown
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit, shown, unit_shown
 from valvesim.characterisation.specification import CONDITIONS, Judgement, Limit, Verdict
-from valvesim.units import DISPLAY, symbol
 
 Tests = Sequence[tuple[str, Mapping[str, float], FiguresOfMerit]]
 """Tests: title, conditions in SI, figures."""
@@ -24,15 +23,17 @@ def value_text(value: float, unit: str, uncertainty: float | None = None) -> tup
 
 
 def interval_text(value: float, low: float, high: float, unit: str) -> tuple[str, str, str]:
-    """(value, its 95 % interval, unit) of a parameter as text: three digits of half of it, small lengths in um."""
-    shown_unit, factor = DISPLAY.get(unit, (unit, 1.0))
+    """(value, its 95 % interval, unit) of a parameter or figure as text: three digits of half of it, small lengths in
+    um.
+    """  # fmt: skip
+    shown_unit, factor = ("", 1.0) if unit == "1" else unit_shown(unit)
     if unit == "m" and max(abs(low), abs(high)) < 1e-4:
         shown_unit, factor = "um", 1e6
     digits = int(2 - math.floor(math.log10((high - low) / 2.0 * factor))) if high > low else 6
-    texts = [f"{round(v * factor, digits):.{max(digits, 0)}f}" for v in (value, low, high)]
+    texts = [f"{round(v * factor, digits) + 0.0:.{max(digits, 0)}f}" for v in (value, low, high)]
     if digits > 6:
         texts = [f"{v * factor:.3g}" for v in (value, low, high)]
-    return texts[0], f"{texts[1]} to {texts[2]}", "" if shown_unit == "1" else symbol(shown_unit)
+    return texts[0], f"{texts[1]} to {texts[2]}", shown_unit
 
 
 def limit_text(limit: Limit) -> str:

@@ -88,6 +88,12 @@ def _print(found: Identification) -> None:
         against = f"; it goes once {others} is given up" if others else ""
         missed = f"{limit.figure.replace('_', ' ')} of {limit_text(limit)} is not reached ({value} {unit}){against}"
         screen.print(escape(f"conflict: {missed}: {conflict.reason}"))
+    further = []
+    for following in found.next_figures:
+        value, interval, unit = interval_text(following.expected, *following.interval, following.limit.unit)
+        at = condition_text(following.limit.conditions, COMMON)
+        further.append((following.limit.figure.replace("_", " "), at, value, interval, unit))
+    print_table("expected of what was not told", ("figure", "condition", "value", "value, 95 %", "unit"), further)
     for following in found.next_figures[:1]:
         name = following.limit.figure.replace("_", " ")
         at = condition_text(following.limit.conditions, COMMON)
@@ -125,7 +131,7 @@ def _records(found: Identification) -> list[dict[str, Any]]:
                              "value": c.reached, "unit": c.figure.limit.unit, "note": c.reason})  # fmt: skip
     for n in found.next_figures:
         at = ", ".join(f"{name}={value:g}" for name, value in n.limit.conditions.items())
+        low, high = n.interval
         rows.append(blank | {"kind": "next figure", "name": n.limit.figure, "conditions": at, "value": n.expected,
-                             "unit": n.limit.unit, "low": n.expected - 1.96 * n.deviation,
-                             "high": n.expected + 1.96 * n.deviation, "note": f"gain {n.gain:.3g}"})  # fmt: skip
+                             "unit": n.limit.unit, "low": low, "high": high, "note": f"gain {n.gain:.3g}"})
     return rows

@@ -7,6 +7,7 @@ Lindley 1956 (information of an experiment).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ ACCURACY = {
 }  # fmt: skip
 """Figures that a bench can measure, with their standard deviation as a share: half the classes of ISO 10770-1."""
 AMPLITUDES = {"frequency_minus_3_db": (0.25, 1.0), "frequency_minus_90_deg": (0.25, 1.0), "time_to_90_percent": (1.0,)}
+SETTLING, SETTLED = 8, 1e-3  # rounds, and change of each, until figures are told from sines and steps about them
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,12 @@ class NextFigure:
     narrows: str
     before: float
     after: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Where it is expected, 95 %, by factors: all of `ACCURACY` are positive."""
+        factor = math.exp(1.96 * self.deviation / self.expected)
+        return self.expected / factor, self.expected * factor
 
 
 def next_figures(posterior: Posterior, predictor: FigurePredictor) -> tuple[NextFigure, ...]:
@@ -55,10 +63,17 @@ def next_figures(posterior: Posterior, predictor: FigurePredictor) -> tuple[Next
     points = posterior.point + STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
     guess = {"frequency_minus_3_db": 100.0, "frequency_minus_90_deg": 150.0, "time_to_90_percent": 5e-3}
     expected = np.array([_expected(posterior, limit.figure, guess.get(limit.figure, 1.0)) for limit in candidates])
-    for at in (points[:1], points):  # first where they are, then how they move
+
+    def predicted(at: np.ndarray) -> np.ndarray:
         asked = tuple(Asked(limit, value, 1.0) for limit, value in zip(candidates, expected, strict=True))
-        figures = replace(predictor, asked=asked).predict(similar.valves(at), len(at))
-        expected = figures[0]
+        return replace(predictor, asked=asked).predict(similar.valves(at), len(at))
+
+    for _ in range(SETTLING):
+        before, expected = expected, predicted(points[:1])[0]
+        if np.allclose(expected, before, rtol=SETTLED, atol=0.0):
+            break
+    figures = predicted(points)
+    expected = figures[0]
     slopes = (figures[1 : n + 1] - figures[n + 1 :]).T / (2.0 * STEP)
     C = posterior.covariance
     found = []
