@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from picture_texts import check_texts
 from scipy import signal
 
 import valvesim as vs
@@ -19,6 +20,7 @@ from valvesim.cli.judging import judged_by
 from valvesim.cli.main import cli
 from valvesim.errors import InputError
 from valvesim.identification.from_figures.measured_figures import measured_limits, model_figures, with_measurements
+from valvesim.reports.measured_valve import draw_result
 
 RATED, GAIN, HYSTERESIS, NULL = 10e-3, 2.0 / 6e4 / 1e-3, 0.2e-3, 0.1e-3  # A, m^3/s/A, A, A
 FREQUENCY, DAMPING = 120.0, 0.7
@@ -230,6 +232,37 @@ def test_sines_are_judged_at_single_frequencies_between_them(folder, tmp_path):
     judged = judged_by_single_frequencies(load_measured_valve(tmp_path), tmp_path / "spec.toml")
     assert [one.verdict.value for one in judged] == ["pass", "fail", "not measured", "pass"]
     assert judged[0].measured.value == pytest.approx(second_order_at(60.0)[1], abs=1.0)
+
+
+def test_a_measured_amplitude_need_not_be_the_page_s_to_the_last_digit(measured):
+    limit = vs.Limit(figure="frequency_minus_90_deg", low=50.0, conditions={"amplitude": 0.4})
+    (both,) = with_measurements(vs.Specification(limits=(limit,)), measured).of("frequency_minus_90_deg")
+    assert both.source == "measured" and both.conditions["amplitude"] != 0.4
+
+
+def test_the_picture_of_every_test_can_be_read(measured):
+    for test in measured.tests:
+        check_texts(draw_result(test))
+
+
+def test_columns_that_are_no_channel_are_named_and_may_be_stated(folder):
+    path = folder / "acceptance.toml"
+    good = path.read_text(encoding="utf-8")
+    listed = HEAD + '[[records]]\nfile = "odd.csv"\ntest = "flow"\n'
+    text = (folder / "flow.csv").read_text(encoding="utf-8").replace("current [mA]", "AI 0", 1)
+    (folder / "odd.csv").write_text(text.replace("[L/min]", "(lpm)", 1), encoding="utf-8")
+    try:
+        path.write_text(listed, encoding="utf-8")
+        with pytest.raises(InputError, match=r"records.file: odd.csv: no column 'current'.*no channel: AI 0; state"):
+            load_measured_valve(folder)
+        path.write_text(listed + '[records.columns]\ncurrent = { column = "AI 0", unit = "mA" }\n', encoding="utf-8")
+        stated = load_measured_valve(folder)
+        path.write_text(listed + "[records.columns]\ncurrant = 2\n", encoding="utf-8")
+        with pytest.raises(InputError, match="line 10: records.columns: unknown channel 'currant'"):
+            load_measured_valve(folder)
+    finally:
+        path.write_text(good, encoding="utf-8")
+    assert figure(stated, "flow.flow_gain_positive").value == pytest.approx(GAIN, rel=2e-3)
 
 
 def test_an_amplitude_ratio_has_no_reference_where_a_chirp_begins_too_high():

@@ -40,6 +40,7 @@ from valvesim.characterisation.spectral_response import spectral_response
 from valvesim.characterisation.step_response import step_figures
 from valvesim.errors import InputError, unknown_name
 from valvesim.io import check_known, check_printable, check_tables, located, read_names, read_toml
+from valvesim.measurement.columns_table import Statements, statements_of, statements_of_record
 from valvesim.measurement.headings import UNITS
 from valvesim.measurement.recording import read_recording
 from valvesim.units import parse
@@ -122,9 +123,10 @@ def load_measured_valve(folder: str | Path) -> MeasuredValve:
 
 
 def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
-    known = ("title", "serial_number", "rated_current", "conditions", "instruments", "records")
+    known = ("title", "serial_number", "rated_current", "conditions", "instruments", "columns", "csv", "records")
     check_known(table, known, "acceptance")
     check_tables(table, ("conditions", "instruments"))
+    stated_columns = statements_of(table.get("columns", {}), table.get("csv", {}))
     words = {key: table.get(key, "") for key in ("title", "serial_number")}
     for key, text in words.items():
         check_printable(text, key)
@@ -145,7 +147,7 @@ def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
         raise InputError("expected [[records]], one for each test", key="records")
     instruments = {**INSTRUMENTS, **stated}
     results = [
-        _reduce(entry, f"records.{k}" if len(records) > 1 else "records", folder, common, rated)
+        _reduce(entry, f"records.{k}" if len(records) > 1 else "records", folder, common, rated, stated_columns)
         for k, entry in enumerate(records, start=1)
     ]
     results = _join_sines(results, rated)
@@ -163,13 +165,15 @@ def _in_order(tests: Sequence[MeasuredResult]) -> tuple[MeasuredResult, ...]:
 
 # ---------------------------------------------------------------- one record
 
-_OPTIONS = {"lag": "s", "dead_zone": "m^3/s", "resolution": ""}
+_OPTIONS = {"lag": "s", "dead_zone": "m^3/s"}
 
 
 def _reduce(
-    entry: Mapping[str, Any], where: str, folder: Path, common: Mapping[str, float], rated: float
+    entry: Mapping[str, Any], where: str, folder: Path, common: Mapping[str, float], rated: float,
+    columns: Statements,
 ) -> MeasuredResult:  # fmt: skip
-    check_known(entry, ("file", "files", "test", "frequency", *HELD, "pressure_drop", "lag", "dead_zone"), where)
+    known = ("file", "files", "test", "frequency", *HELD, "pressure_drop", *_OPTIONS, "columns", "csv")
+    check_known(entry, known, where)
     test = entry.get("test")
     if not isinstance(test, str) or test not in TESTS:
         raise unknown_name("test", str(test), TESTS, f"{where}.test")
@@ -181,16 +185,20 @@ def _reduce(
         check_inside(name, folder, f"{where}.file")
     may = (*HELD, "pressure_drop", "frequency")
     own = {n: read_condition(n, entry[n], f"{where}.{n}") for n in may if n in entry}
-    options = {n: parse(entry[n], _OPTIONS[n], f"{where}.{n}") for n in ("lag", "dead_zone") if n in entry}
+    options = {n: parse(entry[n], _OPTIONS[n], f"{where}.{n}") for n in _OPTIONS if n in entry}
     wanted = ("voltage", "current") if test == "coil" else (*CHANNELS, "spool_position")
-    recording = read_recording([folder / name for name in names], wanted)
+    stated = statements_of_record(entry, columns, where)
+    recording = read_recording([folder / name for name in names], wanted, stated=stated)
     there = np.all([np.isfinite(column) for column in recording.values.values()], axis=0)
     values = {"time": recording.time[there]} | {name: column[there] for name, column in recording.values.items()}
     at = {**common, **own}
     try:
         reduced = _REDUCTIONS[test](names[0], values, at, options, rated)
     except InputError as error:
-        raise error if error.key or error.file else InputError(str(error), key=f"{where}.file") from None
+        if error.key or error.file:
+            raise
+        others = f"; no channel: {', '.join(recording.left_out)}; state them in [columns]" if recording.left_out else ""
+        raise InputError(f"{error}{others}", key=f"{where}.file") from None
     return MeasuredResult(
         test=test, source=names[0], conditions={**at, **reduced.conditions}, figures=reduced.figures, values=values,
         notes=recording.notes, response=reduced.response,

@@ -15,7 +15,7 @@ from valvesim.characterisation.judgement_table import HEADINGS, condition_text, 
 from valvesim.characterisation.specification import COMMON, Judgement, Verdict
 from valvesim.reports.acceptance import draw_test
 from valvesim.reports.html_page import Banner, Picture, Section, Table, Terms, Text, section, write_html
-from valvesim.reports.plotting import COLOURS, Figure, png, styled
+from valvesim.reports.plotting import COLOURS, Figure, label_decades, png, styled
 from valvesim.reports.title_block import TitleBlock
 
 if TYPE_CHECKING:
@@ -112,8 +112,11 @@ def draw_result(test: MeasuredResult) -> Figure:
     elif test.response is not None:
         above, below = figure.subplots(2, 1, sharex=True)
         keep = test.response.credible
-        for axis, curve in ((above, test.response.amplitude_ratio), (below, test.response.phase_lag)):
+        curves = ((above, test.response.amplitude_ratio, -3.0), (below, test.response.phase_lag, 90.0))
+        for axis, curve, level in curves:
             axis.semilogx(test.response.frequency[keep], curve[keep], "o-", color=COLOURS[0], ms=3)
+            axis.axhline(level, color="0.5", lw=0.8, ls="--")
+        label_decades(below.xaxis)
         above.set(ylabel="amplitude ratio [dB]")
         below.set(xlabel="frequency [Hz]", ylabel="phase lag [degrees]")
     else:

@@ -18,11 +18,13 @@ from valvesim.identification.from_figures.prediction import Asked, FigurePredict
 from valvesim.identification.from_figures.similarity import UNKNOWNS
 
 ACCURACY = {
-    "coil_resistance": 0.02, "coil_inductance": 0.05, "rated_flow": 0.0125, "flow_gain": 0.0125, "pressure_gain": 0.05,
+    "rated_flow": 0.0125, "flow_gain": 0.0125, "pressure_gain": 0.05,
     "null_leakage": 0.0125, "tare_leakage": 0.0125, "frequency_minus_3_db": 0.02, "frequency_minus_90_deg": 0.02,
     "time_to_90_percent": 0.02,
 }  # fmt: skip
-"""Figures that a bench can measure, with their standard deviation as a share: half the classes of ISO 10770-1."""
+"""Figures that a bench can measure, with their standard deviation as a share: half the classes of ISO 10770-1.
+
+Not those of the coils, which tell of nothing but themselves."""
 AMPLITUDES = {"frequency_minus_3_db": (0.25, 1.0), "frequency_minus_90_deg": (0.25, 1.0), "time_to_90_percent": (1.0,)}
 SETTLING, SETTLED = 8, 1e-3  # rounds, and change of each, until figures are told from sines and steps about them
 
@@ -50,12 +52,12 @@ class NextFigure:
 
 def next_figures(posterior: Posterior, predictor: FigurePredictor) -> tuple[NextFigure, ...]:
     """Every figure that was not asked for, by falling gain."""
-    known = [(a.limit.figure, a.limit.conditions.get("amplitude")) for a in posterior.asked]
+    known = [(a.limit.figure, round(a.limit.conditions.get("amplitude", 0.0), 2)) for a in posterior.asked]
     candidates = []
     for name in ACCURACY:
         defaults = {key: value for key, value in FIGURES[name].conditions.items() if value > 0.0}
         for amplitude in AMPLITUDES.get(name, (None,)):
-            if (name, amplitude) in known:
+            if (name, amplitude or 0.0) in known:
                 continue
             own = {**defaults, **({} if amplitude is None else {"amplitude": amplitude})}
             candidates.append(Limit(figure=name, conditions=own))

@@ -10,6 +10,7 @@ Jacobian costs little more than a prediction (`identification.least_squares` is 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -24,8 +25,7 @@ FORWARD = 0.005  # of one to one side alone, on the way
 FARTHEST = 4.0  # prior deviations from similarity: no believable valve is beyond
 EVALUATIONS = 25  # of the fit, each with a Jacobian
 ENOUGH = 1e-3  # `ftol` of the penalised chi-square
-RESTARTS = 2  # from drawn points, where a fit is inadequate
-ADEQUATE = 2.0  # deviations of a chi-square above its mean, q with sqrt(2 q), that a fit may have
+DRAWN = 4  # starts beside similarity: where a flapper meets its nozzles, valves of two kinds may fit
 LAP = [unknown.name for unknown in UNKNOWNS].index("lap")
 NO_VALVE = 1e3  # deviations: the misfit of a point at which there is no valve
 
@@ -58,6 +58,11 @@ class Posterior:
         return _covariance(whitened)
 
     @property
+    def log_evidence(self) -> float:
+        """ln of the posterior's mass about the point: how well it fits, and how many valves about it do."""
+        return -0.5 * self.chi_square + 0.5 * float(np.linalg.slogdet(self.covariance)[1])
+
+    @property
     def deviations(self) -> np.ndarray:
         """One standard deviation (q,) of each figure by what all figures together say, SI."""
         C = _covariance(_whitened(self.asked, self.predicted, self.slopes, self.turns_slopes))
@@ -72,20 +77,18 @@ def fit(
     similar: SimilarValves, predictor: FigurePredictor, *, seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Posterior:  # fmt: skip
-    """The maximum a posteriori, started from similarity and, where its chi-square is more than the figures' errors
-    would make it, from drawn points.
+    """Of the maxima a posteriori that lie downhill of similarity and of drawn points, that of greatest evidence.
 
     Raises SolveError where no point near similarity is a valve that runs.
     """
-    n, draw = len(UNKNOWNS), np.random.default_rng(seed)
-    best = descend(similar, predictor, np.zeros(n), progress)
-    expected = len(best.asked)
-    for _ in range(RESTARTS):
-        if best.chi_square <= expected + ADEQUATE * np.sqrt(2.0 * expected):
-            break
-        other = descend(similar, predictor, 0.7 * draw.normal(size=n), progress)
-        best = other if other.chi_square < best.chi_square else best
-    return best
+    n = len(UNKNOWNS)
+    found: list[Posterior] = []
+    starts = np.vstack([np.zeros(n), np.random.default_rng(seed).normal(size=(DRAWN, n))])
+    for k, start in enumerate(starts):
+        tell = None if progress is None else lambda share, k=k: progress((k + share) / len(starts))
+        with contextlib.suppress(*((SolveError, InputError) if found else ())):
+            found.append(descend(similar, predictor, start, tell))
+    return max(found, key=lambda one: one.log_evidence)
 
 
 def descend(

@@ -39,7 +39,7 @@ ANCHOR = "similarity to NASA TN D-5388"
 FLOWS = (0.5 / 6e4, 400.0 / 6e4)  # m^3/s at 70 bar: nozzle-flapper valves of two stages are made from 1 to 250 L/min
 CURRENTS = (1e-3, 1.0)  # A, rated
 STOP = 1.3  # spool stroke over full stroke at rated current
-COIL_POWER = 0.1  # W, i^2 R at rated current: 40 mA at 80 ohm, 30 mA at 85 ohm, 10 mA at 1000 ohm
+COIL_POWER = 0.1  # W, i^2 R at rated current: 40 mA at 80 ohm, 30 mA at 85 ohm, 10 mA at 1000 ohm; in print to 3.6 W
 ANCHOR_STIFFNESS = 3.68  # N m/rad, net of tube, magnets and jets: 93 in-lb/in
 NULL_OPENING = 5e-6  # m: 3 of the reference valve, 7 of the measured valve 5329
 ANCHOR_STROKE = 0.36e-3  # m, of the reference valve at rated current without load
@@ -77,8 +77,8 @@ UNKNOWNS = (
     Unknown("lap", "m", 3e-6, around_zero=True),
     Unknown("air_gap_difference", "m", 1e-6, around_zero=True),
     Unknown("null_gap_difference", "m", 0.5e-6, around_zero=True),
-    Unknown("coil_resistance", "ohm", 0.5),
-    Unknown("coil_inductance", "H", 0.5),
+    Unknown("coil_resistance", "ohm", 1.0),
+    Unknown("coil_inductance", "H", 1.0),
 )
 """What is fitted. `orifice_ratio` is that of the fixed orifice's area to the nozzle's curtain, over the anchor's.
 
