@@ -439,7 +439,8 @@ Written by `python benchmarks/identify.py --pages -o docs/catalogue_pages.md` fr
 identified valve has (± one standard deviation by what the page says), the parameter farthest from what similarity
 gives, the parameters that the page narrows (*identified*; all others are assumed), and what to measure next. A limit
 alone (*at most*, *at least*) is kept, not aimed at: where similarity keeps it, the figure stays similarity's. Times
-are seconds of processor. Hysteresis and threshold are those of effects, not of the fit.
+are seconds of processor. Hysteresis and threshold are those of effects, not of the fit; a coil resistance that is
+told is taken for similarity's.
 
 {pages} pages, {reached} of {figures} figures reached, {conflicts} conflicts. {near} of {parameters} parameters are
 within a factor of two of similarity's{beyond}.

@@ -7,7 +7,8 @@ valve's. Larger and smaller valves follow from the port area at full stroke, a l
     pilot: diameters and gap ~ l, so that its flow keeps its share of the rated one (2 to 4 % in print)
     torque motor: lengths ~ m = l^(1/3), since series 30 to 35 weigh 5 times as much at 14 times the flow; its torques
     at rated current ~ m^2, and its inertia ~ m^2.5
-    coils of one series: i^2 R and i^2 L constant
+    coils of one series: i^2 R and i^2 L constant; in print i^2 R is 0.1 to 3.6 W, so that a resistance that is told
+    sets both
 
 What is fitted is the logarithm of each, or what lies around zero in units of its spread. Full stroke at rated current
 takes the place of the coils' turns, and the armature's net stiffness that of its spring tube: a valve of any such
@@ -39,7 +40,7 @@ ANCHOR = "similarity to NASA TN D-5388"
 FLOWS = (0.5 / 6e4, 400.0 / 6e4)  # m^3/s at 70 bar: nozzle-flapper valves of two stages are made from 1 to 250 L/min
 CURRENTS = (1e-3, 1.0)  # A, rated
 STOP = 1.3  # spool stroke over full stroke at rated current
-COIL_POWER = 0.1  # W, i^2 R at rated current: 40 mA at 80 ohm, 30 mA at 85 ohm, 10 mA at 1000 ohm; in print to 3.6 W
+COIL_POWER = 0.1  # W, i^2 R at rated current: 40 mA at 80 ohm, 30 mA at 85 ohm, 10 mA at 1000 ohm
 ANCHOR_STIFFNESS = 3.68  # N m/rad, net of tube, magnets and jets: 93 in-lb/in
 NULL_OPENING = 5e-6  # m: 3 of the reference valve, 7 of the measured valve 5329
 ANCHOR_STROKE = 0.36e-3  # m, of the reference valve at rated current without load
@@ -77,8 +78,8 @@ UNKNOWNS = (
     Unknown("lap", "m", 3e-6, around_zero=True),
     Unknown("air_gap_difference", "m", 1e-6, around_zero=True),
     Unknown("null_gap_difference", "m", 0.5e-6, around_zero=True),
-    Unknown("coil_resistance", "ohm", 1.0),
-    Unknown("coil_inductance", "H", 1.0),
+    Unknown("coil_resistance", "ohm", 0.5),
+    Unknown("coil_inductance", "H", 0.5),
 )
 """What is fitted. `orifice_ratio` is that of the fixed orifice's area to the nozzle's curtain, over the anchor's.
 
@@ -171,9 +172,11 @@ def _turns(valve: Valve, stroke, conditions: Mapping[str, float], oil: Oil) -> n
 
 
 def similar_valves(
-    *, rated_flow: float, pressure_drop: float, rated_current: float, conditions: Mapping[str, float], oil: Oil
+    *, rated_flow: float, pressure_drop: float, rated_current: float, conditions: Mapping[str, float], oil: Oil,
+    coil_resistance: float | None = None,
 ) -> SimilarValves:  # fmt: skip
-    """The valves of a rated flow (m^3/s) at a pressure drop (Pa, both lands) and rated current (A).
+    """The valves of a rated flow (m^3/s) at a pressure drop (Pa, both lands) and rated current (A), with a coil
+    resistance (ohm) where it is told.
 
     Raises InputError for a flow or current that no two-stage nozzle-flapper valve has.
     """
@@ -192,12 +195,13 @@ def similar_valves(
     area = rated_flow / (anchor.port_flow_coefficient * np.sqrt(pressure_drop / density))
     scale = float(np.sqrt(area / (anchor.port_width * ANCHOR_STROKE)))
     motor = scale ** (1.0 / 3.0)
+    resistance = COIL_POWER / rated_current**2 if coil_resistance is None else coil_resistance
     own = {field.name: getattr(anchor, field.name) for field in fields(anchor)}
     own |= {
         "full_stroke": ANCHOR_STROKE, "net_stiffness": ANCHOR_STIFFNESS, "orifice_ratio": 1.0,
         "land_opening_at_null": NULL_OPENING, "lap": 0.0,
-        "coil_resistance": COIL_POWER / rated_current**2,
-        "coil_inductance": COIL_POWER / rated_current**2 * anchor.coil_inductance / anchor.coil_resistance,
+        "coil_resistance": resistance,
+        "coil_inductance": resistance * anchor.coil_inductance / anchor.coil_resistance,
     }  # fmt: skip
     medians = np.array([own[u.name] * scale ** u.powers[0] * motor ** u.powers[1] for u in UNKNOWNS])
     base = replace(
