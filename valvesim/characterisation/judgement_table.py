@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit, shown, unit_shown
-from valvesim.characterisation.specification import CONDITIONS, Judgement, Limit, Verdict
+from valvesim.characterisation.specification import CONDITIONS, FIGURES, Judgement, Limit, Verdict
 
 Tests = Sequence[tuple[str, Mapping[str, float], FiguresOfMerit]]
 """Tests: title, conditions in SI, figures."""
@@ -73,12 +73,22 @@ def judgement_rows(judged: Sequence[Judgement], common: Iterable[str] = ()) -> l
     rows: list[tuple[str, ...]] = []
     for one in judged:
         limit = one.limit
-        told = (limit.figure.replace("_", " "), condition_text(limit.conditions, common), limit_text(limit))
+        told = (_judged_name(one), condition_text(limit.conditions, common), limit_text(limit))
         if isinstance(one.measured, Absent):
             rows.append((*told, one.measured.reason, "", "", one.verdict.value))
         else:
             rows.append((*told, *shown(one.measured), one.verdict.value))
     return rows
+
+
+def _judged_name(judged: Judgement) -> str:
+    """The figure in words; of one that several tests or polarities show, which of them, such as `flow gain (flow
+    positive)`.
+    """  # fmt: skip
+    figure = judged.limit.figure
+    shown_as = judged.measured.name.replace(figure, "").replace(".", " ").replace("_", " ").split()
+    several = len(FIGURES[figure].shown_by) > 1 and shown_as
+    return figure.replace("_", " ") + (f" ({' '.join(shown_as)})" if several else "")
 
 
 def rows_of(tests: Tests, judged: Sequence[Judgement] = ()) -> list[dict[str, Any]]:
