@@ -1,6 +1,6 @@
 """How well a valve is identified from its acceptance figures: hidden valves of six sizes, and the pages of catalogues.
 
-    python benchmarks/identify.py --cases 60 -o results/identify.jsonl             # half an hour of one core
+    python benchmarks/identify.py --cases 60 -o results/identify.jsonl             # an hour of one core
     python benchmarks/identify.py --cases 60 --records -o results/records.jsonl
     python benchmarks/identify.py --model-error --cases 24                         # two minutes
     python benchmarks/identify.py --pages -o docs/catalogue_pages.md               # half a minute
@@ -402,13 +402,18 @@ def summary(cases: list[dict]) -> str:
     told = np.array([told for *_, told in parameters])
     figures = np.array([abs(v - t) <= 1.96 * s for c in cases for t, v, s in c["figures"].values()])
     dB, deg = (np.array([c[k] for c in cases]) for k in ("bode_dB", "bode_degrees"))
+    foreseen = [abs(np.log(t / v)) <= 1.96 * s / v for c in cases for t, v, s in c["foreseen"].values()]
+    points = [np.mean([c[f"bode_{k}_inside"] for c in cases]) for k in ("dB", "degrees")]
     ratios = [v / t for c in cases for n, (t, v, *_) in c["parameters"].items() if t > 0 and "difference" not in n]
     return (
         f"{len(cases)} cases: parameters inside their 95 % intervals {100 * inside.mean():.1f} % of {len(inside)} "
         f"(identified ones {100 * inside[told].mean():.1f} % of {told.sum()}), figures {100 * figures.mean():.1f} % of "
         f"{len(figures)}; Bode at 25 % within 1 dB in {100 * np.mean(dB <= 1.0):.0f} %, within 10 degrees in "
-        f"{100 * np.mean(deg <= 10.0):.0f} % of cases (worst {dB.max():.2f} dB, {deg.max():.1f} degrees); parameters "
-        f"within a factor of two of the truth {100 * np.mean(np.abs(np.log(np.abs(ratios))) < np.log(2)):.1f} %; "
+        f"{100 * np.mean(deg <= 10.0):.0f} % of cases (worst {dB.max():.2f} dB, {deg.max():.1f} degrees); -3 dB and "
+        f"-90 degrees at 25 % inside the intervals told {100 * np.mean(foreseen):.1f} % of {len(foreseen)}, points of "
+        f"that Bode inside 95 % of valves drawn {100 * points[0]:.0f} % (dB), {100 * points[1]:.0f} % (phase); "
+        "parameters within a factor of two of the truth "
+        f"{100 * np.mean(np.abs(np.log(np.abs(ratios))) < np.log(2)):.1f} %; "
         f"{np.median([c['processor'] for c in cases]):.1f} s of processor (most "
         f"{max(c['processor'] for c in cases):.1f})"
     )
