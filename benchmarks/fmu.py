@@ -23,7 +23,7 @@ import valvesim as vs
 from valvesim.export.c_model import model_hash
 from valvesim.export.fmi_variables import REFERENCES
 from valvesim.export.fmu import export_fmu, fmu_sources
-from valvesim.export.reference_results import channel_of, reference_values
+from valvesim.export.reference_results import equivalent_channels, reference_values
 from valvesim.export.traced_valve import trace_valve
 from valvesim.inputs import evaluate
 from valvesim.valve.catalogue import CATALOGUE
@@ -109,7 +109,7 @@ class Flight:
 
     def reference(self, tolerance: float = 1e-9) -> dict[str, np.ndarray]:
         _, values = reference_values(replace(self.case, tolerance=tolerance))
-        return {name: values[channel] for name, channel in channel_of(self.valve).items()}
+        return {name: values[channel] for name, channel in equivalent_channels(self.valve).items()}
 
     def c(self, program: Path, number: str, how: str, last: float | int) -> tuple[dict[str, np.ndarray], str]:
         """Flown by the importer in C: (columns, what it printed)."""

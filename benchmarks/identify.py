@@ -35,7 +35,7 @@ from valvesim.characterisation.judgement_table import (  # noqa: E402
     asked_text,
     condition_text,
     interval_text,
-    value_text,
+    value_cells,
 )
 from valvesim.characterisation.measured_valve import load_measured_valve  # noqa: E402
 from valvesim.characterisation.specification import (  # noqa: E402
@@ -499,7 +499,7 @@ def page_details(answer: Identification, source: str) -> str:
             "|---|---|---|---|---|"]  # fmt: skip
     for f in answer.figures:
         limit = f.asked.limit
-        value, error, unit = value_text(f.value, limit.unit, f.deviation)
+        value, error, unit = value_cells(f.value, limit.unit, f.deviation)
         at = condition_text(dict(limit.conditions.items() - common.items()))
         rows.append(
             f"| {in_words(limit.figure)} | {at} | {asked_text(limit)} | {value} ± {error} {unit} | "

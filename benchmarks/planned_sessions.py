@@ -26,6 +26,7 @@ from valvesim.diagnosis.score_test import score_test
 from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.predictor import prepare_record
 from valvesim.identification.study import prepare_session
+from valvesim.planning.options import DEFAULT_PLANNING
 from valvesim.planning.outlook import CandidateScores, cause_groups
 from valvesim.planning.plan import plan_tests
 from valvesim.planning.plan_toml import read_plan
@@ -115,7 +116,7 @@ def judged(seed: int) -> dict:
     q = len(scores.candidates)
     own_scores = replace(scores.projected, score=scores.projected.score[:q], overlap=scores.projected.overlap[:q, :q])
     own_plan = replace(plan.planned, candidates=scores.candidates, sizes=scores.sizes)
-    seen = CandidateScores(own_plan, own_scores, level, DEFAULT_DIAGNOSIS)
+    seen = CandidateScores(own_plan, own_scores, level, DEFAULT_PLANNING)
     told_groups = cause_groups(scores.candidates)
     rivals = [told_groups[label] for label in found["aim"] if label != cause.label and label in told_groups]
     k = min(told_groups[cause.label], key=seen.limit)

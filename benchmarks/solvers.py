@@ -34,7 +34,7 @@ from hand_written import hand_written
 import valvesim as vs
 from valvesim import inputs as commands
 from valvesim.simulation.batch import cores
-from valvesim.simulation.run import integrate, integrate_members, prepare
+from valvesim.simulation.run import integrate_batch, integrate_member, prepare
 from valvesim.solver.codegen import trace
 from valvesim.valve.equilibrium import follow_branch
 
@@ -598,7 +598,7 @@ def time_text(seconds: float) -> str:
 def own_run(scenario: Any, rtol: float) -> Callable[[], np.ndarray]:
     """The integrator on a prepared scenario."""
     problem = prepare(replace(scenario, tolerance=rtol))
-    return lambda: integrate(problem, 0, None)[0][:, SPOOL]
+    return lambda: integrate_member(problem, 0, None)[0][:, SPOOL]
 
 
 def c_run(scenario: Any, rtol: float) -> Callable[[], np.ndarray]:
@@ -609,7 +609,7 @@ def c_run(scenario: Any, rtol: float) -> Callable[[], np.ndarray]:
 
 def own_batch(problem: Any, rtol: float) -> Callable[[], list[np.ndarray]]:
     """The members of a prepared batch."""
-    return lambda: [np.asarray(states)[:, SPOOL] for states in integrate_members(problem, range(len(problem.knots)))]
+    return lambda: [np.asarray(states)[:, SPOOL] for states in integrate_batch(problem, range(len(problem.knots)))]
 
 
 def c_batch(problem: Any, rtol: float) -> Callable[[], list[np.ndarray]]:

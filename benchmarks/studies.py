@@ -30,7 +30,7 @@ import numpy as np
 
 import valvesim as vs
 from valvesim.inputs import evaluate
-from valvesim.simulation.run import integrate, prepare
+from valvesim.simulation.run import integrate_member, prepare
 from valvesim.studies.designs import Design, saltelli_problem
 from valvesim.studies.distributions import Distribution
 from valvesim.studies.members import make_plan, run_block
@@ -188,10 +188,10 @@ def launch() -> None:
     )  # fmt: skip
     plan, draws, problem = make_plan(own), own.draws(), prepare(scenario)
     run_block(own, plan, 0, draws[:8])
-    integrate(problem, 0, None)
+    integrate_member(problem, 0, None)
     begin = time.process_time()
     for _ in range(5):
-        integrate(problem, 0, None)
+        integrate_member(problem, 0, None)
     single = (time.process_time() - begin) / 5
     for what, some in (("46", draws[:46]), ("184", draws)):
         begin = time.process_time()

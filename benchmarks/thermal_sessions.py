@@ -99,7 +99,7 @@ def tuned(case: hidden_plant.Case, target: float, folder: Path) -> tuple[float, 
     write_thermal_session(case, folder, quiet)
     prepared = prepare_session(load_session(folder), options=DEFAULT_IDENTIFICATION)
     paces = {predictor.record.pace for predictor in prepared.predictors}
-    study = prepared.with_noise({(meter.channel, pace): _noise(meter) for meter in case.meters for pace in paces})
+    study = prepared.with_noise({(meter.channel, pace): meter_noise(meter) for meter in case.meters for pace in paces})
     J = study.stack(linearise_study(study, study.nominal.variant)[1])
     projection, runs = inverse_of(J.T @ J + np.eye(J.shape[1])), [run.name for run in case.runs]
     places = [runs.index(predictor.record.name) for predictor in study.predictors]
@@ -119,7 +119,7 @@ def tuned(case: hidden_plant.Case, target: float, folder: Path) -> tuple[float, 
     return strength, clean, found
 
 
-def _noise(meter: hidden_plant.Meter) -> NoiseModel:
+def meter_noise(meter: hidden_plant.Meter) -> NoiseModel:
     """A meter's noise and rounding."""
     rho = meter.colour
     innovation = float(np.hypot(meter.noise, meter.resolution / np.sqrt(12.0)) * np.sqrt(1.0 - rho * rho))

@@ -20,7 +20,7 @@ import numpy as np
 
 import valvesim as vs
 from valvesim.characterisation.acceptance.record import read_record
-from valvesim.characterisation.judgement_table import asked_text, condition_text, value_text
+from valvesim.characterisation.judgement_table import asked_text, condition_text, value_cells
 from valvesim.characterisation.measured_valve import load_measured_valve
 from valvesim.diagnosis.result import Diagnosis, Trace
 from valvesim.identification.fit import FittedCandidate, evaluate_fit
@@ -223,7 +223,7 @@ def page(identified: Identification, answers: Sequence[tuple[str, str, Diagnosis
     for figure in identified.figures:
         limit = figure.asked.limit
         at = condition_text(dict(limit.conditions.items() - identified.specification.conditions.items()))
-        reached, error, unit = value_text(figure.value, limit.unit, figure.deviation)
+        reached, error, unit = value_cells(figure.value, limit.unit, figure.deviation)
         name = limit.figure.replace("_", " ") + (f" ({at})" if at else "")
         rows.append(f"| {name} | {asked_text(limit)} | {reached} ± {error} {unit} |")
     lines = [

@@ -7,7 +7,7 @@ import warnings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded: there is a worker to each core
 
 import pytest
-from hidden_plant import draw, write_session
+from hidden_plant import draw, shortened, write_session
 from hypothesis import HealthCheck, settings
 
 from valvesim.cli import main as cli
@@ -48,9 +48,9 @@ def _validity_warnings_forgotten():
 
 @pytest.fixture(scope="session")
 def biased_session(tmp_path_factory):
-    """A session of the hidden plant in which the load flow sensor is far off."""
+    """A session of the hidden plant, of half a second a record, in which the load flow sensor is far off."""
     folder = tmp_path_factory.mktemp("biased")
-    write_session(draw(9, "sensor", name="sensor_bias"), folder)
+    write_session(shortened(draw(9, "sensor", name="sensor_bias"), 501), folder)
     return load_session(folder)
 
 

@@ -1078,6 +1078,13 @@ def write_files(case: Case, written: list[dict[str, np.ndarray]], folder: str | 
     (folder / "session.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def shortened(case: Case, samples: int) -> Case:
+    """The case with so many samples of each run."""
+    return replace(
+        case, runs=tuple(replace(run, command=run.command[:samples], oil=run.oil[:samples]) for run in case.runs)
+    )
+
+
 def truth(case: Case, strength: float = 1.0) -> dict[str, Any]:
     """What is hidden: kind, `causes` (catalogue names, `parameter:NAME`, or `outside:NAME`), `parameters` by cause, SI.
 

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_plant import draw_bench, write_bench_session
-from marks import slow_but
 
 import valvesim as vs
 from valvesim.identification.bad_samples import _single_outliers, _standing_apart, without_outliers
-from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
@@ -92,13 +90,10 @@ def test_a_single_residual_off_its_neighbours_is_an_outlier_and_a_misfit_is_not(
     assert np.flatnonzero(_single_outliers(left, least, OPTIONS.noise.outlier_ratio)).tolist() == [100]
 
 
-def test_a_reading_off_the_fit_is_left_out_with_its_line_and_no_other(tmp_path):
-    case, bench = draw_bench(500, "none", duration=0.3)
-    write_bench_session(case, bench, tmp_path)
-    prepared = prepare_session(load_session(tmp_path))
-    nominal = fit_nominal(prepared)
+def test_a_reading_off_the_fit_is_left_out_with_its_line_and_no_other(biased_session, biased_fit):
+    prepared, nominal = prepare_session(biased_session), biased_fit
     assert without_outliers(prepared, nominal.study, nominal.fit, nominal.linearised) is prepared
-    record, channel = prepared.predictors[1].record, case.channels[0]
+    record, channel = prepared.predictors[1].record, "spool_position"
     values = {**record.values, channel: record.values[channel].copy()}
     values[channel][150] += 15.0 * nominal.study.noise[channel, record.pace].deviation
     predictors = list(nominal.linearised)
@@ -113,9 +108,9 @@ def test_a_reading_off_the_fit_is_left_out_with_its_line_and_no_other(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("imperfection", ["gap", "corrupt"])
-@pytest.mark.parametrize("name", slow_but(["spool_coulomb_friction"], [None, "spool_coulomb_friction"]))
+@pytest.mark.parametrize("name", [None, "spool_coulomb_friction"])
 def test_a_session_with_such_samples_is_diagnosed_as_one_without(tmp_path, imperfection, name):
-    case, bench = draw_bench(500, "effect" if name else "none", name=name, imperfections=(imperfection,))
+    case, bench = draw_bench(500, "effect" if name else "none", name=name, imperfections=(imperfection,), duration=0.3)
     write_bench_session(case, bench, tmp_path)
     found = vs.diagnose(tmp_path)
     if name is None:

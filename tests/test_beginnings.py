@@ -27,7 +27,7 @@ def session(biased_session):
 
 LONG = DiagnosisOptions(
     identification=IdentificationOptions(fit=FitOptions(long_session=0)),
-    coarse_to_fine=CoarseToFineOptions(samples=0, least_samples=600),
+    coarse_to_fine=CoarseToFineOptions(samples=0, least_samples=300),
 )
 """Any session counts as long; of each of its records a good half is searched first."""
 
@@ -76,7 +76,7 @@ def test_repeats_keep_in_step(session):
 
 def test_beginnings_read_what_the_whole_reads_there(session):
     whole = prepare_session(session)
-    most = 400
+    most = 200
     parts = [leading_segments._part(predictor.record, slice(0, most)) for predictor in whole.predictors]
     short = restricted_session(whole, parts)
     assert short.nominal is whole.nominal
@@ -118,7 +118,7 @@ def test_in_a_long_session_what_its_beginnings_show_is_fitted_to_the_whole(sessi
     assert found.causes == ("sensor_bias",)
     hidden = dict(draw(9, "sensor", name="sensor_bias").hidden)["sensor_bias"]["bias"]
     assert found.parameters[0].low < hidden < found.parameters[0].high
-    assert searched_in == [600]  # the whole is not searched where its beginnings have shown something
+    assert searched_in == [300]  # the whole is not searched where its beginnings have shown something
     assert any("in the first seconds" in stage for stage, _ in stages)
     assert [share for _, share in stages] == sorted(share for _, share in stages)
 

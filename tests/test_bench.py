@@ -16,7 +16,8 @@ from valvesim.characterisation.acceptance.cycle import cycle
 from valvesim.characterisation.acceptance.leakage import common_hysteresis, half_split
 from valvesim.characterisation.acceptance.pressure_gain import blocked_load_pressure
 from valvesim.characterisation.acceptance.record import AcceptanceRecord, read_record
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, table
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, merit_rows
+from valvesim.characterisation.options import AcceptanceOptions
 from valvesim.errors import InputError
 from valvesim.reports import acceptance as report_acceptance
 from valvesim.valve.equations import main_stage
@@ -184,6 +185,12 @@ def made(tmp=None, *, period=100.0, top=5 * MA, hysteresis=0.2 * MA, lag=0.0, de
         y = out
     values = {"time": t, "current": np.round(50 * current / top) * top / 50, "internal_leakage": np.round(y, 10)}
     return AcceptanceRecord(source="made", values=values)
+
+
+def test_what_a_record_must_be_goes_by_its_options():
+    record = made(period=100.0, delay=1.5)
+    with pytest.raises(InputError, match="a bench record needs 200000 or more"):
+        replace(record, options=AcceptanceOptions(least_points=100_000))
 
 
 def test_a_delay_and_a_hysteresis_are_parted_by_two_rates():
@@ -419,10 +426,10 @@ def test_a_missing_file_is_refused(tmp_path):
 
 
 def test_the_table_has_figures_with_units_and_reasons(figures):
-    rows = {row[0]: row for row in table(list(figures.values()))}
+    rows = {row[0]: row for row in merit_rows(list(figures.values()))}
     _, value, _, unit, _ = rows["flow.flow at rated"]
     assert unit == "L/min" and float(value) == pytest.approx(27.4, abs=0.1)
-    (row,) = table([Absent("tare", "why")])
+    (row,) = merit_rows([Absent("tare", "why")])
     assert row == ("tare", "absent", "", "", "why")
 
 

@@ -10,15 +10,22 @@ from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
 import valvesim as vs
 from valvesim.diagnosis import apart
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import _gain, _shift, _wave
+from valvesim.diagnosis.bench_faults import _shift_words
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
 from valvesim.diagnosis.wording import summary_text
-from valvesim.identification.input_waves import fitted_waves, outstanding_frequencies, wave_parameters
+from valvesim.identification.input_waves import (
+    fitted_waves,
+    linear_gain,
+    outstanding_frequencies,
+    wave_parameters,
+    wave_words,
+)
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
 from valvesim.identification.session import Record
+from valvesim.inputs import evaluate
 from valvesim.units import quantities
 from valvesim.valve.additive_term import PORTS
 from valvesim.valve.catalogue import CATALOGUE
@@ -29,13 +36,13 @@ RECORDS = tuple(Record(name, TIME, {"spool_position": 0.0 * TIME, "current": TIM
 
 
 def test_a_wave_has_any_amplitude_and_phase_in_each_record_and_is_told_by_its_amplitude():
-    fault = _wave(wave_parameters(RECORDS, "supply_pressure", 37.0, 1e6))
-    assert len({p.name for p in fault.parameters}) == 4 and {p.input.record for p in fault.parameters} == {"a", "b"}
-    assert fault.words(np.array([3e5, 4e5, -4e5, 3e5])) == "the supply pressure ripples by 5 bar at 37 Hz"
-    first, second = (p.input.apply((TIME, 0.0 * TIME), (TIME, 0.0 * TIME), 1.0) for p in fault.parameters[:2])
-    assert np.interp(0.1, *first) ** 2 + np.interp(0.1, *second) ** 2 == pytest.approx(1.0, abs=0.02)
-    off = _shift(RECORDS, "oil_temperature", "the oil temperature is off", 2.0, "delta_degC", True)
-    assert off.words(np.array([1.0, -3.0])).startswith("the oil temperature is off by up to 3 ")
+    wave = wave_parameters(RECORDS, "supply_pressure", 37.0, 1e6)
+    assert len({p.name for p in wave}) == 4 and {p.input.record for p in wave} == {"a", "b"}
+    assert wave_words(wave, np.array([3e5, 4e5, -4e5, 3e5])) == "the supply pressure ripples by 5 bar at 37 Hz"
+    first, second = (evaluate(p.input.command(1.0), np.array([0.1])) for p in wave[:2])
+    assert first**2 + second**2 == pytest.approx(1.0)
+    said = _shift_words("oil_temperature", growing=True)(np.array([1.0, -3.0]))
+    assert said.startswith("the oil temperature is off by up to 3 ") and said.endswith("within a record")
 
 
 def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
@@ -45,11 +52,11 @@ def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
         values = {**record.values, "spool_position": own + 1.5 * np.sin(2.0 * np.pi * 104.37 * TIME + own[0])}
         predictors.append(SimpleNamespace(record=replace(record, values=values)))
         readings.append({"spool_position": 0.0 * TIME})
-    found = outstanding_frequencies(SimpleNamespace(predictors=predictors, options=IDENTIFICATION), readings)
+    found = outstanding_frequencies(SimpleNamespace(predictors=predictors, options=IDENTIFICATION), readings, 15.0)
     assert found[0] == pytest.approx(104.37, abs=0.05) and len(found) == 1
     quiet = [SimpleNamespace(record=replace(p.record, values={**p.record.values, "spool_position": own}))
              for p, own in zip(predictors, noise, strict=True)]  # fmt: skip
-    assert outstanding_frequencies(SimpleNamespace(predictors=quiet, options=IDENTIFICATION), readings) == []
+    assert outstanding_frequencies(SimpleNamespace(predictors=quiet, options=IDENTIFICATION), readings, 15.0) == []
 
 
 def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
@@ -58,8 +65,8 @@ def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
     noise = rng.normal(size=500)
 
     def gain(residual, S):
-        nominal = SimpleNamespace(J=J, fit=SimpleNamespace(point=np.zeros(3), residual=residual))
-        return [_gain(nominal, S, cause[:, :k]) for k in (0, 1)]
+        fit = SimpleNamespace(point=np.zeros(3), residual=residual)
+        return [linear_gain(J, fit, S, cause[:, :k]) for k in (0, 1)]
 
     assert min(gain(wave @ [0.5, 0.5] + noise, wave)) > DIAGNOSIS.bench.minimum_gain
     like_the_cause = cause + 0.02 * wave[:, :1]
@@ -87,10 +94,10 @@ def test_a_healthy_valve_raises_no_alarm_on_a_bench_with_all_imperfections(tmp_p
 
 def test_a_figure_far_off_is_told_with_its_tolerances():
     figures = [SimpleNamespace(name=name) for name in ("null_gap", "mass")]
-    study = SimpleNamespace(nominal=SimpleNamespace(parameters=figures))
-    limit = DIAGNOSIS.selection.most_shift
-    assert _far_off(study, np.array([0.9 * limit, -0.9 * limit]), options=DIAGNOSIS) == ""
-    assert _far_off(study, np.array([1.0, -48.0]), options=DIAGNOSIS) == "mass 24 tolerances off"
+    study = SimpleNamespace(nominal=SimpleNamespace(parameters=figures), options=IDENTIFICATION)
+    limit = IDENTIFICATION.prior.reach
+    assert _far_off(study, np.array([0.9 * limit, -0.9 * limit])) == ""
+    assert _far_off(study, np.array([1.0, -limit])) == "mass 5 tolerances off"
 
 
 @pytest.mark.parametrize("excess, alarm, odd", [((900.0, 20.0, 20.0), False, "a"), ((900.0, 20.0, 20.0), True, ""),

@@ -14,9 +14,11 @@ from valvesim.identification.between_samples import (
     InputShift,
     Smooth,
     Wave,
+    added_input,
     added_on_grid,
     command_jumps,
-    deviating,
+    command_through,
+    deviating_command,
 )
 from valvesim.identification.input_choice import edge_time, input_choices
 from valvesim.identification.linearised_record import linearise_record
@@ -25,6 +27,7 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
+from valvesim.inputs import evaluate
 
 TIME = np.arange(400) / 1e3
 CHIRP = np.sin(2.0 * np.pi * (TIME + 199.0 * TIME**2 / 2.0))
@@ -63,13 +66,23 @@ def test_held_samples_stay_and_smooth_ones_go_through_the_samples():
 @pytest.mark.parametrize("column, values", [("supply_pressure", np.full(400, 2e7)), ("current", CHIRP)])
 def test_waves_and_shifts_are_added(column, values):
     samples = (TIME, values)
-    t, u = deviating(column, samples, ((Wave("a", column, 50.0, 0.3), 0.1), (InputShift("a", column), 1.0)))
-    np.testing.assert_allclose(
-        np.interp(TIME, t, u), values + 0.1 * np.cos(2.0 * np.pi * 50.0 * TIME - 0.3) + 1.0, atol=1e-2
-    )
-    assert deviating(column, samples, ((InputShift("a", "other"), 1.0),)) is samples
+    command = command_through(samples, "a")
+    both = ((Wave("a", column, 50.0, 0.3), 0.1), (InputShift("a", column), 1.0))
+    moved = deviating_command(command, TIME[-1], both, "a")
+    wave = 0.1 * np.cos(2.0 * np.pi * 50.0 * TIME - 0.3)
+    np.testing.assert_allclose(evaluate(moved, TIME), values + wave + 1.0, rtol=1e-12)
+    assert deviating_command(command, TIME[-1], (), "a") is command
     t, u = InputShift("a", column, growing=True).apply(samples, samples, 2.0)
     assert u[-1] - values[-1] == pytest.approx(2.0) and u[0] == values[0]
+    added = added_input(command, TIME[-1], both, both[1:], TIME)
+    np.testing.assert_allclose(added, wave * np.sinc(0.05) ** 2, atol=1e-12)
+
+
+def test_a_wave_on_a_grid_is_what_its_points_would_add():
+    wave, fine = Wave("a", "current", 210.0, 1.1), np.linspace(0.0, TIME[-1], 40_001)
+    points = (fine, 0.3 * np.cos(2.0 * np.pi * 210.0 * fine - 1.1))
+    added = added_on_grid(points, (TIME[[0, -1]], np.zeros(2)), TIME)
+    np.testing.assert_allclose(added[1:-1], 0.3 * wave.on_grid(TIME)[1:-1], atol=1e-5)
 
 
 def test_what_is_added_on_a_grid_has_its_area_and_its_moment_whatever_the_grid():
@@ -135,6 +148,16 @@ def test_a_command_that_goes_straight_is_left_as_it_is(tmp_path):
     nominal = fit_nominal(prepare_session(load_session(tmp_path)))
     assert not nominal.study.nominal.variant.deviations and not nominal.study.spread
     assert not any("taken as" in note for note in nominal.study.session.notes)
+
+
+def test_a_strong_ripple_of_the_supply_is_fitted_with_its_frequency(tmp_path):
+    case, bench = draw_bench(505, "none", imperfections=("ripple",), duration=0.3)
+    write_bench_session(case, bench, tmp_path)
+    nominal = fit_nominal(prepare_session(load_session(tmp_path)))
+    (found,) = {p.input.frequency for p in nominal.study.nominal.parameters if isinstance(p.input, Wave)}
+    frequency = next(run.ripple[1] for run in case.runs)
+    assert abs(found - frequency) < 0.5 / 0.3  # half of what records of 0.3 s tell apart
+    assert nominal.fit.chi_square < 1.2 * nominal.fit.rows
 
 
 def test_an_edge_may_be_anywhere_in_its_interval_and_nowhere_else(stepped):

@@ -58,7 +58,7 @@ def files_of(folder):
 
 def whole(folder):
     entry = entry_of(folder)
-    listed = json.loads((entry / cache.LIST).read_text())
+    listed = json.loads((entry / cache.HASH_LIST).read_text())
     return all(cache._hash((entry / name).read_bytes()) == digest for name, digest in listed.items())
 
 
@@ -79,7 +79,7 @@ DAMAGES = {
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_every_damaged_file_is_made_anew(folder, load, damage):
     load()
-    kinds = ("model.py", ".nbi", ".nbc", cache.LIST, ".txt")
+    kinds = ("model.py", ".nbi", ".nbc", cache.HASH_LIST, ".txt")
     assert {next(kind for kind in kinds if name.endswith(kind)) for name in files_of(folder)} == set(kinds)
     for kind in kinds:
         (path,) = (path for name, path in files_of(folder).items() if name.endswith(kind))

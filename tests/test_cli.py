@@ -383,7 +383,7 @@ def test_the_program_alone_shows_its_help_with_every_command(call):
     assert (code, err) == (0, "") and out == call("--help")[1]
     rows = out.partition("Simulate:")[2].splitlines()
     named = [line.split()[0] for line in rows if line[:2] == "  " and line[2:3].strip()]
-    assert sorted(named) == list(cli.COMMANDS) and len(set(named)) == len(named)
+    assert sorted(named) == list(cli.COMMAND_NAMES) and len(set(named)) == len(named)
     assert not any("..." in line for line in rows)
 
 

@@ -230,7 +230,8 @@ def test_the_package_hands_out_the_diagnosis():
 def test_friction_of_the_hidden_plant_is_found_by_the_command(call, tmp_path):
     """A real run, at a strength where friction is clear (d' some tens) and the plant's own ways do not matter yet."""
     case = hidden_plant.draw(3, "effect", name="spool_coulomb_friction")
-    hidden_plant.write_session(case, tmp_path / "s", strength=min(1.0, 60.0 / hidden_plant.distance(case)))
+    strength = min(1.0, 60.0 / hidden_plant.distance(case))
+    hidden_plant.write_session(hidden_plant.shortened(case, 501), tmp_path / "s", strength)
     code, out, err = call(tmp_path / "s", "-o", tmp_path / "out")
     assert code == 0, err
     told = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))

@@ -9,8 +9,7 @@ from valvesim.characterisation.acceptance.acceptance_tests import acceptance_tes
 from valvesim.characterisation.dither import NO_DITHER, Dither, dither_of
 from valvesim.characterisation.frequency_response import frequency_response
 from valvesim.characterisation.measured_valve import load_measured_valve
-from valvesim.characterisation.response_set import amplitudes_of, measure_responses
-from valvesim.characterisation.response_set import tests_of as responses_of
+from valvesim.characterisation.response_set import amplitudes_of, measure_responses, response_tests
 from valvesim.characterisation.step_response import step_response
 from valvesim.cli.main import cli
 from valvesim.errors import InputError
@@ -87,7 +86,7 @@ def test_a_limit_with_dither_is_judged_by_a_test_with_it_alone(tmp_path):
         sets = measure_responses(
             valve, steps=(0.5,), sweeps=(0.1,), frequencies=(5.0, 90.0, 110.0, 250.0, 300.0), chirp=False, dither=dither
         )
-        measured = [(figure, at) for _, at, figures in responses_of(sets, valve, specification) for figure in figures]
+        measured = [(figure, at) for _, at, figures in response_tests(sets, valve, specification) for figure in figures]
         told[dither] = [one.verdict.value for one in vs.judge(specification, measured)]
     assert told == {NO_DITHER: ["not measured", "pass", "not measured"], DITHER: ["pass", "not measured", "pass"]}
 

@@ -39,12 +39,12 @@ def test_every_block_of_a_page_runs_in_its_order(name, call, tmp_path, monkeypat
 
 def test_every_command_of_the_tables_is_one_and_its_options_are(call):
     """The commands in running text are not run, but each word of them is known."""
-    from valvesim.cli.main import COMMANDS
+    from valvesim.cli.main import COMMAND_NAMES
 
     shown = re.findall(r"`valvesim ([^`]+)`", (SITE / "howto.md").read_text(encoding="utf-8"))
     assert len(shown) > 15
     for words in map(shlex.split, shown):
-        assert words[0] in COMMANDS, words
+        assert words[0] in COMMAND_NAMES, words
         sub = words[:2] if words[0] == "export" else words[:1]
         _, told, _ = call(*sub, "--help")
         assert all(word in told for word in words if word.startswith("-") and not word[1:2].isdigit()), words

@@ -13,7 +13,7 @@ import valvesim as vs
 from valvesim.identification.session_toml import load_session
 from valvesim.studies.study_toml import load_study
 from valvesim.valve.effect_files import load_effects_files
-from valvesim.valve.effect_trust import LIST, hash_of, remember
+from valvesim.valve.effect_trust import TRUST_LIST, hash_of, remember
 from valvesim.valve.permission import permitting
 from valvesim.valve.valve_file import load_valve
 
@@ -151,9 +151,9 @@ def test_what_runs_is_what_was_asked_about(own, ran):
 @pytest.mark.parametrize("mode", [0o777, 0o620])
 def test_a_list_that_others_could_write_trusts_nothing(own, ran, data, mode):
     remember(own, own.read_bytes())
-    (data / LIST).chmod(mode)
+    (data / TRUST_LIST).chmod(mode)
     assert "was not trusted before" in refused(vs.load_scenario, scenario(own.parent)) and not ran()
-    (data / LIST).chmod(0o600)
+    (data / TRUST_LIST).chmod(0o600)
     data.chmod(mode | 0o100)
     assert "was not trusted before" in refused(vs.load_scenario, scenario(own.parent)) and not ran()
 
@@ -161,8 +161,8 @@ def test_a_list_that_others_could_write_trusts_nothing(own, ran, data, mode):
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"\n\n \n", b"x" * 10_000, "é 1\n".encode()])
 def test_a_damaged_list_trusts_nothing(own, ran, data, content):
     data.mkdir(mode=0o700)
-    (data / LIST).write_bytes(content)
-    (data / LIST).chmod(0o600)
+    (data / TRUST_LIST).write_bytes(content)
+    (data / TRUST_LIST).chmod(0o600)
     assert "was not trusted before" in refused(vs.load_scenario, scenario(own.parent)) and not ran()
 
 
@@ -196,8 +196,8 @@ def test_the_command_line_refuses_remembers_and_forgets_with_the_content(call, o
     code, _, err = call(*words)
     assert code == 2 and "was not trusted before" in err and not ran() and not data.exists()
     assert "duration" in call(*words, "--trust")[2] and ran()
-    assert (data / LIST).read_text() == f"{hash_of(own.read_bytes())} {own}\n"
-    assert (data / LIST).stat().st_mode & 0o777 == 0o600
+    assert (data / TRUST_LIST).read_text() == f"{hash_of(own.read_bytes())} {own}\n"
+    assert (data / TRUST_LIST).stat().st_mode & 0o777 == 0o600
     assert "duration" in call(*words)[2] and ran()
     with own.open("a") as file:
         file.write("# changed")

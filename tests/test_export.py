@@ -13,11 +13,11 @@ from fmu_importer import Refused, fly, opened, output_names
 
 import valvesim as vs
 from valvesim.export import fmu
-from valvesim.export.c_model import FUNCTIONS, OF_C
+from valvesim.export.c_model import C_FUNCTIONS, OF_C
 from valvesim.export.c_source import export_c, flown_scenario
 from valvesim.export.fmi_variables import model_identifier
-from valvesim.export.fmu import check_own, export_fmu, find_compiler
-from valvesim.export.reference_results import channel_of, reference_values
+from valvesim.export.fmu import check_replaceable, export_fmu, find_compiler
+from valvesim.export.reference_results import equivalent_channels, reference_values
 from valvesim.export.source import load_source
 from valvesim.export.traced_valve import trace_valve
 from valvesim.simulation import driver
@@ -36,8 +36,8 @@ def archives(tmp_path_factory):
     """The case as both kinds of archive, the second compiled here."""
     folder = tmp_path_factory.mktemp("fmu")
     with pytest.MonkeyPatch.context() as patch:
-        quick = ("-O1", *(flag for flag in fmu.FLAGS if flag != "-O2"))  # compiles in half the time
-        patch.setattr(fmu, "FLAGS", quick)
+        quick = ("-O1", *(flag for flag in fmu.COMPILER_FLAGS if flag != "-O2"))  # compiles in half the time
+        patch.setattr(fmu, "COMPILER_FLAGS", quick)
         for version in ("2.0", "3.0"):
             export_fmu(CASE, folder / f"fmi{version[0]}.fmu", version=version)
     return folder
@@ -56,7 +56,7 @@ def spans(values):
 def errors(flown, case):
     """Share of its span by which each channel differs from the simulation at a tolerance of 1e-8."""
     _, values = reference_values(replace(case, tolerance=1e-8))
-    known = channel_of(trace_valve(case))
+    known = equivalent_channels(trace_valve(case))
     assert len(known) >= 20
     width = spans({name: values[channel] for name, channel in known.items()})
     return {name: np.max(np.abs(flown[name] - values[channel])) / width[name] for name, channel in known.items()}
@@ -320,7 +320,7 @@ def test_what_needs_a_series_or_is_unknown_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(vs.InputError, match="is no FMU of valvesim"):
-        check_own(tmp_path / "notes.txt", overwrite=False)
+        check_replaceable(tmp_path / "notes.txt", overwrite=False)
 
 
 def test_a_valve_by_name_and_effects_that_are_switched_off():
@@ -350,7 +350,7 @@ def test_the_c_code_has_the_figures_of_the_integrator(tmp_path):
     step = re.search(r"void valve_model_step\(.*?^\}", code, re.DOTALL | re.MULTILINE)[0]
     assert repr(float(rodas5p.A[5, 0])) in step and repr(float(rodas5p.C[7, 6])) in step
     assert flown_scenario(CASE).duration == pytest.approx(0.05)
-    assert "-O2" in fmu.FLAGS
+    assert "-O2" in fmu.COMPILER_FLAGS
 
 
 @needs_compiler
@@ -416,7 +416,7 @@ def test_what_an_fmu_cannot_do_is_said(archives, tmp_path):
 
 
 def test_all_that_printed_lines_may_call_is_there_in_c():
-    assert set(straight_line.FUNCTIONS) <= set(FUNCTIONS) | set(OF_C)
+    assert set(straight_line.FUNCTIONS) <= set(C_FUNCTIONS) | set(OF_C)
 
 
 @needs_compiler

@@ -20,6 +20,7 @@ from hidden_plant import (
     draw,
     noisy,
     responses,
+    shortened,
     truth,
     write_session,
 )  # fmt: skip
@@ -36,8 +37,7 @@ from valvesim.valve.parameters import Valve
 
 def short(case, samples=250, runs=1):
     """The case with its first runs cut short."""
-    cut = [replace(run, command=run.command[:samples], oil=run.oil[:samples]) for run in case.runs[:runs]]
-    return replace(case, runs=tuple(cut))
+    return shortened(replace(case, runs=case.runs[:runs]), samples)
 
 
 def model_of(case, run):

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from test_prediction import UNIVERSE, bench_of, nominal_variant, small_session
 
 from valvesim.errors import InputError
-from valvesim.identification.candidates import SHAPES, Candidate, candidates_of
+from valvesim.identification.candidates import Candidate, candidates_of
 from valvesim.identification.jacobian import (
     candidate_sensitivities,
     is_simulated,
@@ -190,9 +190,11 @@ def test_every_effect_of_the_catalogue_is_looked_for_once_on_each_side_and_senso
             expected.add(effect.name)
     assert term_hypotheses == expected
     counts = Counter(c.label for c in candidates)
-    for name, shapes in SHAPES.items():
-        for shape, values in shapes.items():
-            assert all(counts[f] == (1 if shape == "side" else len(values)) for f in counts if f.startswith(name))
+    for effect in CATALOGUE.values():
+        for shape in effect.parameters:
+            if shape.sought:
+                expected = 1 if shape.discrete else len(shape.sought)
+                assert all(counts[f] == expected for f in counts if f.startswith(effect.name))
     assert {f for f, count in counts.items() if count > 1} == {
         "eddy_current_lag", "magnetic_hysteresis", "thermal_lag", "thermal_network",
     }  # fmt: skip
@@ -222,6 +224,20 @@ def test_what_is_known_already_is_not_looked_for_and_a_users_effect_is():
     names = {c.name for c in candidates_of(session, nominal_model_of(session, options=OPTIONS))}
     assert "side_load" in names and "spool_coulomb_friction" not in names
     assert names >= set(SENSOR_EFFECTS)
+
+
+def test_a_users_effect_is_looked_for_at_each_value_sought_and_a_discrete_one_is_not_fitted():
+    force = Parameter(name="force", unit="N", doc="", default=0.0, bounds=(-50.0, 50.0), neutral=0.0, typical=5.0)
+    land = Parameter(name="land", unit="1", doc="", default=1.0, bounds=(1.0, 3.0), sought=(1.0, 3.0), discrete=True)
+    path = Parameter(name="path", unit="m", doc="", default=1e-6, bounds=(0.0, 1.0), sought=(1e-6, 1e-5))
+    own = Effect(
+        name="rub", doc="", location="spool force balance", signature="", parameters=(force, land, path),
+        balance=lambda situation, p, memory: (Ports(spool_force=p.force), ()),
+    )  # fmt: skip
+    session = replace(small_session(), user_effects=(own,))
+    found = [c for c in candidates_of(session, nominal_model_of(session, options=OPTIONS)) if c.name == "rub"]
+    assert Counter(c.label for c in found) == {"rub[land=1]": 2, "rub[land=3]": 2}
+    assert all([p.name for p in c.shapes()] == ["path"] for c in found)
 
 
 def test_only_amplitudes_that_make_sense_are_looked_for(candidates):

@@ -13,6 +13,7 @@ from valvesim.characterisation.specification import FIGURES
 from valvesim.cli.main import cli
 from valvesim.errors import InputError
 from valvesim.identification.from_figures.identify import identify
+from valvesim.identification.from_figures.options import FromFiguresOptions, SimilarityOptions
 from valvesim.identification.from_figures.prediction import FITTED, FigurePredictor, asked_of
 from valvesim.identification.from_figures.similarity import UNKNOWNS, similar_valves
 from valvesim.identification.from_figures.static_figures import static_figures
@@ -178,6 +179,18 @@ def test_a_specification_that_tells_no_valve_is_refused(read, text, message):
     with pytest.raises(InputError) as refused:
         identify(read(f"[figures]\n{text}"))
     assert message in str(refused.value)
+
+
+def test_which_valves_there_are_goes_by_the_options():
+    size = {"rated_flow": 15.0 / 6e4, "pressure_drop": 7e6, "rated_current": 0.02, "oil": vs.MIL_PRF_5606}
+    usual = similar_valves(**size, conditions=CONDITIONS)
+    wide = FromFiguresOptions(similarity=SimilarityOptions(stop=2.0))
+    ends = [one.valves(np.zeros((1, len(UNKNOWNS)))).spool_stroke[0]
+            for one in (usual, similar_valves(**size, conditions=CONDITIONS, options=wide))]  # fmt: skip
+    assert ends[1] / ends[0] == pytest.approx(2.0 / 1.3, rel=0.01)
+    small = FromFiguresOptions(similarity=SimilarityOptions(flows=(1.0 / 6e4, 10.0 / 6e4)))
+    with pytest.raises(InputError, match="15 L/min"):
+        similar_valves(**size, conditions=CONDITIONS, options=small)
 
 
 @pytest.mark.slow

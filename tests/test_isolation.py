@@ -1,5 +1,6 @@
 """The steps of an isolation among each other: whose score tests, whose noise, what is fitted and how often."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 
 from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis import isolation
-from valvesim.diagnosis.detection import exceeds_noise, verified_chi_square
+from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.noise_model import NoiseModel
@@ -57,6 +59,126 @@ def test_where_the_nominal_fit_is_exchanged_its_own_score_test_takes_the_place_o
     assert ended is weighted and scores is before
 
 
+def score_test_of(nominal, fit, *, options=DIAGNOSIS):
+    """The score test of a fit in which nothing shows."""
+    return SimpleNamespace(
+        nominal=nominal, fit=fit, options=options, z=lambda: np.zeros(1), level=lambda probability: 4.0
+    )
+
+
+@pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e6, False)])
+def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch, beside, alarm):
+    base, found = nominal(5600.0), []
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
+    monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
+    monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores))
+    monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
+    monkeypatch.setattr(isolation, "explained_by_bench", lambda scores: beside)
+
+    def isolated(nominal, scores, progress, known, *, options):
+        return isolation.Isolation(nominal, scores, scores, found, [], "", True, 4.0)
+
+    monkeypatch.setattr(isolation, "_isolated", isolated)
+    ended = isolation.isolate(base, lambda stage, share: None, options=DIAGNOSIS)
+    assert ended.alarm is alarm and ended.bench == ("a ripple",)
+
+
+def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_may_end_with_none(monkeypatch):
+    base, better = nominal(9000.0), nominal(5000.0)
+    searched = []
+
+    def first(nominal, scores, known, progress):
+        searched.append((nominal, scores.nominal))
+        return [hypothesis(4990.0, "spool_lap")], "spool_lap"
+
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
+    monkeypatch.setattr(isolation, "is_inadequate", lambda nominal, fit, options: False)
+    monkeypatch.setattr(isolation, "_first_hypotheses", first)
+    monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found: better if nominal is base else None)
+    monkeypatch.setattr(isolation, "restarted", lambda nominal, found, likeliest, options: [])
+    ended = isolation._isolated(base, score_test_of(base, base.fit), lambda stage, share: None, (), options=DIAGNOSIS)
+    assert searched == [(base, base), (better, better)] and ended.nominal is better
+    assert ended.alarm and not ended.found and not ended.answer_set  # 10 are no gain at a level of 4
+
+
+@pytest.mark.parametrize("left, named", [(0.0, ["spool_lap"]), (0.5, [])])
+def test_where_even_the_best_leaves_much_over_none_is_the_answer(monkeypatch, left, named):
+    base, best = nominal(9000.0), hypothesis(4900.0, "spool_lap")
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: left)
+    monkeypatch.setattr(isolation, "rival_terms", lambda nominal, final: [])
+    scores, final = score_test_of(base, base.fit), score_test_of(base, best.fit)
+    judged = isolation.judged(isolation.Isolation(base, scores, final, [best], [], "", True, 4.0))
+    assert [one.label for one in judged.answer_set] == named and judged.found == [best]
+
+
+def test_what_the_plainer_of_two_leaves_that_fit_alike_is_looked_at_too(monkeypatch):
+    base, plain = nominal(9000.0), hypothesis(4905.0, "spool_coulomb_friction")
+    fuller = hypothesis(4900.0, "spool_stribeck_friction")
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "rival_terms", lambda nominal, final: [])
+    monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: 0.01 * (final.fit is plain.fit))
+    scores, final = score_test_of(base, base.fit), score_test_of(base, fuller.fit)
+    judged = isolation.judged(isolation.Isolation(base, scores, final, [fuller, plain], [], "", True, 4.0))
+    assert judged.found[0] is plain and judged.final.fit is plain.fit
+    assert [one.label for one in judged.answer_set] == ["spool_coulomb_friction", "spool_stribeck_friction"]
+
+
+def test_records_that_no_likely_cause_comes_near_are_of_another_valve(monkeypatch):
+    base, fits = nominal(1e9), {"spool_lap": None, "entrained_air": nominal(1e9).fit}
+    monkeypatch.setattr(isolation, "typical_starts", lambda nominal, scores: [fitted("spool_lap")])
+    monkeypatch.setattr(isolation, "single_starts", lambda scores, fall, share: [fitted("entrained_air")])
+    monkeypatch.setattr(isolation, "fit_from_prior", lambda nominal, start, few: fits[start[0].candidate.name])
+    monkeypatch.setattr(isolation, "is_inadequate", lambda nominal, fit, options: fit.chi_square > 1e6)
+    assert isolation._none_comes_near(base, score_test_of(base, base.fit))
+    fits["entrained_air"] = nominal(5000.0).fit
+    assert not isolation._none_comes_near(base, score_test_of(base, base.fit))
+
+
+def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_others(monkeypatch):
+    base, asked = nominal(9000.0), []
+
+    def starts(scores, failed):
+        asked.append(set(failed))
+        return [fitted(name) for name in ("spool_lap", "entrained_air") if name not in failed]
+
+    def fits(nominal, starts, progress, options):
+        return [hypothesis(5000.0, "entrained_air") for (one,) in starts if one.candidate.name == "entrained_air"]
+
+    monkeypatch.setattr(isolation, "start_points", starts)
+    monkeypatch.setattr(isolation, "fit_starts", fits)
+    found, likeliest = isolation._first_hypotheses(base, score_test_of(base, base.fit), (), lambda share: None)
+    assert [one.label for one in found] == ["entrained_air"] and likeliest == "entrained_air"
+    assert asked == [set(), {"spool_lap"}]
+    monkeypatch.setattr(isolation, "fit_starts", lambda nominal, starts, progress, options: [])
+    assert isolation._first_hypotheses(base, score_test_of(base, base.fit), (), lambda share: None)[0] == []
+
+
+def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit(monkeypatch):
+    def evaluate_fit(study, point, fitted):
+        raise SolveError("no valve")
+
+    base, lap = nominal(9000.0), hypothesis(5000.0, "spool_lap")
+    monkeypatch.setattr(isolation, "evaluate_fit", evaluate_fit)
+    assert isolation._known_hypotheses(base, [lap.fit], lambda share: None, options=DIAGNOSIS) == []
+    assert isolation._better_nominal(base, [lap]) is None
+
+
+def test_where_nothing_is_found_about_a_nominal_fit_far_out_single_causes_are_fitted_from_within(monkeypatch):
+    lap = hypothesis(5000.0, "spool_lap")
+    base = nominal(9000.0)
+    far = SimpleNamespace(study=base.study, fit=replace(base.fit, point=np.full(1, DIAGNOSIS.isolation.shifted + 1.0)))
+
+    def singles(nominal, scores, level, found, final, tried):
+        return [lap], score_test_of(nominal, lap.fit)
+
+    monkeypatch.setattr(isolation, "with_singles_from_prior", singles)
+    for one, found in ((far, [lap]), (base, [])):
+        assert isolation._verified(one, score_test_of(one, one.fit), 4.0, [])[2] == found
+
+
 ROWS, CHANNELS = 400, ("spool_position", "load_flow")
 
 
@@ -92,7 +214,7 @@ def white_study(verified, excess, seed=0):
 )
 def test_more_than_the_noise_is_looked_for_in_every_channel_whose_noise_is_verified(verified, excess, exceeds):
     study, fit = white_study(verified, excess)
-    assert exceeds_noise(fit, study, options=DIAGNOSIS) is exceeds
+    assert (beyond_noise(fit, study, options=DIAGNOSIS) > 0.0) is exceeds
 
 
 def test_the_parts_of_channels_add_up_to_the_chi_square():
@@ -104,8 +226,8 @@ def test_the_parts_of_channels_add_up_to_the_chi_square():
     assert whole[1] == 2 * ROWS
 
 
-@pytest.mark.parametrize("inadequate, far", [(True, ""), (False, ""), (False, "nozzle_arm 24 tolerances off")])
-def test_of_an_answer_set_that_was_emptied_no_candidate_is_told_to_be_in_it(inadequate, far, monkeypatch):
+@pytest.mark.parametrize("inadequate", [True, False])
+def test_of_an_answer_set_that_was_emptied_no_candidate_is_told_to_be_in_it(inadequate, monkeypatch):
     best, base, told = hypothesis(4900.0, "spool_lap"), nominal(9000.0), {}
     scores = SimpleNamespace(options=DIAGNOSIS)
     ended = isolation.Isolation(base, scores, scores, [best], [best], "", True, 4.0)
@@ -123,10 +245,10 @@ def test_of_an_answer_set_that_was_emptied_no_candidate_is_told_to_be_in_it(inad
     own = diagnosing.candidate_answers
     base.study.session = SimpleNamespace(notes=())
     monkeypatch.setattr(diagnosing, "is_inadequate", lambda nominal, fit, options: inadequate)
-    monkeypatch.setattr(diagnosing, "_far_off", lambda study, point, options: far)
+    monkeypatch.setattr(diagnosing, "_far_off", lambda study, point: "")
     monkeypatch.setattr(diagnosing, "candidate_answers", answers)
     monkeypatch.setattr(diagnosing, "verdict_of", verdict_of)
     with pytest.raises(Told):
         diagnosing._answer(ended)
     in_set = {answer.label for answer in told["candidates"] if answer.in_set}
-    assert in_set == ({"none of the known causes"} if inadequate or far else {"spool_lap"})
+    assert in_set == ({"none of the known causes"} if inadequate else {"spool_lap"})

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, merit_cells
 from valvesim.characterisation.judgement_table import (
     asked_text,
     condition_text,
@@ -19,7 +19,7 @@ from valvesim.characterisation.judgement_table import (
 )
 from valvesim.characterisation.specification import Limit, Specification, judge, load_specification
 from valvesim.cli.judging import oil_temperatures
-from valvesim.cli.main import COMMANDS, cli
+from valvesim.cli.main import COMMAND_NAMES, cli
 
 PASSING = '[figures]\nrated_current = { high = "20 mA" }\nnull_leakage = { high = "2 L/min" }\n'
 FAILING = PASSING + 'tare_leakage = { high = "0.1 L/min" }\nhysteresis = "3 %"\n'
@@ -94,8 +94,8 @@ def test_limits_and_conditions_are_told_as_people_read_them():
 
 
 def test_large_uncertainties_round_their_figures_and_nothing_is_minus_zero():
-    assert shown(FigureOfMerit("pressure_gain", 2816e8, "Pa/A", "", 2468e8)) == ("2800", "2500", "bar/mA")
-    assert shown(FigureOfMerit("null_bias", -1e-9, "1", "", 4.9e-5)) == ("0.0000", "0.0049", "%")
+    assert merit_cells(FigureOfMerit("pressure_gain", 2816e8, "Pa/A", "", 2468e8)) == ("2800", "2500", "bar/mA")
+    assert merit_cells(FigureOfMerit("null_bias", -1e-9, "1", "", 4.9e-5)) == ("0.0000", "0.0049", "%")
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_large_uncertainties_round_their_figures_and_nothing_is_minus_zero():
     ],
 )
 def test_figures_are_told_to_what_is_known_of_them(figure, told):
-    assert shown(figure) == told
+    assert merit_cells(figure) == told
 
 
 def test_rows_of_an_absent_figure_say_why():
@@ -115,7 +115,7 @@ def test_rows_of_an_absent_figure_say_why():
     assert row["note"] == "a polarity has no line" and row["value"] is None and row["conditions"] == "amplitude=0.4"
 
 
-@pytest.mark.parametrize("command", sorted(set(COMMANDS) - {"export", "open"}))  # which tell nothing
+@pytest.mark.parametrize("command", sorted(set(COMMAND_NAMES) - {"export", "open"}))  # which tell nothing
 def test_every_command_has_a_form_for_machines(command):
     assert "--format" in CliRunner().invoke(cli, [command, "--help"]).stdout
 

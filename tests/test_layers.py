@@ -9,7 +9,13 @@ from pathlib import Path
 import pytest
 
 import valvesim
-from valvesim.cli.main import COMMANDS
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION
+from valvesim.cli.main import COMMAND_NAMES
+from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES
+from valvesim.options import option_table
+from valvesim.planning.options import DEFAULT_PLANNING
+from valvesim.units import parse
+from valvesim.valve.catalogue import CATALOGUE
 
 PACKAGE = Path(valvesim.__file__).parent
 MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
@@ -91,12 +97,13 @@ def test_importing_all_names_of_the_package_loads_no_heavy_library():
 def test_help_loads_every_command_and_no_library_of_numbers():
     code = "from valvesim.cli.main import cli; cli.main(['--help'], standalone_mode=False)"
     names = loaded(code)
-    assert {f"valvesim.cli.{name}" for name in COMMANDS} <= names and not names & {*HEAVY, "numpy", "scipy", "rich"}
+    assert {f"valvesim.cli.{name}" for name in COMMAND_NAMES} <= names
+    assert not names & {*HEAVY, "numpy", "scipy", "rich"}
 
 
 def test_a_command_is_loaded_without_the_others():
     names = loaded("from valvesim.cli.main import cli; cli.main(['effects'], standalone_mode=False)")
-    assert {name for name in COMMANDS if f"valvesim.cli.{name}" in names} == {"effects"}
+    assert {name for name in COMMAND_NAMES if f"valvesim.cli.{name}" in names} == {"effects"}
 
 
 def test_every_name_of_the_package_is_there_and_no_other():
@@ -112,15 +119,94 @@ def test_the_table_of_modules_in_the_documents_names_each_of_them():
     assert sorted(named) == [module[:-3] for module in MODULES if not module.endswith("__init__.py")]
 
 
-def test_the_name_of_a_class_or_a_type_stands_for_one_thing():
-    """`Table` alone is both a command, by its public name, and what a page shows."""
+NAMES_OF_SEVERAL = {
+    "P": "a type variable",
+    "F": "a type variable",
+    "Table": "a command, by its public name, and what a page shows",
+    "integrate": "the method of `rodas5p`, and its driver, which calls what `codegen` prints of it",
+}
+
+
+def test_a_name_of_a_module_stands_for_one_thing():
+    """Private names aside, and the functions of `valvesim.cli` that carry the name of their command."""
     places = {}
     for module in MODULES:
         for node in ast.parse((PACKAGE / module).read_text(encoding="utf-8")).body:
-            found = [node.name] if isinstance(node, ast.ClassDef) else []
-            if isinstance(node, ast.Assign):
-                found = [one.id for one in node.targets if isinstance(one, ast.Name)]
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            found = {one.id for target in targets if target for one in ast.walk(target) if isinstance(one, ast.Name)}
+            if isinstance(node, ast.ClassDef | ast.FunctionDef):
+                found = {node.name}
             for name in found:
-                if re.match("[A-Z]+[a-z]", name):
-                    places.setdefault(name, []).append(module)
-    assert {name for name, where in places.items() if len(where) > 1} == {"Table"}
+                if not name.startswith("_") and module != f"cli/{name}.py":
+                    places.setdefault(name, set()).add(module)
+    assert {name for name, where in places.items() if len(where) > 1} == set(NAMES_OF_SEVERAL)
+
+
+BARE = {  # numbers that no judgement sets
+    ("diagnosis/power.py", "NINE_IN_TEN"): "a quantile of the normal distribution",
+    ("diagnosis/power.py", "NINETEEN_IN_TWENTY"): "a quantile of the normal distribution",
+    ("identification/between_samples.py", "EDGE"): "how a jump is written as points, in every stored deviation alike",
+    ("identification/between_samples.py", "SMOOTH"): "how a smooth command is written as points, likewise",
+    ("identification/tangent_linear.py", "ENDLESS"): "where squares overflow",
+    ("identification/from_figures/similarity.py", "ANCHOR_STIFFNESS"): "a dimension of the anchor, as published",
+    ("identification/from_figures/similarity.py", "ANCHOR_STROKE"): "a dimension of the anchor",
+    ("characterisation/acceptance/flow.py", "LINE"): "what the flow gain is",
+    ("characterisation/acceptance/flow_load.py", "RATED_DROP"): "what rated flow is",
+    ("characterisation/acceptance/metrics.py", "BLOCKS"): "what the uncertainty of every figure is",
+    ("characterisation/acceptance/metrics.py", "NULL_SHARE"): "what the pressure gain is",
+    ("characterisation/acceptance/null_shift.py", "TEMPERATURE_DIFFERENCE"): "a condition, unless another is given",
+    ("characterisation/acceptance/null_shift.py", "PRESSURE_CHANGE"): "what the null shift is",
+    ("characterisation/dither.py", "SAMPLES"): "below which harmonics count",
+    ("characterisation/frequency_response.py", "SETTLE_TIME"): "an argument, unless another is given",
+    ("characterisation/response_set.py", "STEP_AMPLITUDES"): "an argument, unless others are given",
+    ("characterisation/response_set.py", "SINE_AMPLITUDES"): "an argument, unless others are given",
+    ("characterisation/rest_characteristic.py", "POINTS"): "points of a picture",
+    ("characterisation/sine_point.py", "HARMONICS"): "what the distortion is",
+    ("characterisation/sine_point.py", "FEWEST_A_CYCLE"): "samples that tell a sine from its offset and drift",
+    ("characterisation/specification.py", "COVERAGE"): "of ISO 14253-1",
+    ("identification/tangent_linear.py", "TOGETHER"): "numbers of a processor's vectors",
+    ("characterisation/thermal_drift.py", "LEAST_MOTION"): "a share of a channel's scale, against a division by zero",
+}
+
+
+def test_thresholds_of_what_judges_are_options():
+    found = set()
+    for module in MODULES:
+        if module.startswith(("planning/", "diagnosis/", "identification/", "characterisation/")):
+            for node in ast.parse((PACKAGE / module).read_text(encoding="utf-8")).body:
+                parts = list(ast.walk(node.value)) if isinstance(node, ast.Assign) else []
+                if any(isinstance(getattr(one, "value", None), int | float) for one in parts) and not any(
+                    isinstance(one, ast.Call | ast.Dict) for one in parts
+                ):
+                    names = (one for target in node.targets for one in ast.walk(target))
+                    found |= {(module, one.id) for one in names if isinstance(one, ast.Name)}
+    assert found == set(BARE)
+
+
+def test_every_option_has_a_unit_a_meaning_and_a_source():
+    every = (DEFAULT_PLANNING, DEFAULT_FROM_FIGURES, DEFAULT_CHARACTERISATION)
+    rows = [row for options in every for row in option_table(options)]
+    assert len(rows) > 200 and len({name for name, *_ in rows}) == len(rows)
+    assert {"diagnosis.identification.fit.steps", "choice.power", "posterior.step"} <= {name for name, *_ in rows}
+    for name, value, unit, doc, source in rows:
+        assert doc and source and (unit == "byte" or parse(f"{1.0} {unit}", unit, name) == 1.0), name
+        assert all(isinstance(one, int | float) for one in (value if isinstance(value, tuple) else (value,))), name
+
+
+NAMED_EFFECTS = {"cli/export.py": "the help gives an example of a name"}
+
+
+def test_only_the_catalogue_names_its_effects():
+    """Docstrings may: they show what a file may say. Elsewhere an effect is an object, or what its entry declares."""
+    named = re.compile(rf"\b({'|'.join(CATALOGUE)})\b")
+    found = set()
+    for module in MODULES:
+        if module.startswith("valve/effects/"):
+            continue
+        tree = ast.parse((PACKAGE / module).read_text(encoding="utf-8"))
+        shown = [node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in shown:
+                if named.search(node.value):
+                    found.add(module)
+    assert found == set(NAMED_EFFECTS)

@@ -155,7 +155,7 @@ def test_the_gain_at_rest_is_the_slope_of_the_static_solution(current, temperatu
     at_rest = np.asarray(system(current, temperature)(0.0)).real[:, 0]
     for name in ("spool_position", "armature_angle", "pilot_differential_pressure", "nozzle_pressure_1"):
         slope = float(getattr(above, name) - getattr(below, name)) / (2.0 * step)
-        assert at_rest[linear.OUTPUTS.index(name)] == pytest.approx(slope, rel=1e-6)
+        assert at_rest[linear.LINEARISED_OUTPUTS.index(name)] == pytest.approx(slope, rel=1e-6)
 
 
 @pytest.mark.parametrize("source", ["supply_pressure", "return_pressure", "load_pressure"])
@@ -176,7 +176,7 @@ def test_the_gain_over_a_pressure_is_that_of_the_static_solution(source):
 def test_the_system_is_named():
     named = system()
     assert named.input_labels == ["current", "supply_pressure", "return_pressure", "load_pressure"]
-    assert named.output_labels == list(linear.OUTPUTS)
+    assert named.output_labels == list(linear.LINEARISED_OUTPUTS)
     assert named.state_labels == [channel.name for channel in point().model.state_channels]
 
 
@@ -397,7 +397,7 @@ def test_the_nonlinear_system_steps_as_the_simulation(temperature, load_pressure
     times = result.time[wait:] - result.time[wait]
     inputs = np.vstack([np.full(times.shape, 3e-3), np.full(times.shape, load_pressure)])
     found = respond(control_block.nonlinear_system(scenario), times, inputs, start)
-    for k, name in enumerate(linear.OUTPUTS):
+    for k, name in enumerate(linear.LINEARISED_OUTPUTS):
         expected = result.values[name][wait:]
         assert np.max(np.abs(found[k] - expected)) < 1e-4 * np.ptp(expected)
     np.testing.assert_allclose(found[-1], temperature)
@@ -415,7 +415,7 @@ def test_the_nonlinear_system_follows_the_scenarios_temperature_and_pressure():
     found = respond(
         control_block.nonlinear_system(scenario), times, inputs, control_block.rest_state(scenario, command=2e-3)
     )
-    for k, name in enumerate((*linear.OUTPUTS, "oil_temperature")):
+    for k, name in enumerate((*linear.LINEARISED_OUTPUTS, "oil_temperature")):
         expected = result.values[name][: len(times)]
         assert np.max(np.abs(found[k] - expected)) < 1e-3 * np.ptp(expected) + 1e-9 * np.max(np.abs(expected))
     beyond = control_block.nonlinear_system(scenario).outfcn(2.0, control_block.rest_state(scenario), np.zeros(2), {})
@@ -430,7 +430,7 @@ def test_the_nonlinear_system_is_named_and_linearises_to_the_linear_one():
     scenario = vs.Scenario(thermal=ISOTHERMAL)
     block = control_block.nonlinear_system(scenario)
     assert block.name == "valve" and block.input_labels == ["current", "load_pressure"]
-    assert block.output_labels == [*linear.OUTPUTS, "oil_temperature"]
+    assert block.output_labels == [*linear.LINEARISED_OUTPUTS, "oil_temperature"]
     poles = np.sort_complex(
         np.asarray(block.linearize(control_block.rest_state(scenario, command=1e-3), [1e-3, 0.0]).poles())
     )

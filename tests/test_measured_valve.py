@@ -13,8 +13,7 @@ from valvesim.characterisation.acceptance.coil import coil_figures
 from valvesim.characterisation.acceptance.measured_threshold import measured_threshold
 from valvesim.characterisation.acceptance.record import AcceptanceRecord
 from valvesim.characterisation.figure_of_merit import Absent
-from valvesim.characterisation.measured_valve import load_measured_valve
-from valvesim.characterisation.measured_valve import tests_of as measured_tests
+from valvesim.characterisation.measured_valve import load_measured_valve, measured_tests
 from valvesim.characterisation.spectral_response import spectral_response
 from valvesim.cli.judging import judged_by
 from valvesim.cli.main import cli

@@ -14,8 +14,8 @@ from valvesim.errors import InputError
 from valvesim.identification.session_toml import load_session
 from valvesim.measurement.clock import even_clock
 from valvesim.measurement.columns_table import NOTHING_STATED, read_statements, statements_of, statements_text
-from valvesim.measurement.formats import FORMATS, read_tables
-from valvesim.measurement.headings import UNITS, channel_of, heading_of
+from valvesim.measurement.formats import FORMATS, read_measured_tables
+from valvesim.measurement.headings import MEASURED_UNITS, channel_of, heading_of
 from valvesim.measurement.quality import channel_qualities
 from valvesim.measurement.recording import read_recording
 
@@ -141,7 +141,7 @@ def test_any_number_survives_and_what_is_missing_is_nan(tmp_path_factory, cells,
     path = tmp_path_factory.mktemp("csv") / "a.csv"
     rows = [f"{k}{separator}{repr(v).replace('.', decimal)}{separator}{m}" for k, (v, m) in enumerate(cells)]
     path.write_text("\n".join([separator.join(["time [s]", "current [A]", "spool [m]"]), *rows, ""]), encoding="utf-8")
-    (found,) = read_tables(path, lambda headings: range(len(headings)))
+    (found,) = read_measured_tables(path, lambda headings: range(len(headings)))
     assert found.columns[1].values.tolist() == [v for v, _ in cells]
     assert np.isnan(found.columns[2].values).all()
 
@@ -316,7 +316,7 @@ def test_a_heading_is_a_name_and_a_unit(text, name, unit):
 
 
 def test_every_channel_is_known_by_its_own_name_in_any_letters():
-    for name in UNITS:
+    for name in MEASURED_UNITS:
         for spelling in (name, name.upper(), name.replace("_", " ").title(), name.replace("_", "-")):
             assert channel_of(spelling) == name
     assert channel_of("T") is None and channel_of("t") == "time"

@@ -129,7 +129,7 @@ def test_every_command_that_writes_a_folder_writes_over_nothing(tmp_path, monkey
     (tmp_path / "mine").write_text("mine")
     words = {"run": ["case.toml"], "diagnose": ["session"]}
     folder_commands = []
-    for name in cli.COMMANDS:
+    for name in cli.COMMAND_NAMES:
         command = cli.cli.get_command(None, name)
         if any("--overwrite" in option.opts for option in command.params):
             folder_commands.append(name)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import valvesim as vs
-from valvesim.cli.main import COMMANDS
+from valvesim.cli.main import COMMAND_NAMES
 from valvesim.simulation.scenario_files import bundled_scenarios, scenario_file
 
 ROOT = Path(vs.__file__).parents[1]
@@ -70,7 +70,7 @@ def test_the_papers_of_the_package_agree():
     assert (ROOT / "valvesim" / "py.typed").exists()
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", COMMAND_NAMES)
 def test_each_command_has_help_and_an_unknown_option_is_one_line(call, name):
     code, out, _ = call(name, "--help")
     assert code == 0 and out.startswith("Usage: ") and len(out.splitlines()) > 4

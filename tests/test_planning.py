@@ -15,16 +15,17 @@ from valvesim.identification.session_toml import load_session
 from valvesim.io import read_toml
 from valvesim.measurement.recording import read_recording
 from valvesim.planning.bench import AddedSensor
+from valvesim.planning.options import DEFAULT_PLANNING
 from valvesim.planning.outlook import CandidateScores, cause_groups, level_of, outlook, parameter_outlooks
 from valvesim.planning.plan import plan_tests
 from valvesim.planning.plan_toml import load_plan, read_plan
-from valvesim.planning.selection import ASKED, Chooser, Goal, SensorAdvice, _cheapest
+from valvesim.planning.selection import Chooser, Goal, SensorAdvice, _cheapest
 from valvesim.planning.sensitivities import planned_sensitivities
 from valvesim.planning.session_folder import write_session_folder
 from valvesim.planning.structure import StructuralModel, isolability, overdetermined, structural_model
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.parameters import Valve
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 
 PLAN = """
 title = "friction or play"
@@ -78,7 +79,7 @@ def test_a_plan_names_the_tests_the_causes_and_what_is_missed(found):
     labels = [cause.label for cause in found.outlook.causes]
     assert labels == ["spool_coulomb_friction", "feedback_ball_backlash", "spool_lap"]
     friction = found.outlook.causes[0]
-    assert friction.limit < friction.size and friction.power > ASKED
+    assert friction.limit < friction.size and friction.power > DEFAULT_PLANNING.choice.power
     lap = found.outlook.causes[2]
     assert lap.limit is None and lap.power < 0.01  # the spool's position does not tell where its lands are
     missed = {(goal.kind, goal.of) for goal in found.selection.missed}
@@ -86,11 +87,21 @@ def test_a_plan_names_the_tests_the_causes_and_what_is_missed(found):
     (advice,) = found.selection.advice
     assert found.selection.added == advice and advice.channels == ("load_flow",)
     assert advice.cost == 2.0 and Goal(kind="detect", of="spool_lap") in advice.reached
-    assert found.with_added.causes[2].power > ASKED
+    assert found.with_added.causes[2].power > DEFAULT_PLANNING.choice.power
+
+
+def test_what_is_asked_goes_by_the_options(bench, planned, found):
+    sure = replace(DEFAULT_PLANNING, choice=replace(DEFAULT_PLANNING.choice, power=1.1))
+    chooser = Chooser(bench, planned, sure)
+    assert not any(goal.kind == "detect" for goal in chooser.reached([16] * 2, chooser.channels()))
+    gram = planned.gram([1] * len(planned.experiments), ("spool_position",))
+    options = replace(DEFAULT_PLANNING.outlook, hardly=0.0, known=0.0)
+    told = {one.verdict for one in parameter_outlooks(planned, gram, options=options)}
+    assert told <= {"hardly", "unseen", "combination"} and "hardly" in told
 
 
 def test_no_test_of_the_list_can_be_left_out_or_run_less(bench, planned, found):
-    chooser = Chooser(bench, planned, DEFAULT_DIAGNOSIS)
+    chooser = Chooser(bench, planned, DEFAULT_PLANNING)
     repeats, channels = found.selection.repeats, chooser.channels()
     reached = chooser.reached(repeats, channels)
     assert reached == chooser.reached([16] * len(repeats), channels)
@@ -107,7 +118,7 @@ def test_more_tests_repeats_or_sensors_never_show_less(bench, planned):
         more = few + rng.integers(0, 2, len(few))
         for channels in (("spool_position",), ("spool_position", "load_flow")):
             choices = ((few, channels), (more, channels), (few, ("spool_position", "load_flow")))
-            judged = [CandidateScores(planned, _scores(planned, n, c), 4.0, DEFAULT_DIAGNOSIS) for n, c in choices]
+            judged = [CandidateScores(planned, _scores(planned, n, c), 4.0, DEFAULT_PLANNING) for n, c in choices]
             limits = [np.array([one.limit(k) for k in range(len(planned.candidates))]) for one in judged]
             assert (limits[1] <= limits[0] * (1 + 1e-6)).all() and (limits[2] <= limits[0] * (1 + 1e-6)).all()
 
@@ -122,7 +133,7 @@ def test_parameters_are_known_as_the_fisher_information_says(planned):
     gram = planned.gram([1] * len(planned.experiments), ("spool_position",))
     p = gram.parameters
     covariance = np.linalg.inv(gram.total[1 : 1 + p, 1 : 1 + p] + np.eye(p))
-    found = {one.name: one for one in parameter_outlooks(planned, gram)}
+    found = {one.name: one for one in parameter_outlooks(planned, gram, options=DEFAULT_PLANNING.outlook)}
     for k, parameter in enumerate(planned.nominal.parameters):
         if parameter.sensor is None:
             expected = np.sqrt(covariance[k, k]) * parameter.deviation
@@ -234,7 +245,7 @@ def test_with_thermometers_at_the_parts_no_figure_of_their_heat_paths_is_left_op
     table = {"sensors": {"spool_position": {"noise": "0.01 um"}}, "bench": {"rate": "50 Hz", "tests": []},
              "tests": [warming], "aim": {"causes": ["spool_lap"]}}  # fmt: skip
     shown = []
-    for thermometers in ([], list(NODES)):
+    for thermometers in ([], list(THERMAL_NODES)):
         plan = read_plan(tmp_path, table | {"bench": table["bench"] | {"thermometers": thermometers}})
         planned = planned_sensitivities(plan)
         names = [p.name for p in planned.nominal.parameters]

@@ -1,17 +1,29 @@
 """Terms that no catalogue entry has: found, estimated inside the simulation, and given a formula where one holds up."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from valvesim.diagnosis import diagnose as diagnosing
+from valvesim.diagnosis import symbolic_form, term_entry, term_estimation
+from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import recover_term
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.result import BENCH, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART, UNKNOWN, WhatToDo
 from valvesim.diagnosis.score_test import score_test
-from valvesim.diagnosis.symbolic_form import _fitted_formulas, _formula_words
-from valvesim.diagnosis.term_estimation import TermProblem
-from valvesim.errors import InputError
+from valvesim.diagnosis.symbolic_form import _fitted_formulas, _formula_words, with_formula
+from valvesim.diagnosis.term_estimation import (
+    TermEstimate,
+    TermFit,
+    TermProblem,
+    estimate_term,
+    shortened_step,
+    term_normal_equations,
+)
+from valvesim.errors import InputError, SolveError
 from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
@@ -19,6 +31,7 @@ from valvesim.identification.session import Record, Sensor, Session
 from valvesim.identification.study import prepare_session, residual_of
 from valvesim.simulation.scenario import Thermal
 from valvesim.valve.additive_term import LAG, NONE, PATH, PORTS, VARIABLES, TermHypothesis, term_effect, term_hypotheses
+from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.equations import Model
 from valvesim.valve.fluid import MIL_PRF_5606
 from valvesim.valve.parameters import Valve
@@ -142,6 +155,94 @@ def test_nothing_is_recovered_from_a_scene_without_families(nominal):
     assert recover_term(nominal, score_test(nominal, nominal.fit, terms=(), options=DIAGNOSIS)) is None
 
 
+# ---------------------------------------------------------------- the answer where no candidate explains the records
+
+
+@pytest.fixture(scope="module")
+def scores(nominal):
+    return score_test(nominal, nominal.fit, options=DIAGNOSIS)
+
+
+@pytest.fixture
+def answer(nominal, scores, found, monkeypatch):
+    """The answer of a search that has ended without a cause, but for what is changed of it; the term was recovered."""
+
+    def answer(alarm=True, bench=(), **named):
+        monkeypatch.setattr(diagnosing, "odd_test", lambda nominal, options: named.get("odd", ""))
+        monkeypatch.setattr(diagnosing, "recover_term", lambda nominal, scores: named.get("recovered", found))
+        monkeypatch.setattr(diagnosing, "as_catalogue_entry", lambda isolation, recovered: isolation)
+        monkeypatch.setattr(diagnosing, "is_inadequate", lambda nominal, fit, options: named.get("inadequate", False))
+        return diagnosing._answer(Isolation(nominal, scores, scores, [], [], "", alarm, 4.0, bench))
+
+    return answer
+
+
+def test_what_no_candidate_explains_is_unknown_with_its_term_in_the_scenario(answer, found):
+    told = answer()
+    assert told.verdict == UNKNOWN and told.term is found.term and not told.causes and not told.reason
+    assert "it acts like a term in the spool force that depends on the spool position" in told.summary
+    assert told.extension_offered and told.extended_variant is found.variant  # nothing was locked away to object
+    assert "recovered_term" in told.extended_scenario and told.what_to_do[0].label.startswith("a term in the spool")
+    assert all(noise.verified for noise in told.noise) and not any("unverified" in note for note in told.notes)
+
+
+def test_an_unknown_cause_without_a_term_is_told_with_the_nominal_valve(answer):
+    told = answer(recovered=None)
+    assert told.verdict == UNKNOWN and told.term is None and not told.extension_offered
+    assert told.summary == "Something is wrong that none of the known causes explains."
+
+
+def test_records_that_do_not_belong_together_are_told_by_the_test_that_is_apart(answer):
+    told = answer(odd="ramp")
+    assert (told.verdict, told.reason, told.term) == (UNKNOWN, RECORDS_APART, None)
+    assert "ramp alone is not as the others say" in told.summary and told.what_to_do[0].label == "the test ramp"
+
+
+def test_records_that_no_fit_comes_near_are_told_to_be_of_another_valve(answer):
+    told = answer(inadequate=True)
+    assert (told.verdict, told.reason, told.term) == (UNKNOWN, OTHER_VALVE, None)
+    assert "are they of this valve" in told.summary and not told.extension_offered
+
+
+def test_a_term_that_moves_figures_by_more_than_any_part_can_be_off_tells_another_valve(answer, found):
+    far = replace(found, point=np.eye(len(found.point))[0] * OPTIONS.prior.reach)
+    told = answer(recovered=far)
+    assert (told.verdict, told.reason, told.term) == (UNKNOWN, OTHER_VALVE, None) and "tolerances off" in told.summary
+
+
+def test_without_an_alarm_the_bench_is_told_and_not_the_valve(answer):
+    ripple = WhatToDo(label="the supply ripples by 3 bar", part="pump", inspect="-", confirm="-", remedy="-")
+    told = answer(alarm=False, bench=(ripple,))
+    assert (told.verdict, told.reason, told.bench) == (NO_DISCREPANCY, BENCH, (ripple.label,))
+    assert told.summary.startswith(f"The bench, not the valve: {ripple.label}") and ripple in told.what_to_do
+    assert any(ripple.label in note for note in answer(bench=(ripple,)).notes)  # beside an unknown cause it is a note
+
+
+def test_entries_of_the_catalogue_that_act_where_a_term_does_are_fitted_from_where_it_was(
+    nominal, scores, found, monkeypatch
+):
+    begun = []
+
+    def fit_hypothesis(nominal, start, point):
+        begun.append(start[0].candidate.name)
+        assert np.array_equal(point, np.clip(found.point, *nominal.study.nominal.limits))
+        ends = {"spool_coulomb_friction": found.chi_square, "spool_silting": nominal.fit.chi_square}
+        end = ends.get(start[0].candidate.name)
+        return None if end is None else replace(nominal.fit, fitted=start, chi_square=end)
+
+    before = Isolation(nominal, scores, scores, [], [], "", True, 4.0)
+    monkeypatch.setattr(term_entry, "fit_hypothesis", fit_hypothesis)
+    monkeypatch.setattr(term_entry, "score_test", lambda nominal, fit, options: scores)
+    monkeypatch.setattr(term_entry, "judged", lambda isolation: isolation)
+    entries = term_entry.as_catalogue_entry(before, found).found
+    assert [one.label for one in entries] == ["spool_coulomb_friction"]  # the other explains nothing
+    acts = {effect.name: effect.location for effect in CATALOGUE.values()}
+    assert len(begun) == len(set(begun)) and {"spool_coulomb_friction", "spool_silting"} <= set(begun)
+    assert {acts[name] for name in begun} <= {"spool force balance", "supply pressure, in every balance"}
+    monkeypatch.setattr(term_entry, "fit_hypothesis", lambda nominal, start, point: None)
+    assert term_entry.as_catalogue_entry(before, found) is before
+
+
 # ---------------------------------------------------------------- formulas
 
 
@@ -181,6 +282,85 @@ def test_what_the_base_could_make_up_is_not_held_against_a_formula():
 def test_a_formula_is_told_with_its_memory():
     assert "lagged by 10 ms" in _formula_words(problem(LAG, time_constant=5e-3), "2 x", np.log(2.0))
     assert "turns over 2e-05 m" in _formula_words(problem(PATH, width=1e-5), "2", np.log(2.0))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinearProblem(TermProblem):
+    """A term whose readings are linear in its values: `y` (rows,) is measured, `V` (rows, k) what each value shows."""
+
+    y: np.ndarray
+    V: np.ndarray
+    error: str = ""
+
+    def evaluate(self, point, values, memory_log):
+        if self.error:
+            raise SolveError(self.error)
+        residual = self.y - self.V @ values
+        chi_square = float(residual @ residual + point @ point + values @ self.penalty() @ values)
+        return TermFit(point, values, memory_log, chi_square, (), residual)
+
+
+@pytest.fixture
+def solved(monkeypatch):
+    """(problem, estimate) of records that show these values at the knots, each to a fiftieth of their size."""
+
+    def solved(true):
+        k, size = len(KNOTS), float(np.ptp(true) / 2.0)
+        V = np.tile(np.eye(k) * 10.0 / size, (20, 1))
+        J, noise = np.zeros((20 * k, 1)), np.random.default_rng(6).normal(size=20 * k)
+        study = SimpleNamespace(nominal=SimpleNamespace(limits=np.array([[-9.0], [9.0]])))
+        hypothesis = TermHypothesis(PORTS["spool_force"], VARIABLES["spool_position"])
+        problem = LinearProblem(study, hypothesis, KNOTS, np.ones(k), size, options=DIAGNOSIS, y=V @ true + noise, V=V)
+        H, gradient = term_normal_equations(problem, problem.evaluate(np.zeros(1), np.zeros(k), 0.0), J, V)
+        state = problem.evaluate(np.zeros(1), np.linalg.solve(H, gradient)[1:], 0.0)
+        monkeypatch.setattr(symbolic_form, "_linearised_at", lambda problem, held: (J, V))
+        return problem, TermEstimate(state, np.linalg.inv(H), J, V)
+
+    return solved
+
+
+GAINED = 2000.0  # by the term, of the chi-square
+
+
+def test_a_curve_that_a_formula_follows_is_held_to_it(solved):
+    problem, solution = solved(CUBIC * KNOTS**3)
+    held, text, free_parameters = with_formula(problem, solution, GAINED)
+    assert text.endswith("x^3 N, x = spool_position in m") and free_parameters == 1
+    assert held.state.values == pytest.approx(CUBIC * KNOTS**3, abs=0.03 * problem.size)
+    assert with_formula(replace(problem, error="no valve runs with it"), solution, GAINED) is None
+
+
+def test_a_curve_that_no_formula_follows_stays_one(solved):
+    rough = np.array([1.0, -0.7, 0.2, 0.9, -1.0, 0.4, 0.8, -0.3, -0.9, 0.6, 0.1])
+    assert with_formula(*solved(rough), GAINED) is None
+
+
+def test_a_step_of_a_term_is_shortened_until_it_lowers_the_chi_square_and_given_up_where_none_does(solved):
+    problem, solution = solved(CUBIC * KNOTS**3)
+    best = solution.state.values
+    start, step = problem.evaluate(np.zeros(1), np.zeros(len(KNOTS)), 0.0), np.append(0.0, best)
+    assert shortened_step(problem, start, step, 1).values == pytest.approx(best)
+    assert shortened_step(problem, start, 3.0 * step, 1).values == pytest.approx(1.5 * best)
+    assert shortened_step(problem, start, -step, 1) is None
+    assert shortened_step(replace(problem, error="no valve runs with it"), start, step, 1) is None
+
+
+def test_a_term_of_a_variable_that_the_records_hold_still_cannot_be_estimated(nominal, monkeypatch):
+    def held(linear, hypothesis):
+        return np.full(len(linear.predictor.times), 2e-3)
+
+    monkeypatch.setattr(term_estimation, "argument", held)
+    hypothesis = TermHypothesis(PORTS["spool_force"], VARIABLES["current"])
+    assert estimate_term(nominal, hypothesis, 6, np.inf, options=DIAGNOSIS) is None
+
+
+def test_a_term_that_no_reading_shows_has_no_size(nominal, monkeypatch):
+    def nothing(problem, linearised, state):
+        return np.zeros((len(nominal.fit.residual), len(problem.knots)))
+
+    monkeypatch.setattr(term_estimation, "term_columns", nothing)
+    hypothesis = TermHypothesis(PORTS["spool_force"], VARIABLES["spool_position"])
+    assert estimate_term(nominal, hypothesis, 6, np.inf, options=DIAGNOSIS) is None
 
 
 # ---------------------------------------------------------------- the effect behind a term

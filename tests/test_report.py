@@ -18,8 +18,7 @@ from valvesim.characterisation.rest_characteristic import rest_characteristic
 from valvesim.characterisation.thermal_drift import nominal, observed_drift, static_drift
 from valvesim.errors import InputError
 from valvesim.reports import run as report
-from valvesim.reports.chart import MOST_POINTS as MOST_CHART_POINTS
-from valvesim.reports.chart import Chart, Charts, Series, thinned
+from valvesim.reports.chart import MOST_CHART_POINTS, Chart, Charts, Series, thinned
 from valvesim.reports.html_page import page, section
 from valvesim.reports.plotting import MOST_POINTS, Figure, label_decades, swings, thin
 from valvesim.reports.run_table import figure_text

@@ -31,7 +31,7 @@ from valvesim.reports.diagnosis import page as diagnosis_page
 from valvesim.reports.diagnosis.page import draw
 from valvesim.reports.diagnosis.traces import worst_traces
 from valvesim.reports.diagnosis.words import estimate_words, gain_words, number, percent, spoken, unit_of
-from valvesim.reports.plotting import EXTENDED, MOST_POINTS
+from valvesim.reports.plotting import EXTENDED_COLOUR, MOST_POINTS
 
 FRICTION = Estimate(
     name="friction_force", cause="spool_coulomb_friction", value=2.013, low=1.87, high=2.16, unit="N",
@@ -266,7 +266,8 @@ def drawn(monkeypatch):
     def keep(function):
         return lambda diagnosis: figures.append(function(diagnosis)) or figures[-1]
 
-    monkeypatch.setattr(diagnosis_page, "PICTURES", {k: keep(draw) for k, draw in diagnosis_page.PICTURES.items()})
+    kept = {name: keep(draw) for name, draw in diagnosis_page.DIAGNOSIS_PICTURES.items()}
+    monkeypatch.setattr(diagnosis_page, "DIAGNOSIS_PICTURES", kept)
     return Drawn(figures)
 
 
@@ -350,7 +351,7 @@ def test_interrupted_while_drawing_it_leaves_nothing(tmp_path, monkeypatch):
     def interrupt(diagnosis):
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(diagnosis_page.PICTURES, "gain", interrupt)
+    monkeypatch.setitem(diagnosis_page.DIAGNOSIS_PICTURES, "gain", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_report(cause(), tmp_path)
     assert not list(tmp_path.iterdir())
@@ -752,7 +753,7 @@ def test_the_gain_is_drawn_beside_the_noise_floor_hollow_where_it_is_not_claimed
     assert labels == ["locked sine", "locked step\n(not claimed)"]
     after = [line for line in errors.lines if line.get_label() == "extended model"]
     assert [line.get_xdata()[0] for line in after] == [1.08, 1.28]
-    assert [line.get_markerfacecolor() for line in after] == [EXTENDED, "w"]
+    assert [line.get_markerfacecolor() for line in after] == [EXTENDED_COLOUR, "w"]
     floors = [line.get_xdata()[0] for line in errors.lines if line.get_label() == "noise floor"]
     assert floors == [1.0, 1.0]
     intervals = [line.get_xdata() for line in changes.lines if line.get_label() == "95 % interval"]

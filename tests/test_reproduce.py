@@ -14,14 +14,14 @@ from valvesim.inputs import evaluate
 from valvesim.paper import determination, identification, reach
 from valvesim.paper import magnet as paper_magnet
 from valvesim.paper.flow_fits import flow_fits
-from valvesim.paper.identification import identify
+from valvesim.paper.identification import identify_lost_values
 from valvesim.paper.interpretations import INTERPRETATIONS
 from valvesim.paper.magnet import check_magnet, mmf_drift_implied_by_arm
 from valvesim.paper.published import PUBLISHED_DRIFTS
 from valvesim.paper.reproduction import compute
 from valvesim.paper.route_drift import FIT_TEMPERATURES, drifts, printed_polynomial
 from valvesim.paper.torque_motor import air_gaps, gap_flux
-from valvesim.paper.unknowns import UNKNOWNS
+from valvesim.paper.unknowns import LOST_VALUES
 from valvesim.reports.paper import page as paper_page
 from valvesim.simulation.scenario_toml import load_scenario
 from valvesim.valve.coefficients import ROUTES, PartTemperatures
@@ -160,12 +160,12 @@ def test_the_published_arm_and_magnet_contradict_each_other():
 
 @pytest.fixture(scope="module")
 def quick():
-    return {v.key: identify(v, starts=4) for v in (DERIVED, PRINTED)}
+    return {v.key: identify_lost_values(v, starts=4) for v in (DERIVED, PRINTED)}
 
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_valve(quick):
-    again = identify(DERIVED, starts=4)
+    again = identify_lost_values(DERIVED, starts=4)
     np.testing.assert_array_equal(again.shares, quick["derived"].shares)
     np.testing.assert_array_equal(again.values, quick["derived"].values)
 
@@ -173,7 +173,7 @@ def test_the_same_seed_gives_the_same_valve(quick):
 @pytest.mark.parametrize("key", ["derived", "printed"])
 def test_an_identified_valve_keeps_its_bounds_and_is_stable(quick, key):
     found = quick[key]
-    for unknown in UNKNOWNS:
+    for unknown in LOST_VALUES:
         assert unknown.low <= getattr(found.valve, unknown.name) <= unknown.high
     d = drifts(found.valve, printed_signs=found.interpretation.printed_signs, steps=10)
     assert d.stiffness[0] > 0.0 and d.mechanical[0] > 0.0
@@ -196,7 +196,7 @@ def test_the_printed_signs_come_closer_than_the_derived_ones(quick):
 
 def test_identification_needs_a_start():
     with pytest.raises(InputError, match="at least 1"):
-        identify(DERIVED, starts=0)
+        identify_lost_values(DERIVED, starts=0)
 
 
 def test_the_derived_balances_cannot_reach_the_published_magnet(quick, monkeypatch):
@@ -309,18 +309,18 @@ def test_the_page_holds_pictures_and_numbers(rough, tmp_path):
     html = paper_page.write_page(rough[0], tmp_path, date=DAY)
     assert html == tmp_path / "paper.html"
     text, markdown = html.read_text(encoding="utf-8"), (tmp_path / "paper.md").read_text(encoding="utf-8")
-    assert text.count("data:image/png;base64,") == len(paper_page.PICTURES)
+    assert text.count("data:image/png;base64,") == len(paper_page.PAPER_PICTURES)
     assert not re.search(r'src="(?!data:)', text)
-    for name in paper_page.PICTURES:
+    for name in paper_page.PAPER_PICTURES:
         assert f"({name})" in markdown
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert "No measured valve-body temperature transient is public" in markdown
     assert not re.search(r"\bnan\b|\binf\b|\{|\}", re.sub(r"`.*?`", "", markdown))
 
 
-@pytest.mark.parametrize("name", list(paper_page.PICTURES))
+@pytest.mark.parametrize("name", list(paper_page.PAPER_PICTURES))
 def test_the_texts_of_every_picture_are_plain_and_inside_it(rough, name):
-    check_texts(paper_page.PICTURES[name](rough[0]))
+    check_texts(paper_page.PAPER_PICTURES[name](rough[0]))
 
 
 def test_the_table_of_routes_is_what_was_computed(rough):

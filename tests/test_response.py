@@ -15,6 +15,7 @@ from valvesim.characterisation.figure_of_merit import Absent
 from valvesim.characterisation.frequency_response import FrequencyResponse, frequency_response, join_points
 from valvesim.characterisation.held_scenario import held, rated_command
 from valvesim.characterisation.lumped_figures import beside_class, lumped_figures
+from valvesim.characterisation.options import ResponseOptions
 from valvesim.characterisation.response_set import ResponseSet, measure_responses
 from valvesim.characterisation.sine_point import SinePoint, sine_point
 from valvesim.characterisation.spectral_response import chirp_response, spectral_response
@@ -22,7 +23,7 @@ from valvesim.characterisation.step_response import step_figures, step_response
 from valvesim.errors import InputError, ValidityWarning
 from valvesim.reports.response import draw_responses, response_report
 from valvesim.valve.equations import NOMINAL
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 
 valve = vs.reference_valve()
 DAY = datetime.date(2026, 1, 2)
@@ -320,6 +321,8 @@ def test_points_of_low_coherence_serve_no_figure():
     response = join_points(points_of(second_order(), SIXTHS))
     hidden = dataclasses.replace(response, coherence=np.where(abs(SIXTHS - 120) < 50, 0.5, 1.0))
     assert "coherence is below" in reason(hidden.figures, "frequency_minus_90_deg")
+    easy = dataclasses.replace(hidden, options=ResponseOptions(least_coherence=0.4))
+    assert value(easy.figures, "frequency_minus_90_deg") == value(response.figures, "frequency_minus_90_deg")
     one = dataclasses.replace(response, coherence=np.where(np.arange(55) == 3, 0.5, 1.0))
     assert value(one.figures, "frequency_minus_90_deg") == value(response.figures, "frequency_minus_90_deg")
     none = dataclasses.replace(response, coherence=np.zeros(55))
@@ -634,7 +637,7 @@ def test_a_response_is_that_of_parts_at_their_own_temperatures():
         return figures["armature_frequency"], figures["loop_gain"]
 
     cold = stiffness(initial_temperature=20.0)
-    assert stiffness(initial_temperature=dict.fromkeys(NODES, 20.0)) == cold
-    hot_tube = stiffness(initial_temperature=dict.fromkeys(NODES, 20.0) | {"spring_tube": 120.0})
+    assert stiffness(initial_temperature=dict.fromkeys(THERMAL_NODES, 20.0)) == cold
+    hot_tube = stiffness(initial_temperature=dict.fromkeys(THERMAL_NODES, 20.0) | {"spring_tube": 120.0})
     assert hot_tube[0] != pytest.approx(cold[0], rel=1e-4)
     assert stiffness(initial_temperature={"pilot_metal": 120.0}) == stiffness()  # left out: with the oil

@@ -15,7 +15,7 @@ from valvesim.simulation.scenario_toml import scenario_to_toml
 from valvesim.units import POSITIVE, quantities
 from valvesim.valve.flow_coefficients import FLOW_LAWS
 from valvesim.valve.oils import OILS, read_oil
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 
 LONGEST = 3.0  # s, of a run that is drawn
 
@@ -132,7 +132,8 @@ def oils():
 
 def thermals():
     temperature = st.floats(-50.0, 150.0)
-    initial = st.one_of(st.none(), temperature, st.dictionaries(st.sampled_from(NODES), temperature, min_size=1))
+    by_part = st.dictionaries(st.sampled_from(THERMAL_NODES), temperature, min_size=1)
+    initial = st.one_of(st.none(), temperature, by_part)
     routes = st.sets(st.sampled_from(vs.ROUTES)).map(lambda chosen: tuple(r for r in vs.ROUTES if r in chosen))
     network = st.one_of(st.none(), changed(vs.ThermalNetwork()))
     return st.builds(
@@ -151,7 +152,7 @@ def scenarios(draw):
         title=draw(st.text(st.characters(categories=["L", "N", "P", "S", "Zs"]), max_size=30).filter(str.isprintable)),
         duration=draw(st.floats(1e-3, LONGEST)), valve=valve, oil=draw(oils()), thermal=draw(thermals()),
         oil_temperature=draw(commands("degC")), drive=drive, command=draw(commands(drive.command_unit)),
-        part_temperatures=draw(st.dictionaries(st.sampled_from(NODES), commands("degC"), max_size=2)),
+        part_temperatures=draw(st.dictionaries(st.sampled_from(THERMAL_NODES), commands("degC"), max_size=2)),
         supply_pressure=supply, load_pressure=draw(st.one_of(st.none(), commands("Pa"))), effects=draw(effects()),
         output_rate=draw(st.floats(1.0, 1e5)), tolerance=draw(st.floats(1e-10, 1e-2)),
         channels=tuple(draw(st.lists(st.sampled_from(["spool_position", "current"]), unique=True))),

@@ -527,10 +527,10 @@ def test_a_valve_that_fails_in_a_later_part_is_named_by_its_number_in_the_batch(
 def test_a_valve_that_fails_leaves_its_neighbours_alone(monkeypatch):
     problem = MODULE.prepare(many_gaps(9))
     problem.initial[4] = np.nan
-    answers = list(MODULE.integrate_members(problem, range(9)))
+    answers = list(MODULE.integrate_batch(problem, range(9)))
     assert isinstance(answers[4], SolveError) and "member 4" in str(answers[4])
     for k in (0, 3, 5, 8):
-        assert np.array_equal(answers[k], MODULE.integrate(problem, k, None)[0])
+        assert np.array_equal(answers[k], MODULE.integrate_member(problem, k, None)[0])
 
 
 def test_a_batch_is_refused_where_one_valve_is_meant():

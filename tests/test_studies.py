@@ -25,7 +25,7 @@ from valvesim.studies.local_sensitivity import local_sensitivity
 from valvesim.studies.members import make_plan, run_block
 from valvesim.studies.parameter_study import ChannelPercentiles, FigureOptions, ParameterStudy, WholeChannels
 from valvesim.studies.sensitivity_indices import sensitivity_indices
-from valvesim.studies.store import NAME
+from valvesim.studies.store import STORE_NAME
 from valvesim.studies.study import study
 from valvesim.studies.study_result import capability_of, open_result, yield_of
 from valvesim.studies.study_toml import load_study, read_study
@@ -157,14 +157,14 @@ def test_a_study_that_was_killed_goes_on_and_ends_byte_for_byte_the_same(finishe
     told = []
     study(small(), tmp_path, workers=0, progress=lambda done, of: told.append((done, of)))
     assert told[0] == (5, 12) and told[-1] == (12, 12)
-    assert same_files(finished.folder / NAME, tmp_path / NAME)
+    assert same_files(finished.folder / STORE_NAME, tmp_path / STORE_NAME)
 
 
 def test_blocks_in_any_order_give_the_same_store(finished, tmp_path, monkeypatch):
     pending = engine.StudyStore.pending
     monkeypatch.setattr(engine.StudyStore, "pending", property(lambda store: pending.fget(store)[::-1]))
     study(small(), tmp_path, workers=0)
-    assert same_files(finished.folder / NAME, tmp_path / NAME)
+    assert same_files(finished.folder / STORE_NAME, tmp_path / STORE_NAME)
 
 
 def test_a_store_of_another_study_is_refused_and_left_as_it_is(finished, tmp_path):
@@ -214,8 +214,8 @@ def test_a_store_that_another_version_began_is_not_finished_by_this_one_but_read
 
 @pytest.mark.parametrize("array", ["figure", "draw", "counts", "done", "whole"])
 def test_a_damaged_store_is_told_by_its_array(finished, tmp_path, array):
-    shutil.copytree(finished.folder / NAME, tmp_path / NAME)
-    for chunk in (tmp_path / NAME / array).iterdir():
+    shutil.copytree(finished.folder / STORE_NAME, tmp_path / STORE_NAME)
+    for chunk in (tmp_path / STORE_NAME / array).iterdir():
         if chunk.name[0].isdigit():
             chunk.write_bytes(chunk.read_bytes()[:7])
     result = open_result(small(), tmp_path)
@@ -224,10 +224,10 @@ def test_a_damaged_store_is_told_by_its_array(finished, tmp_path, array):
 
 
 def test_what_is_no_store_is_refused(tmp_path):
-    (tmp_path / NAME).write_text("no store")
+    (tmp_path / STORE_NAME).write_text("no store")
     with pytest.raises(InputError, match="is no store of a study"):
         study(small(), tmp_path, workers=0)
-    assert (tmp_path / NAME).read_text() == "no store"
+    assert (tmp_path / STORE_NAME).read_text() == "no store"
     with pytest.raises(InputError, match="is no store of a study"):
         open_result(small(), tmp_path / "nowhere")
 
@@ -792,7 +792,7 @@ def test_the_page_shows_yield_limits_and_sensitivities(linear_result, tmp_path):
 def test_two_processes_give_the_same_store_as_one(finished, tmp_path):
     pytest.importorskip("distributed")
     study(small(), tmp_path, workers=2)
-    assert same_files(finished.folder / NAME, tmp_path / NAME)
+    assert same_files(finished.folder / STORE_NAME, tmp_path / STORE_NAME)
 
 
 @pytest.mark.slow

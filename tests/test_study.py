@@ -1,6 +1,7 @@
 """Fits of a session: the base inside its tolerances, refits from the linear equations."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,16 +10,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from valvesim.errors import SolveError
-from valvesim.identification import hypothesis_fit
+from valvesim.errors import InputError, SolveError
+from valvesim.identification import hypothesis_fit, nominal_fit
 from valvesim.identification import study as studies
 from valvesim.identification.fit import Fit, FittedCandidate, moved_candidates, predict_readings, step_limits
 from valvesim.identification.fit import evaluate_fit as evaluated
 from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
+from valvesim.identification.input_choice import HELD_NAME, are_delays
 from valvesim.identification.least_squares import bounded_step, predict_reduction
 from valvesim.identification.noise_estimation import identify_noise
-from valvesim.identification.nominal_fit import fit_nominal, fit_nominal_near, refit_nominal, within_tolerance
+from valvesim.identification.nominal_fit import (
+    fit_nominal,
+    fit_nominal_near,
+    refit_nominal,
+    with_inputs_reviewed,
+    within_tolerance,
+)
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import RecordPredictor
 from valvesim.identification.session_toml import load_session
@@ -39,9 +47,10 @@ def test_the_base_fit_is_a_minimum(biased):
     nominal, _ = biased
     gradient = nominal.J.T @ nominal.fit.residual - nominal.fit.point
     H = nominal.J.T @ nominal.J + np.eye(len(gradient))
-    assert (
-        gradient @ np.linalg.solve(H, gradient) < 2.0 * OPTIONS.fit.nominal_ftol
-    )  # of the deviance is all that a step promises
+    step = bounded_step(H, gradient, nominal.study.nominal.limits - nominal.fit.point)
+    promised = (2.0 * gradient - H @ step) @ step
+    beyond = nominal.fit.chi_square - OPTIONS.fit.inadequate_ratio * nominal.fit.rows  # no adequate fit is in sight
+    assert promised < max(2.0 * OPTIONS.fit.nominal_ftol, OPTIONS.fit.adequate_pace * beyond)
     assert nominal.fit.chi_square == pytest.approx(
         nominal.fit.residual @ nominal.fit.residual + nominal.fit.point @ nominal.fit.point
     )
@@ -100,6 +109,86 @@ def test_a_hypothesis_that_no_valve_can_have_is_no_fit(biased, monkeypatch):
         assert fit is None
 
 
+def test_a_refit_from_within_tolerance_finds_the_bias_too(biased):
+    nominal, bias = biased
+    (candidate,) = [c for c in nominal.study.candidates if c.label == "sensor_bias@load_flow"]
+    fit = fit_from_prior(nominal, (FittedCandidate(candidate, candidate.typical),))
+    assert fit.fitted[0].above_neutral == pytest.approx(bias, rel=0.1)
+    assert np.abs(fit.point).max() < 1.5 * OPTIONS.fit.tolerance_deviations
+
+
+def test_a_cause_that_no_valve_has_at_the_nominal_figures_is_no_fit(biased, monkeypatch):
+    nominal, _ = biased
+    (candidate,) = [c for c in nominal.study.candidates if c.label == "sensor_bias@load_flow"]
+
+    def cannot(nominal, fit):
+        raise InputError("radial clearance closes")
+
+    monkeypatch.setattr(hypothesis_fit, "added_jacobian", cannot)
+    assert fit_hypothesis(nominal, (FittedCandidate(candidate, 0.0),)) is None
+
+
+def test_a_fit_that_cannot_be_linearised_where_it_is_goes_no_further(biased, monkeypatch):
+    def cannot(study, fit):
+        raise SolveError("no valve beside it")
+
+    monkeypatch.setattr(hypothesis_fit, "linearise_fit", cannot)
+    assert continue_fit(biased[0], biased[0].fit) is None
+
+
+def test_a_refit_far_from_the_records_is_made_robustly(biased, monkeypatch):
+    nominal, _ = biased
+    (candidate,) = [c for c in nominal.study.candidates if c.label == "sensor_bias@load_flow"]
+    afar = replace(nominal.study.options, fit=replace(nominal.study.options.fit, inadequate_ratio=0.1))
+    far = replace(nominal, study=replace(nominal.study, options=afar))
+    monkeypatch.setattr(hypothesis_fit, "_fit_robustly", lambda nominal, fit, linearisations: "robust")
+    assert fit_hypothesis(far, (FittedCandidate(candidate, 0.0),)) == "robust"
+
+
+def test_the_nominal_fit_is_made_again_robustly_from_where_it_is_inadequate(biased, monkeypatch):
+    nominal, _ = biased
+    far = evaluated(nominal.study, nominal.fit.point, ())
+    ratio = 0.5 * far.chi_square / far.rows
+    strict = replace(nominal.study.options, fit=replace(nominal.study.options.fit, inadequate_ratio=ratio))
+    monkeypatch.setattr(nominal_fit, "fit_nominal_from", lambda study, fit: "robust")
+    assert refit_nominal(replace(nominal, study=replace(nominal.study, options=strict)), far) == "robust"
+
+
+def test_a_fit_within_tolerance_is_left_as_it_is(biased):
+    nominal, _ = biased
+    within = replace(nominal, fit=replace(nominal.fit, point=np.zeros_like(nominal.fit.point)))
+    assert within_tolerance(within) is within.fit
+
+
+@pytest.mark.parametrize(
+    "now, better, late, gain, tried, ends",
+    [
+        ("straight", "smooth", 0.0, 0.0, [("smooth", False)], "smooth"),  # the figures of the fit ask for another way
+        ("straight", "straight", 1.0, 1e6, [], "straight"),  # no sensor is later than it may be
+        ("straight", "straight", 9.0, 1e6, [(HELD_NAME, True)], HELD_NAME),  # all are, and a hold explains more
+        ("straight", "straight", 9.0, 0.0, [(HELD_NAME, True)], "straight"),
+        (HELD_NAME, HELD_NAME, 9.0, 1e6, [], HELD_NAME),
+    ],
+)
+def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, better, late, gain, tried, ends):
+    nominal = biased_fit
+    delays = are_delays(nominal.study.nominal)
+    assert delays.any()
+    before = replace(nominal, fit=replace(nominal.fit, point=late * delays))
+    asked, choices = [], {name: SimpleNamespace(name=name) for name in ("straight", "smooth", HELD_NAME)}
+
+    def near(without, choice, nominal, *, punctual):
+        asked.append((choice.name, punctual))
+        return replace(nominal, fit=replace(nominal.fit, chi_square=nominal.fit.chi_square - gain))
+
+    monkeypatch.setattr(nominal_fit, "_reviewed_choice", lambda nominal: (nominal.study, choices[now], choices[better]))
+    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices.values())
+    monkeypatch.setattr(nominal_fit, "_near_under", near)
+    found = with_inputs_reviewed(before)
+    assert (found is before) is (ends == now)
+    assert tried == asked
+
+
 def test_a_prepared_session_becomes_a_study_by_its_noise(biased):
     study = biased[0].study
     prepared = prepare_session(study.session)
@@ -146,7 +235,7 @@ def test_a_refit_begun_far_off_begins_small_and_great_where_the_small_does_not_s
     fit_hypothesis(nominal, (FittedCandidate(candidate, bias),))
     assert asked == pytest.approx([1.0, 0.3]) and begun == pytest.approx([0.3])
     begun.clear()
-    predicted_reduction = 2.0 * OPTIONS.fit.unconverged
+    predicted_reduction = 8.0 * OPTIONS.fit.hypothesis_ftol
     least = fit_hypothesis(nominal, (FittedCandidate(candidate, bias),))
     assert begun == pytest.approx([0.3, 1.0]) and least.fitted[0].above_neutral == pytest.approx(0.3 * bias)
     asked.clear()
@@ -250,8 +339,9 @@ def test_room_is_up_to_the_limits_of_an_amplitude_and_a_stride_of_a_shape(biased
     fit = Fit(np.ones(p), (member,), 0.0, (), np.zeros(0), 0.0)
     limits = step_limits(fit, nominal, options=OPTIONS)
     assert limits.shape == (2, p + 2) and limits[:, :p] == pytest.approx(nominal.limits - 1.0)
-    for k, parameter in enumerate(nominal.parameters):  # a figure at its limit is at its bound, and positive ones are
-        assert parameter.at(nominal.limits[0, k]) == pytest.approx(parameter.bounds[0])
+    for k, parameter in enumerate(nominal.parameters):  # a figure at its limit is at its bound, or as far as it may be
+        for limit, bound in zip(nominal.limits[:, k], parameter.bounds, strict=True):
+            assert abs(limit) == OPTIONS.prior.reach or parameter.at(limit) == pytest.approx(bound)
     limits = limits[:, p - 2 :]
     for step in limits[:, 2:]:
         (moved,) = moved_candidates(fit, step, options=OPTIONS)
@@ -282,8 +372,7 @@ def test_what_a_saturated_sensor_lost_is_no_part_of_its_noise(tmp_path):
 
 
 def test_repeats_of_one_record_do_not_keep_the_noise_of_others_at_what_the_nominal_valve_leaves(tmp_path):
-    case = draw(0, "none")
-    write_session(case, tmp_path)
+    write_session(draw(0, "none"), tmp_path)
     session = load_session(tmp_path)
     last = next(record for record in session.training if record.repeats is None)
     others = [record for record in session.training if record is not last]

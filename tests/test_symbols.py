@@ -10,7 +10,7 @@ import valvesim as vs
 from valvesim.valve.coefficients import PART_NAMES, coefficient_formulas
 from valvesim.valve.flow_coefficients import FLOW_LAWS
 from valvesim.valve.laws import straight_segments
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 
 
 def traced(formula, size):
@@ -40,8 +40,8 @@ def test_coefficients_are_the_same_of_symbols_and_numbers(law):
 def test_the_thermal_network_has_the_same_rates_as_its_matrices():
     network = vs.ThermalNetwork()
     M, N = network.matrices()
-    T = np.random.default_rng(2).uniform(0.0, 100.0, len(NODES) + 2)
-    rates = network.rates(dict(zip((*NODES, "oil", "ambient"), T, strict=True)))
+    T = np.random.default_rng(2).uniform(0.0, 100.0, len(THERMAL_NODES) + 2)
+    rates = network.rates(dict(zip((*THERMAL_NODES, "oil", "ambient"), T, strict=True)))
     np.testing.assert_allclose(list(rates.values()), M @ T[:-2] + N @ T[-2:], rtol=1e-12)
 
 

@@ -15,7 +15,7 @@ from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.coefficients import PART_NAMES
 from valvesim.valve.fluid import MIL_PRF_5606
-from valvesim.valve.thermal_network import NODES, ThermalNetwork, exponential, temperature_path, throttling_rise
+from valvesim.valve.thermal_network import THERMAL_NODES, ThermalNetwork, exponential, temperature_path, throttling_rise
 
 NETWORK = ThermalNetwork()
 SEALED = ThermalNetwork(torque_motor_to_ambient=0.0, body_to_ambient=0.0)  # nothing lost to the air
@@ -30,12 +30,12 @@ def lone(part):
 
 
 def capacities(network):
-    return np.array([getattr(network, f"{name}_capacity") for name in NODES])
+    return np.array([getattr(network, f"{name}_capacity") for name in THERMAL_NODES])
 
 
 def values(path):
     """Temperatures of the nodes, (knots, nodes)."""
-    return np.column_stack([getattr(path.parts, name) for name in NODES])
+    return np.column_stack([getattr(path.parts, name) for name in THERMAL_NODES])
 
 
 def at_the_end(path):
@@ -90,13 +90,13 @@ def test_in_a_launch_the_spool_leads_the_sleeve_the_sleeve_the_body_and_the_body
 
 def test_without_loss_to_the_air_every_part_ends_at_the_oil():
     path = temperature_path(Constant(value=150.0), 2000.0, network=SEALED, initial=20.0, ambient=-50.0, spacing=50.0)
-    assert values(path)[-1] == pytest.approx(np.full(len(NODES), 150.0), rel=1e-9)
+    assert values(path)[-1] == pytest.approx(np.full(len(THERMAL_NODES), 150.0), rel=1e-9)
 
 
 def test_with_loss_to_the_air_the_steady_temperatures_balance_every_part():
     path = temperature_path(Constant(value=150.0), 2000.0, network=NETWORK, ambient=20.0, spacing=50.0)
-    T = dict(zip(NODES, values(path)[-1], strict=True), oil=150.0, ambient=20.0)
-    for node in NODES:
+    T = dict(zip(THERMAL_NODES, values(path)[-1], strict=True), oil=150.0, ambient=20.0)
+    for node in THERMAL_NODES:
         flows = [0.0]
         for link in LINKS:
             one, _, other = link.partition("_to_")
@@ -115,7 +115,7 @@ def test_the_steady_temperatures_do_not_depend_on_the_start():
     assert ends[0] == pytest.approx(ends[1], rel=1e-9)
 
 
-@pytest.mark.parametrize("measured", [("body",), ("torque_motor", "spool"), NODES])
+@pytest.mark.parametrize("measured", [("body",), ("torque_motor", "spool"), THERMAL_NODES])
 def test_parts_prescribed_at_what_the_network_gives_leave_the_others_as_they_were(measured):
     oil = Pulse(base=20.0, height=60.0, time=2.0, width=5.0)
     free = temperature_path(oil, 20.0, network=NETWORK, spacing=0.002)
@@ -153,12 +153,12 @@ def test_prescribed_parts_that_make_no_sense_are_refused(course, told):
 def test_the_heat_stored_is_the_heat_that_came_in():
     path = temperature_path(LAUNCH, 60.0, network=NETWORK, ambient=-10.0, spacing=0.01)
     T, C = values(path), capacities(NETWORK)
-    temperature = {name: T[:, k] for k, name in enumerate(NODES)} | {"oil": path.parts.oil, "ambient": -10.0}
+    temperature = {name: T[:, k] for k, name in enumerate(THERMAL_NODES)} | {"oil": path.parts.oil, "ambient": -10.0}
     power = np.zeros(len(path.times))
     for link in LINKS:
         one, _, other = link.partition("_to_")
         flow = getattr(NETWORK, link) * (temperature[one] - temperature[other])
-        power += flow * (one not in NODES) - flow * (other not in NODES)
+        power += flow * (one not in THERMAL_NODES) - flow * (other not in THERMAL_NODES)
     heat = np.trapezoid(power, path.times)
     assert C @ (T[-1] - T[0]) == pytest.approx(heat, rel=1e-5)  # the trapezoidal rule's own error is 2e-6
 
@@ -167,7 +167,7 @@ def test_heat_between_two_parts_is_lost_by_the_one_and_gained_by_the_other():
     no_outside = {name: 0.0 for name in LINKS if name.startswith("oil") or name.endswith("ambient")}
     M, N = dataclasses.replace(NETWORK, **no_outside).matrices()
     assert np.count_nonzero(N) == 0 and np.count_nonzero(M) == 10  # 3 links between 4 of the parts, both ways
-    assert capacities(NETWORK) @ M == pytest.approx(np.zeros(len(NODES)), abs=1e-12)
+    assert capacities(NETWORK) @ M == pytest.approx(np.zeros(len(THERMAL_NODES)), abs=1e-12)
 
 
 OILS = {
@@ -190,7 +190,7 @@ def test_the_temperatures_do_not_depend_on_the_spacing_of_the_knots(oil):
 def test_the_temperatures_are_those_of_an_ordinary_integration(oil):
     M, N = NETWORK.matrices()
     breaks = [0.0, *(t for t in oil.pieces(6.0)[:, 0] if 0.0 < t < 6.0), 6.0]
-    T = np.zeros(len(NODES))
+    T = np.zeros(len(THERMAL_NODES))
     for a, b in zip(breaks[:-1], breaks[1:], strict=True):
         row = [r for r in oil.pieces(6.0) if r[0] <= a][-1]
 
@@ -255,9 +255,10 @@ def test_a_lone_part_damps_a_wave_of_the_oil_as_a_first_order_lag():
 
 def test_all_parts_start_with_the_oil_or_at_the_initial_temperature():
     oil = Constant(value=60.0)
-    assert values(temperature_path(oil, 1.0, network=NETWORK))[0] == pytest.approx(np.full(len(NODES), 60.0), rel=1e-12)
+    warm = temperature_path(oil, 1.0, network=NETWORK)
+    assert values(warm)[0] == pytest.approx(np.full(len(THERMAL_NODES), 60.0), rel=1e-12)
     cold = temperature_path(oil, 1.0, network=NETWORK, initial=-40.0)
-    assert values(cold)[0] == pytest.approx(np.full(len(NODES), -40.0), rel=1e-12)
+    assert values(cold)[0] == pytest.approx(np.full(len(THERMAL_NODES), -40.0), rel=1e-12)
     assert cold.parts.oil[0] == 60.0
 
 
@@ -319,7 +320,7 @@ def test_parts_with_starts_of_their_own_follow_the_network():
     start = {"body": 60.0, "spool": -20.0, "torque_motor": 5.0}
     path = temperature_path(LAUNCH, 30.0, network=NETWORK, initial=start, ambient=10.0)
     M, N = NETWORK.matrices()
-    first = [start.get(name, 20.0) for name in NODES]  # those left out start with the oil
+    first = [start.get(name, 20.0) for name in THERMAL_NODES]  # those left out start with the oil
     run = solve_ivp(
         lambda t, T: M @ T + N @ [20.0 + 3.0 * t, 10.0], (0.0, 30.0), first, method="LSODA", rtol=1e-11, atol=1e-11
     )
@@ -329,7 +330,7 @@ def test_parts_with_starts_of_their_own_follow_the_network():
 
 def test_one_start_for_all_is_that_of_each_part():
     one = temperature_path(LAUNCH, 5.0, network=NETWORK, initial=-40.0)
-    each = temperature_path(LAUNCH, 5.0, network=NETWORK, initial=dict.fromkeys(NODES, -40.0))
+    each = temperature_path(LAUNCH, 5.0, network=NETWORK, initial=dict.fromkeys(THERMAL_NODES, -40.0))
     assert (values(one) == values(each)).all()
 
 

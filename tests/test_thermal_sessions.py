@@ -13,7 +13,7 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION
 from valvesim.identification.prior import NETWORK, _network_parameters
 from valvesim.identification.session import PART_TEMPERATURES
 from valvesim.units import quantities
-from valvesim.valve.thermal_network import NODES, ThermalNetwork, heat_words
+from valvesim.valve.thermal_network import THERMAL_NODES, ThermalNetwork, heat_words
 
 
 def short(case, seconds=0.2):
@@ -27,7 +27,7 @@ def test_the_plants_of_another_structure_have_rod_and_tube_elsewhere():
     case = short(draw_thermal(3, network="structure", duration=2.0), 2.0)
     case = dataclasses.replace(case, runs=case.runs[:1])
     (record,) = thermal_records(
-        case, [dict.fromkeys(case.channels, np.zeros(401)) | {"time": case.runs[0].time}], NODES
+        case, [dict.fromkeys(case.channels, np.zeros(401)) | {"time": case.runs[0].time}], THERMAL_NODES
     )
     rod, tube, motor = (record[f"{name}_temperature"] for name in ("feedback_rod", "spring_tube", "torque_motor"))
     assert set(OTHERWISE) == {"feedback_rod", "spring_tube"}

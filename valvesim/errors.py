@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import Any
 
 LONGEST_MESSAGE = 1000  # characters
-LONGEST_NAME = 200  # characters of an unknown name that are compared with the valid ones
+COMPARED_CHARACTERS = 200  # characters of an unknown name that are compared with the valid ones
 
 
 class ValvesimError(Exception):
@@ -107,7 +107,7 @@ def forget_warnings() -> None:
 def nearest(name: str, names: Iterable[str]) -> str:
     """`"; did you mean 'x'?"` for the closest valid name, else the list of valid names (all of a short one)."""
     names = sorted(names)
-    close = difflib.get_close_matches(str(name)[:LONGEST_NAME], names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(name)[:COMPARED_CHARACTERS], names, n=1, cutoff=0.5)
     if close:
         return f"; did you mean {close[0]!r}?"
     return f"; valid names: {', '.join(names)}" if names else ""

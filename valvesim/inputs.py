@@ -115,6 +115,8 @@ class Command(Protocol):
 def evaluate(command: Command, times) -> np.ndarray:
     """Values at `times` (s, any shape); at a jump, the value after it."""
     t = np.asarray(times, dtype=float)
+    if isinstance(command, Sum):
+        return np.sum([evaluate(term, t) for term in command.terms], axis=0)
     rows = command.pieces(float(np.max(t, initial=0.0)))
     which = np.clip(np.searchsorted(rows[:, 0], t, side="right") - 1, 0, None)
     if rows.shape[1] == PIECE_WIDTH:
@@ -576,11 +578,11 @@ def read_table(path: Path, column: str, unit: str) -> Table:
 
 def _read_recorded(path: Path, channel: str) -> Table:
     """A channel of a record as a table. Raises InputError as `read_recording` does, and where readings are missing."""
-    from valvesim.measurement.headings import UNITS
+    from valvesim.measurement.headings import MEASURED_UNITS
     from valvesim.measurement.recording import read_recording
 
-    if channel not in UNITS:
-        raise unknown_name("channel", channel, UNITS).at(file=path)
+    if channel not in MEASURED_UNITS:
+        raise unknown_name("channel", channel, MEASURED_UNITS).at(file=path)
     recording = read_recording([path], (channel,))
     values = recording.values[channel]
     if len(values) >= MOST_PIECES:

@@ -14,7 +14,7 @@ import numpy as np
 
 from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests
 from valvesim.characterisation.datasheet import Datasheet
-from valvesim.characterisation.figure_of_merit import table
+from valvesim.characterisation.figure_of_merit import merit_rows
 from valvesim.characterisation.held_scenario import command_of, held_oil_temperature
 from valvesim.characterisation.judgement_table import FIGURE_HEADINGS
 from valvesim.characterisation.response_set import ResponseSet
@@ -79,7 +79,7 @@ def _(diagnosis: Diagnosis) -> str:
 
 @html.register
 def _(tests: AcceptanceTests) -> str:
-    return fragment((section("", Text(repr(tests)), Table(FIGURE_HEADINGS, table(tests.figures), (1, 2))),))
+    return fragment((section("", Text(repr(tests)), Table(FIGURE_HEADINGS, merit_rows(tests.figures), (1, 2))),))
 
 
 @html.register
@@ -89,7 +89,7 @@ def _(responses: ResponseSet) -> str:
     for test in tests:
         kind = "Step" if test in responses.steps else "Sines"
         heading = Text(f"{kind} of {100 * test.share:.3g} % of rated")
-        parts += [heading, Table(FIGURE_HEADINGS, table(test.figures), (1, 2))]
+        parts += [heading, Table(FIGURE_HEADINGS, merit_rows(test.figures), (1, 2))]
     return fragment((section("", *parts),))
 
 

@@ -160,10 +160,13 @@ def in_si(value: Any, unit: str, where: str = "", *, several: bool = False) -> A
     return float(converted) if np.ndim(converted) == 0 else np.asarray(converted, dtype=float)
 
 
+_NUMBERS = {float, int}  # of a long table of these none is looked at
+
+
 def has_unit(value: Any) -> bool:
     """True of what `in_si` converts: text, a quantity of pint, and a list of such."""
     if isinstance(value, (list, tuple)):
-        return any(has_unit(each) for each in value)
+        return not set(map(type, value)) <= _NUMBERS and any(map(has_unit, value))
     return isinstance(value, str) or (hasattr(value, "magnitude") and hasattr(value, "units"))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.channels import SIGNAL_CHANNELS, Inputs
-from valvesim.characterisation.linearisation import OUTPUTS, refuse_command_rate, rest_of, trace_signals
+from valvesim.characterisation.linearisation import LINEARISED_OUTPUTS, refuse_command_rate, rest_of, trace_signals
 from valvesim.errors import InputError
 from valvesim.inputs import Command, Constant, evaluate
 from valvesim.simulation.scenario import Scenario
@@ -26,7 +26,7 @@ def nonlinear_system(scenario: Scenario) -> Any:
 
     Inputs: current (A; "voltage", V, of a voltage drive) and load_pressure (Pa), which take the place of the scenario's
     own commands. Supply, return and temperatures of oil and parts follow the scenario over its time 0..duration, and
-    are held beyond. Outputs: `OUTPUTS` in SI, then oil_temperature (°C), for a schedule.
+    are held beyond. Outputs: `LINEARISED_OUTPUTS` in SI, then oil_temperature (°C), for a schedule.
     States are in units of their channels' scale, so that one absolute tolerance serves all ("scaled_spool_position");
     `rest_state` gives the initial ones. The derivative is compiled machine code.
 
@@ -45,7 +45,7 @@ def nonlinear_system(scenario: Scenario) -> Any:
     derivative, scale = compile_model(model).derivative, np.array([ch.scale for ch in model.state_channels])
     states = [channel.name for channel in model.state_channels]
     named = [channel.name for channel in SIGNAL_CHANNELS]
-    picks = [(True, states.index(y)) if y in states else (False, named.index(y)) for y in OUTPUTS]
+    picks = [(True, states.index(y)) if y in states else (False, named.index(y)) for y in LINEARISED_OUTPUTS]
     signals = _fast_signals(model)
 
     def rates(t, x, u, params):
@@ -60,7 +60,7 @@ def nonlinear_system(scenario: Scenario) -> Any:
 
     return control.nlsys(
         rates, outputs, name="valve", inputs=[model.drive.command_name, "load_pressure"],
-        outputs=[*OUTPUTS, "oil_temperature"], states=[f"scaled_{name}" for name in states],
+        outputs=[*LINEARISED_OUTPUTS, "oil_temperature"], states=[f"scaled_{name}" for name in states],
     )  # fmt: skip
 
 

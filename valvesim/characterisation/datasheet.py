@@ -15,8 +15,7 @@ from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTest
 from valvesim.characterisation.class_figures import ClassFigure
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.lumped_figures import beside_class
-from valvesim.characterisation.response_set import ResponseSet, measure_responses
-from valvesim.characterisation.response_set import tests_of as responses_of
+from valvesim.characterisation.response_set import ResponseSet, measure_responses, response_tests
 from valvesim.characterisation.specification import Specification
 from valvesim.shown import Shown
 from valvesim.simulation.scenario import Scenario, Thermal
@@ -83,7 +82,7 @@ def measure(
     )  # fmt: skip
 
 
-def tests_of(
+def datasheet_tests(
     sheet: Datasheet, specification: Specification | None = None
 ) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:  # fmt: skip
     """Every test of a datasheet as (title, conditions by the names of a specification's, figures), SI, of responses
@@ -91,4 +90,4 @@ def tests_of(
     """
     benches = [(f"bench, oil at {one.oil_temperature:g} °C", one.conditions, one.figures) for one in sheet.benches]
     source = Scenario(valve=sheet.valve, thermal=Thermal(network=None))
-    return benches + responses_of(sheet.responses, source, specification)
+    return benches + response_tests(sheet.responses, source, specification)

@@ -17,7 +17,7 @@ from valvesim.errors import InputError
 from valvesim.inputs import Command, Sine, Sum
 from valvesim.units import POSITIVE, check_bounds, quantity
 
-CONDITIONS = ("dither_amplitude", "dither_frequency")
+DITHER_CONDITIONS = ("dither_amplitude", "dither_frequency")
 SAMPLES = 8  # of a period, from which its mean is taken: harmonics below the eighth vanish
 
 
@@ -34,7 +34,8 @@ class Dither:
     @property
     def conditions(self) -> dict[str, float]:
         """As conditions of a test, by the names of a specification's."""
-        return dict(zip(CONDITIONS, (self.amplitude, self.frequency)[: 2 if self.amplitude else 1], strict=False))
+        values = (self.amplitude, self.frequency) if self.amplitude else (self.amplitude,)
+        return dict(zip(DITHER_CONDITIONS, values, strict=False))
 
     def in_words(self) -> str:
         """Amplitude and frequency, such as `2 % of rated at 400 Hz`."""

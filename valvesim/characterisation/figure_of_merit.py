@@ -55,7 +55,7 @@ def unit_to_parse(unit: str) -> str:
     return "1" if unit in ("", "-") else unit
 
 
-def shown(figure: FigureOfMerit) -> tuple[str, str, str]:
+def merit_cells(figure: FigureOfMerit) -> tuple[str, str, str]:
     """(value, uncertainty, unit) as text in the units that people read: both to two digits of the uncertainty."""
     unit, factor = _SHOWN.get(figure.unit, (figure.unit, 1.0))
     if figure.name.endswith("lag") and figure.unit == "s":
@@ -71,7 +71,7 @@ def shown(figure: FigureOfMerit) -> tuple[str, str, str]:
     return text, told, "" if unit == "-" else symbol(unit)
 
 
-def table(figures: Sequence[FigureOfMerit | Absent]) -> list[tuple[str, str, str, str, str]]:
+def merit_rows(figures: Sequence[FigureOfMerit | Absent]) -> list[tuple[str, str, str, str, str]]:
     """Rows (name, value, uncertainty, unit, meaning) as text; an absent figure says why."""
     rows = []
     for figure in figures:
@@ -79,5 +79,5 @@ def table(figures: Sequence[FigureOfMerit | Absent]) -> list[tuple[str, str, str
         if isinstance(figure, Absent):
             rows.append((name, "absent", "", "", figure.reason))
         else:
-            rows.append((name, *shown(figure), figure.doc))
+            rows.append((name, *merit_cells(figure), figure.doc))
     return rows

@@ -22,9 +22,10 @@ from valvesim.characterisation.held_scenario import (
     held,
     held_oil_temperature,
     output_of,
+    output_unit,
     rated_command,
-    unit_of,
 )
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, ResponseOptions
 from valvesim.characterisation.record_checks import check_amplitude, check_frequencies
 from valvesim.characterisation.sine_point import SinePoint, fit_sine
 from valvesim.errors import InputError
@@ -32,12 +33,7 @@ from valvesim.inputs import Sine
 from valvesim.simulation.run import simulate
 from valvesim.units import in_si, reads_units
 
-SAMPLES_A_CYCLE = 64  # of a simulated sine
 SETTLE_TIME = 0.05  # s of a sine before it is read: the slowest mode of the reference valve is 1/1070 s
-READ_TIME = 0.02  # s of a sine that are read at least, in whole cycles
-SINE_TOLERANCE = 1e-5  # of the integration: its error shows as a distortion of about 1e-7
-LEAST_COHERENCE = 0.8  # below it a point serves no figure
-HIGHEST_REFERENCE = 0.2  # of the -3 dB frequency: a first order has fallen by 0.2 dB there, 2 % of the frequency
 FREQUENCIES = tuple(np.geomspace(5.0, 500.0, 41))  # Hz, six to the octave
 
 
@@ -60,11 +56,12 @@ class FrequencyResponse:
     distortion: np.ndarray
     residual: np.ndarray
     coherence: np.ndarray
+    options: ResponseOptions = DEFAULT_CHARACTERISATION.response
 
     @property
     def credible(self) -> np.ndarray:
-        """Points whose coherence, where there is one, is at least `LEAST_COHERENCE`; (n_f,) of bool."""
-        return ~(self.coherence < LEAST_COHERENCE)
+        """Points whose coherence, where there is one, is at least `least_coherence`; (n_f,) of bool."""
+        return ~(self.coherence < self.options.least_coherence)
 
     @property
     def amplitude_ratio(self) -> np.ndarray:
@@ -125,7 +122,7 @@ class FrequencyResponse:
         found = self._fall_to_minus_3_db()
         if isinstance(found, Absent):
             return ""
-        lowest, highest = float(self.frequency[self.credible][0]), HIGHEST_REFERENCE * found.value
+        lowest, highest = float(self.frequency[self.credible][0]), self.options.highest_reference * found.value
         if lowest <= highest:
             return ""
         told = f"{lowest:.3g} Hz, to which it refers, is too near: a longer record, or {highest:.2g} Hz and lower"
@@ -136,12 +133,12 @@ class FrequencyResponse:
         f, count = self.frequency[self.credible], np.flatnonzero(self.credible)
         if count[k] - count[k - 1] == 1 or f[k] <= 1.1 * f[k - 1]:
             return ""
-        return f"the coherence is below {LEAST_COHERENCE:g} between {f[k - 1]:.4g} and {f[k]:.4g} Hz"
+        return self._incoherent(f"between {f[k - 1]:.4g} and {f[k]:.4g} Hz")
 
     def _cross(self, name: str, fall: np.ndarray, level: float, unit: str, doc: str) -> FigureOfMerit | Absent:
         """Where `fall` first rises through `level`, on the credible points."""
         if not np.any(self.credible):
-            return Absent(name, f"the coherence is below {LEAST_COHERENCE:g} at every frequency")
+            return Absent(name, self._incoherent("at every frequency"))
         f, fall = self.frequency[self.credible], fall[self.credible]
         beyond = np.flatnonzero(fall >= level)
         if not len(beyond):
@@ -156,9 +153,12 @@ class FrequencyResponse:
             return Absent(name, gap)
         return FigureOfMerit(name, _first_root(np.log(f), fall, level, k), "Hz", doc)
 
+    def _incoherent(self, where: str) -> str:
+        return f"the coherence is below {self.options.least_coherence:g} {where}"
+
     def _peak(self) -> FigureOfMerit | Absent:
         if not np.any(self.credible):
-            return Absent("resonant_peak", f"the coherence is below {LEAST_COHERENCE:g} at every frequency")
+            return Absent("resonant_peak", self._incoherent("at every frequency"))
         top = float(np.max(self.amplitude_ratio[self.credible]))
         return FigureOfMerit("resonant_peak", max(top, 0.0), "dB", "greatest amplitude ratio")
 
@@ -191,7 +191,7 @@ def _first_root(x: np.ndarray, y: np.ndarray, level: float, k: int) -> float:
 
 def join_points(
     points: Sequence[SinePoint], *, channel: str = "output", share: float = float("nan"),
-    oil_temperature: float = float("nan"),
+    oil_temperature: float = float("nan"), options: ResponseOptions = DEFAULT_CHARACTERISATION.response,
 ) -> FrequencyResponse:  # fmt: skip
     """A frequency response from steady sines, simulated or measured, in any order; InputError for fewer than two."""
     ordered = sorted(points, key=lambda point: point.frequency)
@@ -209,6 +209,7 @@ def join_points(
         distortion=np.array([point.distortion for point in ordered]),
         residual=np.array([point.residual for point in ordered]),
         coherence=np.full(len(ordered), np.nan),
+        options=options,
     )
 
 
@@ -217,7 +218,7 @@ def frequency_response(
     source: Source, *, amplitude: float, frequencies: Sequence[float] = FREQUENCIES,
     oil_temperature: float | None = None, part_temperature: float | None = None, output: str = "spool_position",
     bias: float = 0.0, cycles: int = 2, settle: float = SETTLE_TIME, workers: int = 1, dither: Dither = NO_DITHER,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None, options: ResponseOptions = DEFAULT_CHARACTERISATION.response,
 ) -> FrequencyResponse:  # fmt: skip
     """Stepped sines: at each frequency (Hz) the valve is driven from rest until it is steady, then read.
 
@@ -236,18 +237,18 @@ def frequency_response(
         raise InputError("frequency response: needs two or more frequencies, the lowest as the reference")
     amplitude, bias = (in_si(each, base.drive.command_unit, "frequency response") for each in (amplitude, bias))
     check_amplitude(amplitude)
-    unit_of(base, output)
+    output_unit(base, output)
     for name, number in (("cycles", cycles), ("workers", workers)):
         if number < 1 or number != int(number):
             raise InputError(f"frequency response: {name} = {number:g} must be a whole number of 1 or more")
-    base = replace(base, tolerance=min(base.tolerance, SINE_TOLERANCE))
-    upon = dither.frequency if dither.amplitude else 0.0
+    base = replace(base, tolerance=min(base.tolerance, options.sine_tolerance))
+    upon, least = dither.frequency if dither.amplitude else 0.0, options.cycle_samples
 
     def point(frequency: float) -> SinePoint:
         wait = max(int(np.ceil(settle * frequency)), 1)
-        read = max(int(cycles), int(np.ceil(READ_TIME * frequency)))
+        read = max(int(cycles), int(np.ceil(options.read_time * frequency)))
         command = dither.upon(Sine(amplitude=amplitude, frequency=frequency, offset=bias), rated_command(base))
-        samples = SAMPLES_A_CYCLE * int(np.ceil(max(SAMPLES * upon / (SAMPLES_A_CYCLE * frequency), 1.0)))
+        samples = least * int(np.ceil(max(SAMPLES * upon / (least * frequency), 1.0)))
         rate = samples * frequency
         result = simulate(replace(base, command=command, duration=(wait + read) / frequency, output_rate=rate))
         part = slice(-samples * read, None)
@@ -262,5 +263,7 @@ def frequency_response(
             if progress is not None:
                 progress(len(points) / len(f))
     share = amplitude / rated_command(base)
-    joined = join_points(points, channel=output, share=share, oil_temperature=held_oil_temperature(base))
+    joined = join_points(
+        points, channel=output, share=share, oil_temperature=held_oil_temperature(base), options=options
+    )
     return replace(joined, amplitude=amplitude)

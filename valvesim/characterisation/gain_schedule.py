@@ -10,7 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvesim.characterisation.linearisation import OUTPUTS, OperatingPoint, linearise, operating_point, scaled_poles
+from valvesim.characterisation.linearisation import (
+    LINEARISED_OUTPUTS,
+    OperatingPoint,
+    linearise,
+    operating_point,
+    scaled_poles,
+)
 from valvesim.characterisation.reduced_order import bandwidth
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
@@ -58,7 +64,7 @@ def gain_schedule(
 def _row(point: OperatingPoint) -> GainRow:
     system = linearise(point)
     gains = np.asarray(system(0.0)).real
-    gain = {y: dict(zip(system.input_labels, gains[k], strict=True)) for k, y in enumerate(OUTPUTS)}
+    gain = {y: dict(zip(system.input_labels, gains[k], strict=True)) for k, y in enumerate(LINEARISED_OUTPUTS)}
     flow, leak = gain["load_flow"]["current"], -gain["load_flow"]["load_pressure"]
     band = bandwidth(system)
     nearest = scaled_poles(point)[0]

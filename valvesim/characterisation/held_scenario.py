@@ -74,7 +74,7 @@ def output_of(result: Result, output: str) -> np.ndarray:
     return result.values[output]
 
 
-def unit_of(base: Scenario, output: str) -> str:
+def output_unit(base: Scenario, output: str) -> str:
     units = {channel.name: channel.unit for channel in output_channels(base)}
     if output not in units:
         raise unknown_name("channel", output, units, "output")

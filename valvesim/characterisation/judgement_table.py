@@ -6,20 +6,20 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit, shown, unit_shown
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit, merit_cells, unit_shown
 from valvesim.characterisation.specification import CONDITIONS, FIGURES, Judgement, Limit, Verdict
 
 Tests = Sequence[tuple[str, Mapping[str, float], FiguresOfMerit]]
 """Tests: title, conditions in SI, figures."""
 FIGURE_HEADINGS = ("figure of merit", "value", "± (1 sigma)", "unit", "meaning")
-HEADINGS = ("figure", "condition", "limits", "measured", "±", "unit", "verdict")
+VERDICT_HEADINGS = ("figure", "condition", "limits", "measured", "±", "unit", "verdict")
 
 
-def value_text(value: float, unit: str, uncertainty: float | None = None) -> tuple[str, str, str]:
+def value_cells(value: float, unit: str, uncertainty: float | None = None) -> tuple[str, str, str]:
     """(value, uncertainty, unit) as text in the unit that people read; empty where there is none."""
     if math.isnan(value):
         return "", "", ""
-    return shown(FigureOfMerit("", value, unit, "", uncertainty))
+    return merit_cells(FigureOfMerit("", value, unit, "", uncertainty))
 
 
 def interval_text(value: float, low: float, high: float, unit: str) -> tuple[str, str, str]:
@@ -38,10 +38,10 @@ def interval_text(value: float, low: float, high: float, unit: str) -> tuple[str
 
 def limit_text(limit: Limit) -> str:
     """The limits of a figure, such as `34.2 to 41.8 L/min` or `at most 3 %`; its value where it has no limits."""
-    (low, _, unit), (high, _, _) = (value_text(end, limit.unit) for end in (limit.low, limit.high))
-    _, _, unit = value_text(0.0, limit.unit)
+    (low, _, unit), (high, _, _) = (value_cells(end, limit.unit) for end in (limit.low, limit.high))
+    _, _, unit = value_cells(0.0, limit.unit)
     if math.isinf(limit.low) and math.isinf(limit.high):
-        return f"{value_text(limit.value, limit.unit)[0]} {unit}".strip()
+        return f"{value_cells(limit.value, limit.unit)[0]} {unit}".strip()
     if math.isinf(limit.low):
         return f"at most {high} {unit}".strip()
     if math.isinf(limit.high):
@@ -54,7 +54,7 @@ def asked_text(limit: Limit) -> str:
     width = (limit.high - limit.low) / 2.0
     if not math.isfinite(width) or not math.isclose(limit.value, limit.low + width, rel_tol=1e-6, abs_tol=1e-6 * width):
         return limit_text(limit)
-    value, tolerance, unit = value_text(limit.value, limit.unit, width)
+    value, tolerance, unit = value_cells(limit.value, limit.unit, width)
     return f"{value} ± {tolerance} {unit}".strip()
 
 
@@ -63,13 +63,13 @@ def condition_text(conditions: Mapping[str, float], common: Iterable[str] = ()) 
     told = []
     for name, value in conditions.items():
         if name not in common:
-            text, _, unit = value_text(value, CONDITIONS[name].unit)
+            text, _, unit = value_cells(value, CONDITIONS[name].unit)
             told.append(f"{name.replace('_', ' ')} {text} {'K' if unit == 'K' else unit}".strip())
     return ", ".join(told)
 
 
 def judgement_rows(judged: Sequence[Judgement], common: Iterable[str] = ()) -> list[tuple[str, ...]]:
-    """Rows under `HEADINGS`; a figure that was not measured says why."""
+    """Rows under `VERDICT_HEADINGS`; a figure that was not measured says why."""
     rows: list[tuple[str, ...]] = []
     for one in judged:
         limit = one.limit
@@ -77,7 +77,7 @@ def judgement_rows(judged: Sequence[Judgement], common: Iterable[str] = ()) -> l
         if isinstance(one.measured, Absent):
             rows.append((*told, one.measured.reason, "", "", one.verdict.value))
         else:
-            rows.append((*told, *shown(one.measured), one.verdict.value))
+            rows.append((*told, *merit_cells(one.measured), one.verdict.value))
     return rows
 
 

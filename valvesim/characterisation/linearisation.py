@@ -29,7 +29,7 @@ from valvesim.valve.equations import NOMINAL, Model
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 
-OUTPUTS = (
+LINEARISED_OUTPUTS = (
     "spool_position", "armature_angle", "load_flow", "pilot_differential_pressure", "nozzle_pressure_1",
     "nozzle_pressure_2", "internal_leakage",
 )  # fmt: skip
@@ -144,10 +144,10 @@ def linearise(point: OperatingPoint) -> Any:
     """The valve for small deviations from a rest: a `control.StateSpace`, SI throughout.
 
     Inputs (4): current (A; "voltage", V, of a voltage drive), supply_pressure, return_pressure, load_pressure (Pa).
-    States: those of `Model.state_channels`. Outputs (7): `OUTPUTS`. All by name, so that `system["load_flow",
-    "current"]` is one transfer function. A to D are exact (no differences); the oil's density and bulk modulus at zero
-    pressure are held, as in `simulate`. At a kink (null, see the module's head) the mean of both sides is taken.
-    Valid while the deviation stays small against the null gap, and away from the stops.
+    States: those of `Model.state_channels`. Outputs (7): `LINEARISED_OUTPUTS`. All by name, so that
+    `system["load_flow", "current"]` is one transfer function. A to D are exact (no differences); the oil's density and
+    bulk modulus at zero pressure are held, as in `simulate`. At a kink (null, see the module's head) the mean of both
+    sides is taken. Valid while the deviation stays small against the null gap, and away from the stops.
     Raises InputError where the model depends on the rate of the current, which is no input of the system.
     """
     import control
@@ -162,12 +162,13 @@ def linearise(point: OperatingPoint) -> Any:
     states = [channel.name for channel in model.state_channels]
     named = [channel.name for channel in SIGNAL_CHANNELS]
     C = np.array([np.eye(len(states))[states.index(y)] if y in states else signals_by_state[named.index(y)]
-                  for y in OUTPUTS])  # fmt: skip
+                  for y in LINEARISED_OUTPUTS])  # fmt: skip
     D = np.array([np.zeros(len(Inputs._fields)) if y in states else signals_by_inputs[named.index(y)]
-                  for y in OUTPUTS])  # fmt: skip
+                  for y in LINEARISED_OUTPUTS])  # fmt: skip
     return control.ss(
         by_state, by_inputs[:, keep], C, D[:, keep],
-        inputs=[model.drive.command_name, *Inputs._fields[2:]], states=states, outputs=list(OUTPUTS), name="valve",
+        inputs=[model.drive.command_name, *Inputs._fields[2:]], states=states, outputs=list(LINEARISED_OUTPUTS),
+        name="valve",
     )  # fmt: skip
 
 

@@ -13,8 +13,8 @@
     test = "flow"
     supply_pressure = "70 bar"
 
-The tests are those of `TESTS`. Conditions of a record take the place of the folder's. What instruments may be off by is
-taken as an error of scale, at two standard deviations; the classes of ISO 10770-1 hold where none is stated.
+The tests are those of `RECORD_TESTS`. Conditions of a record take the place of the folder's. What instruments may be
+off by is taken as an error of scale, at two standard deviations; the classes of ISO 10770-1 hold where none is stated.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from valvesim.characterisation.acceptance.acceptance_tests import record_figures
+from valvesim.characterisation.acceptance.acceptance_tests import CYCLE_TESTS, record_figures
 from valvesim.characterisation.acceptance.coil import coil_figures
 from valvesim.characterisation.acceptance.measured_threshold import measured_threshold
-from valvesim.characterisation.acceptance.record import CHANNELS, AcceptanceRecord
+from valvesim.characterisation.acceptance.record import ACCEPTANCE_CHANNELS, AcceptanceRecord
 from valvesim.characterisation.dither import dither_of
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.frequency_response import FrequencyResponse, at_single_frequencies, join_points
 from valvesim.characterisation.judgement_table import Tests
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, CharacterisationOptions
 from valvesim.characterisation.sine_point import fit_sine
 from valvesim.characterisation.specification import HELD, Specification, read_condition
 from valvesim.characterisation.spectral_response import spectral_response
@@ -41,15 +42,14 @@ from valvesim.characterisation.step_response import step_figures
 from valvesim.errors import InputError, unknown_name
 from valvesim.io import check_known, check_printable, check_tables, located, read_names, read_toml
 from valvesim.measurement.columns_table import Statements, statements_of, statements_of_record
-from valvesim.measurement.headings import UNITS
+from valvesim.measurement.headings import MEASURED_UNITS
 from valvesim.measurement.recording import read_recording
 from valvesim.units import parse
 from valvesim.valve.effect_trust import check_inside
 
-CYCLES = ("flow", "pressure-gain", "leakage", "flow-load")
-TESTS = (*CYCLES, "threshold", "step", "chirp", "sine", "coil")
+RECORD_TESTS = (*CYCLE_TESTS, "threshold", "step", "chirp", "sine", "coil")
 """Tests of a record, in the order of a report: slow cycles, then what moves, then the coils."""
-OUTPUTS = ("spool_position", "load_flow", "load_pressure")
+DYNAMIC_OUTPUTS = ("spool_position", "load_flow", "load_pressure")
 """What may be the output of a threshold or dynamic test, the first that a record has."""
 INSTRUMENTS = {"flow": 0.025, "current": 0.015, "pressure": 0.02, "resistance": 0.02, "dynamics": 0.01, "time": 0.01}
 """Classes of ISO 10770-1 (2009), and of pressure gauges of class 2, as shares."""
@@ -64,8 +64,9 @@ _EXACT = ("dead_zone", "meter_resolution", "polarity", "flow_exponent", "lag", "
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredResult:
-    """One test: which of `TESTS`, its `conditions` by the names of a specification's (SI), figures named as bench and
-    response do, and the columns (n,) in SI that they were reduced from; of a chirp or several sines also `response`.
+    """One test: which of `RECORD_TESTS`, its `conditions` by the names of a specification's (SI), figures named as
+    bench and response do, and the columns (n,) in SI that they were reduced from; of a chirp or several sines also
+    `response`.
     """
 
     test: str
@@ -99,7 +100,7 @@ class MeasuredValve:
         return [(figure, test.conditions) for test in self.tests for figure in test.figures]
 
 
-def tests_of(measured: MeasuredValve, specification: Specification | None = None) -> Tests:
+def measured_tests(measured: MeasuredValve, specification: Specification | None = None) -> Tests:
     """Every test; responses also at the single frequencies that a specification has limits at."""
     frequencies = () if specification is None else specification.single_frequencies
     tests = [(test.title, test.conditions, test.figures) for test in measured.tests]
@@ -109,7 +110,9 @@ def tests_of(measured: MeasuredValve, specification: Specification | None = None
     return tests
 
 
-def load_measured_valve(folder: str | Path) -> MeasuredValve:
+def load_measured_valve(
+    folder: str | Path, *, options: CharacterisationOptions = DEFAULT_CHARACTERISATION
+) -> MeasuredValve:
     """Read a folder with `acceptance.toml` and its records, of any format, and reduce them.
 
     Raises InputError (file, line, key) for a broken file, an unknown test, and a record that its test cannot be told
@@ -119,14 +122,14 @@ def load_measured_valve(folder: str | Path) -> MeasuredValve:
     path = folder / "acceptance.toml"
     text, table = read_toml(path, "a measured valve is a folder with acceptance.toml and its records")
     with located(path, text, document="acceptance"):
-        return _read(table, folder)
+        return _read(table, folder, options)
 
 
-def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
+def _read(table: dict[str, Any], folder: Path, options: CharacterisationOptions) -> MeasuredValve:
     known = ("title", "serial_number", "rated_current", "conditions", "instruments", "columns", "csv", "records")
     check_known(table, known, "acceptance")
     check_tables(table, ("conditions", "instruments"))
-    stated_columns = statements_of(table.get("columns", {}), table.get("csv", {}))
+    columns = statements_of(table.get("columns", {}), table.get("csv", {}))
     words = {key: table.get(key, "") for key in ("title", "serial_number")}
     for key, text in words.items():
         check_printable(text, key)
@@ -147,10 +150,10 @@ def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
         raise InputError("expected [[records]], one for each test", key="records")
     instruments = {**INSTRUMENTS, **stated}
     results = [
-        _reduce(entry, f"records.{k}" if len(records) > 1 else "records", folder, common, rated, stated_columns)
+        _reduce(entry, f"records.{k}" if len(records) > 1 else "records", folder, common, rated, columns, options)
         for k, entry in enumerate(records, start=1)
     ]
-    results = _join_sines(results, rated)
+    results = _join_sines(results, rated, options)
     told = tuple(replace(one, figures=_with_instruments(one.figures, instruments)) for one in results)
     told = (*told, *_null_shifts(told))
     return MeasuredValve(
@@ -159,24 +162,24 @@ def _read(table: dict[str, Any], folder: Path) -> MeasuredValve:
 
 
 def _in_order(tests: Sequence[MeasuredResult]) -> tuple[MeasuredResult, ...]:
-    order = (*TESTS, "null-shift")
+    order = (*RECORD_TESTS, "null-shift")
     return tuple(sorted(tests, key=lambda one: order.index(one.test)))
 
 
 # ---------------------------------------------------------------- one record
 
-_OPTIONS = {"lag": "s", "dead_zone": "m^3/s"}
+_METER = {"lag": "s", "dead_zone": "m^3/s"}
 
 
 def _reduce(
     entry: Mapping[str, Any], where: str, folder: Path, common: Mapping[str, float], rated: float,
-    columns: Statements,
+    columns: Statements, options: CharacterisationOptions,
 ) -> MeasuredResult:  # fmt: skip
-    known = ("file", "files", "test", "frequency", *HELD, "pressure_drop", *_OPTIONS, "columns", "csv")
+    known = ("file", "files", "test", "frequency", *HELD, "pressure_drop", *_METER, "columns", "csv")
     check_known(entry, known, where)
     test = entry.get("test")
-    if not isinstance(test, str) or test not in TESTS:
-        raise unknown_name("test", str(test), TESTS, f"{where}.test")
+    if not isinstance(test, str) or test not in RECORD_TESTS:
+        raise unknown_name("test", str(test), RECORD_TESTS, f"{where}.test")
     given = entry.get("files", [entry["file"]] if "file" in entry else [])
     names = read_names(given, f"{where}.files", "file")
     if not names:
@@ -185,15 +188,15 @@ def _reduce(
         check_inside(name, folder, f"{where}.file")
     may = (*HELD, "pressure_drop", "frequency")
     own = {n: read_condition(n, entry[n], f"{where}.{n}") for n in may if n in entry}
-    options = {n: parse(entry[n], _OPTIONS[n], f"{where}.{n}") for n in _OPTIONS if n in entry}
-    wanted = ("voltage", "current") if test == "coil" else (*CHANNELS, "spool_position")
+    meter = {n: parse(entry[n], _METER[n], f"{where}.{n}") for n in _METER if n in entry}
+    wanted = ("voltage", "current") if test == "coil" else (*ACCEPTANCE_CHANNELS, "spool_position")
     stated = statements_of_record(entry, columns, where)
     recording = read_recording([folder / name for name in names], wanted, stated=stated)
     there = np.all([np.isfinite(column) for column in recording.values.values()], axis=0)
     values = {"time": recording.time[there]} | {name: column[there] for name, column in recording.values.items()}
     at = {**common, **own}
     try:
-        reduced = _REDUCTIONS[test](names[0], values, at, options, rated)
+        reduced = _REDUCTIONS[test](names[0], values, at, meter, rated, options)
     except InputError as error:
         if error.key or error.file:
             raise
@@ -220,9 +223,9 @@ def _named(test: str, figures: FiguresOfMerit) -> FiguresOfMerit:
 def _cycle(test: str) -> Callable[..., Reduced]:
     """The reduction of a slow cycle."""
 
-    def reduce(source, values, at, options, rated) -> Reduced:
-        record = AcceptanceRecord(source=source, values=dither_of(at).means(values))
-        figures = record_figures(record, test, rated_current=None if test == "flow-load" else rated, **options)
+    def reduce(source, values, at, meter, rated, options) -> Reduced:
+        record = AcceptanceRecord(source=source, values=dither_of(at).means(values), options=options.acceptance)
+        figures = record_figures(record, test, rated_current=None if test == "flow-load" else rated, **meter)
         figures = tuple(one for one in figures if one.name != "threshold")  # of a record of its own
         if test == "flow-load":
             figures = tuple(replace(one, name=f"{one.name}_positive") for one in figures)
@@ -233,10 +236,10 @@ def _cycle(test: str) -> Callable[..., Reduced]:
 
 
 def _output(source: str, values: Mapping[str, np.ndarray]) -> str:
-    for name in OUTPUTS:
+    for name in DYNAMIC_OUTPUTS:
         if name in values:
             return name
-    raise InputError(f"{source}: no output; expected one of {', '.join(OUTPUTS)}")
+    raise InputError(f"{source}: no output; expected one of {', '.join(DYNAMIC_OUTPUTS)}")
 
 
 def _needs(source: str, values: Mapping[str, np.ndarray], name: str) -> np.ndarray:
@@ -245,34 +248,35 @@ def _needs(source: str, values: Mapping[str, np.ndarray], name: str) -> np.ndarr
     return values[name]
 
 
-def _threshold(source, values, at, options, rated) -> Reduced:
-    record = AcceptanceRecord(source=source, values=dither_of(at).means(values))
+def _threshold(source, values, at, meter, rated, options) -> Reduced:
+    record = AcceptanceRecord(source=source, values=dither_of(at).means(values), options=options.acceptance)
     return Reduced(_named("flow", (measured_threshold(record, _output(source, values), rated_current=rated),)))
 
 
-def _step(source, values, at, options, rated) -> Reduced:
+def _step(source, values, at, meter, rated, options) -> Reduced:
     current, output = _needs(source, values, "current"), _output(source, values)
     dither, last = dither_of(at), slice(-len(current) // 3, None)  # by then the step has settled
     current, moved = (dither.taken_off(values["time"], column, last) for column in (current, values[output]))
     amplitude = abs(float(np.median(current[-3:]) - np.median(current[:3]))) / rated
-    figures = step_figures(values["time"], current, moved, unit=UNITS[output])
+    figures = step_figures(values["time"], current, moved, unit=MEASURED_UNITS[output])
     return Reduced(figures, {"amplitude": amplitude})
 
 
-def _chirp(source, values, at, options, rated) -> Reduced:
+def _chirp(source, values, at, meter, rated, options) -> Reduced:
     current, output = _needs(source, values, "current"), _output(source, values)
-    response = spectral_response(values["time"], current, values[output], channel=output)
+    response = spectral_response(values["time"], current, values[output], channel=output, options=options.response)
     return Reduced(response.figures, {"amplitude": response.amplitude / rated}, response)
 
 
-def _sine(source, values, at, options, rated) -> Reduced:
+def _sine(source, values, at, meter, rated, options) -> Reduced:
     if "frequency" not in at:
         raise InputError(f"{source}: the frequency of a sine is missing, such as frequency = '40 Hz'")
     current, output = _needs(source, values, "current"), _output(source, values)
     point = fit_sine(values["time"], current, values[output], at["frequency"], dither=_fitted_beside(at))
     lag = float(-np.rad2deg(np.angle(point.gain)))
     figures = (
-        FigureOfMerit("gain", float(np.abs(point.gain)), f"{UNITS[output]}/A", "amplitude of output over current"),
+        FigureOfMerit("gain", float(np.abs(point.gain)), f"{MEASURED_UNITS[output]}/A",
+                      "amplitude of output over current"),
         FigureOfMerit("phase_lag", lag + 360.0 * (lag < -90.0), "deg", "output behind the current"),
     )
     return Reduced(figures, {"amplitude": point.input_amplitude / rated})
@@ -283,15 +287,15 @@ def _fitted_beside(at: Mapping[str, float]) -> float:
     return dither_of(at).frequency if at.get("dither_amplitude") else 0.0
 
 
-def _coil(source, values, at, options, rated) -> Reduced:
+def _coil(source, values, at, meter, rated, options) -> Reduced:
     figures = coil_figures(
         values["time"], _needs(source, values, "voltage"), _needs(source, values, "current"),
-        temperature=at.get("oil_temperature"),
+        temperature=at.get("oil_temperature"), options=options.acceptance,
     )  # fmt: skip
     return Reduced(_named("coil", figures))
 
 
-_REDUCTIONS: dict[str, Callable[..., Reduced]] = {name: _cycle(name) for name in CYCLES} | {
+_REDUCTIONS: dict[str, Callable[..., Reduced]] = {name: _cycle(name) for name in CYCLE_TESTS} | {
     "threshold": _threshold, "step": _step, "chirp": _chirp, "sine": _sine, "coil": _coil,
 }  # fmt: skip
 
@@ -299,7 +303,9 @@ _REDUCTIONS: dict[str, Callable[..., Reduced]] = {name: _cycle(name) for name in
 # ---------------------------------------------------------------- several records
 
 
-def _join_sines(results: Sequence[MeasuredResult], rated: float) -> list[MeasuredResult]:
+def _join_sines(
+    results: Sequence[MeasuredResult], rated: float, options: CharacterisationOptions
+) -> list[MeasuredResult]:
     """Sines of one amplitude, oil temperature and supply as one frequency response; one alone stays a sine."""
     groups: dict[tuple[float, ...], list[MeasuredResult]] = {}
     joined = [one for one in results if one.test != "sine"]
@@ -317,7 +323,7 @@ def _join_sines(results: Sequence[MeasuredResult], rated: float) -> list[Measure
                 fit_sine(one.values["time"], one.values["current"], output, one.conditions["frequency"],
                          dither=_fitted_beside(one.conditions))
             )  # fmt: skip
-        response = join_points(points, share=group[0].conditions["amplitude"])
+        response = join_points(points, share=group[0].conditions["amplitude"], options=options.response)
         at = {name: value for name, value in group[0].conditions.items() if name != "frequency"}
         joined.append(MeasuredResult(
             test="sine", source=f"{len(group)} records", conditions=at, figures=response.figures, values={},

@@ -13,11 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, ReductionOptions
 from valvesim.errors import InputError, SolveError, unknown_name
-
-LOWEST, HIGHEST = 0.1, 1e4  # Hz, between which bandwidths are looked for
-FIT_POINTS = 200  # of a reduced form, even in log frequency
-FIT_DECADES = 2.0  # below the upper end of the fit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +28,10 @@ class Bandwidth:
     phase_frequency: float
 
 
-def bandwidth(system: Any, *, output: str = "spool_position", source: str = "current") -> Bandwidth:
+def bandwidth(
+    system: Any, *, output: str = "spool_position", source: str = "current",
+    options: ReductionOptions = DEFAULT_CHARACTERISATION.reduction,
+) -> Bandwidth:  # fmt: skip
     """-3 dB and -90° frequencies of one output over one input (-3 dB is 10^(-3/20)); figures of ISO 10770-1.
 
     `system` is a linear system of python-control; the names are not looked at where it has but one input and output.
@@ -40,7 +40,7 @@ def bandwidth(system: Any, *, output: str = "spool_position", source: str = "cur
     from scipy.optimize import brentq
 
     H = _response(system, output, source)
-    log_f = np.linspace(np.log(LOWEST), np.log(HIGHEST), 2001)
+    log_f = np.linspace(np.log(options.lowest_frequency), np.log(options.highest_frequency), 2001)
     values = H(np.exp(log_f))
 
     def first(measure: Callable) -> float:
@@ -105,7 +105,7 @@ class ReducedModel:
 
 def reduced(
     system: Any, order: int, *, highest_frequency: float | None = None, output: str = "spool_position",
-    source: str = "current",
+    source: str = "current", options: ReductionOptions = DEFAULT_CHARACTERISATION.reduction,
 ) -> ReducedModel:  # fmt: skip
     """The usual second- or third-order form of a transfer function, fitted to its frequency response.
 
@@ -120,11 +120,11 @@ def reduced(
 
     if order not in (2, 3):
         raise InputError(f"reduced: order = {order} must be 2 or 3")
-    lag = bandwidth(system, output=output, source=source).phase_frequency
+    lag = bandwidth(system, output=output, source=source, options=options).phase_frequency
     top = 2.0 * lag if highest_frequency is None else float(highest_frequency)
     if not (np.isfinite(top) and top > 0.0):
         raise InputError(f"reduced: highest_frequency = {top} Hz must be positive (the -90° frequency is {lag} Hz)")
-    frequencies = np.geomspace(top / 10.0**FIT_DECADES, top, FIT_POINTS)
+    frequencies = np.geomspace(top / 10.0**options.decades, top, options.points)
     H = _response(system, output, source)(frequencies)
     s = 2j * np.pi * frequencies
 

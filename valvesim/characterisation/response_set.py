@@ -17,6 +17,7 @@ from valvesim.characterisation.frequency_response import (
     frequency_response,
 )
 from valvesim.characterisation.held_scenario import Source, held, held_oil_temperature, rated_command
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, ResponseOptions
 from valvesim.characterisation.specification import Specification
 from valvesim.characterisation.spectral_response import chirp_response
 from valvesim.characterisation.step_response import StepResponse, step_response
@@ -24,7 +25,7 @@ from valvesim.inputs import evaluate
 from valvesim.shown import Shown, notebook
 from valvesim.units import reads_units
 
-STEPS, SWEEPS = (0.05, 0.25, 1.0), (0.1, 0.25, 0.4, 1.0)  # shares of the rated current
+STEP_AMPLITUDES, SINE_AMPLITUDES = (0.05, 0.25, 1.0), (0.1, 0.25, 0.4, 1.0)  # shares of the rated current
 OF_A_STEP = ("time_to_90_percent", "rise_time", "overshoot")
 
 
@@ -50,9 +51,10 @@ class ResponseSet(Shown):
 @reads_units(oil_temperatures="degC", part_temperature="degC", frequencies="Hz")
 def measure_responses(
     source: Source, *, oil_temperatures: Sequence[float] | None = None, part_temperature: float | None = None,
-    steps: Sequence[float] = STEPS, sweeps: Sequence[float] = SWEEPS, frequencies: Sequence[float] = FREQUENCIES,
-    chirp: bool = True, output: str = "spool_position", workers: int = 1, dither: Dither = NO_DITHER,
-    progress: Callable[[float], None] | None = None,
+    steps: Sequence[float] = STEP_AMPLITUDES, sweeps: Sequence[float] = SINE_AMPLITUDES,
+    frequencies: Sequence[float] = FREQUENCIES, chirp: bool = True, output: str = "spool_position", workers: int = 1,
+    dither: Dither = NO_DITHER, progress: Callable[[float], None] | None = None,
+    options: ResponseOptions = DEFAULT_CHARACTERISATION.response,
 ) -> tuple[ResponseSet, ...]:  # fmt: skip
     """Steps, stepped sines and chirps at every oil temperature (°C; by default the source's own at its start).
 
@@ -73,7 +75,10 @@ def measure_responses(
     sets = []
     for temperature in temperatures:
         base = held(source, oil_temperature=temperature, part_temperature=part_temperature)
-        stepped = tuple(step_response(base, amplitude=share * rated, output=output, dither=dither) for share in steps)
+        stepped = tuple(
+            step_response(base, amplitude=share * rated, output=output, dither=dither, options=options)
+            for share in steps
+        )
         swept, chirped = [], []
         for share in sweeps:
             swept.append(
@@ -85,6 +90,7 @@ def measure_responses(
                     workers=workers,
                     dither=dither,
                     progress=tell,
+                    options=options,
                 )  # fmt: skip
             )
             done += 1
@@ -93,7 +99,7 @@ def measure_responses(
                 chirped.append(
                     chirp_response(
                         base, amplitude=share * rated, low=band["low"], high=band["high"], output=output,
-                        dither=dither, progress=tell,
+                        dither=dither, progress=tell, options=options,
                     )  # fmt: skip
                 )
                 done += 1
@@ -106,14 +112,14 @@ def measure_responses(
 def amplitudes_of(specification: Specification | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """(steps, sweeps), shares of rated: the usual ones, and those at which a specification has limits."""
     limits = () if specification is None else specification.limits
-    asked = {True: set(STEPS), False: set(SWEEPS)}
+    asked = {True: set(STEP_AMPLITUDES), False: set(SINE_AMPLITUDES)}
     for limit in limits:
         if "amplitude" in limit.conditions:
             asked[limit.figure in OF_A_STEP].add(limit.conditions["amplitude"])
     return tuple(sorted(asked[True])), tuple(sorted(asked[False]))
 
 
-def tests_of(
+def response_tests(
     sets: Sequence[ResponseSet], source: Source, specification: Specification | None = None
 ) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:
     """Every step and sweep as (title, conditions by the names of a specification's, figures), SI.

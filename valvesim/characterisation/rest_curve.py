@@ -17,15 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, RestCurveOptions
 from valvesim.errors import ValidityWarning
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
 from valvesim.valve.equations import FLOW_FORCE_FACTOR, fixed_orifice_flow, main_stage
 from valvesim.valve.equilibrium import balances_at_rest, chamber_pressure, nozzle_pressures
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
-
-NODES, DENSITY = 81, 3.5  # angles of a characteristic, and how dense they are about null
-FALSE_POSITIONS = 7  # steps from two angles to the one in between
 
 
 def columns_of(c: Coefficients) -> Coefficients:
@@ -53,6 +51,7 @@ class RestCurve:
     back: float
     angle: np.ndarray
     pressures: tuple[np.ndarray, np.ndarray]
+    options: RestCurveOptions = DEFAULT_CHARACTERISATION.rest_curve
 
     def pressures_at(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pressures of the chambers at angles (k, n), exactly."""
@@ -102,7 +101,7 @@ class RestCurve:
         low, high = (np.take_along_axis(self.angle, upper - step, axis=-1) for step in (1, 0))
         below, above = (np.take_along_axis(values, upper - step, axis=-1) - wanted for step in (1, 0))
         angle, pressures = low, self.pressures
-        for _ in range(FALSE_POSITIONS):
+        for _ in range(self.options.false_positions):
             share = np.where(above > below, -below / np.where(above > below, above - below, 1.0), 0.5)
             angle = low + np.clip(share, 0.0, 1.0) * (high - low)
             pressures = self.pressures_at(angle)
@@ -125,22 +124,28 @@ class RestCurve:
         return share * unit, x
 
 
-def rest_curve(valve: Valve, conditions: Mapping[str, float], oil: Oil) -> RestCurve:
+def rest_curve(
+    valve: Valve, conditions: Mapping[str, float], oil: Oil, *,
+    options: RestCurveOptions = DEFAULT_CHARACTERISATION.rest_curve,
+) -> RestCurve:  # fmt: skip
     """The rests of a batch of valves at supply and return pressure and oil temperature, by name in SI."""
     supply, back, temperature = (conditions[n] for n in ("supply_pressure", "return_pressure", "oil_temperature"))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ValidityWarning)
         own = replace(valve, supply_pressure=supply, return_pressure=back, load_pressure=0.0)
         c = own.at(PartTemperatures.uniform(temperature), oil=oil)
-    return rest_curve_of(c, supply, back)
+    return rest_curve_of(c, supply, back, options=options)
 
 
-def rest_curve_of(c: Coefficients, supply: float, back: float) -> RestCurve:
+def rest_curve_of(
+    c: Coefficients, supply: float, back: float, *,
+    options: RestCurveOptions = DEFAULT_CHARACTERISATION.rest_curve,
+) -> RestCurve:  # fmt: skip
     """The rests from coefficients (k,): of a batch of valves, or of one valve at many temperatures of its parts."""
-    c = columns_of(c)
-    nodes = np.sinh(np.linspace(-DENSITY, DENSITY, NODES)) / np.sinh(DENSITY)
+    c, density = columns_of(c), options.density
+    nodes = np.sinh(np.linspace(-density, density, options.angles)) / np.sinh(density)
     angle = nodes * 0.98 * np.minimum(c.null_gap_1, c.null_gap_2) / c.nozzle_arm
-    return RestCurve(c, supply, back, angle, _chambers(c, supply, back, angle))
+    return RestCurve(c, supply, back, angle, _chambers(c, supply, back, angle), options)
 
 
 def _chambers(c: Coefficients, supply: float, back: float, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from valvesim.characterisation.dither import CONDITIONS as DITHER
+from valvesim.characterisation.dither import DITHER_CONDITIONS
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
 from valvesim.errors import InputError, unknown_name
 from valvesim.io import check_known, check_printable, check_tables, located, read_toml
@@ -56,7 +56,7 @@ CONDITIONS = {
 }
 """What a test may be done at."""
 COMMON = ("supply_pressure", "return_pressure", "oil_temperature")
-HELD = (*COMMON, *DITHER)
+HELD = (*COMMON, *DITHER_CONDITIONS)
 """Conditions that may also be of a whole specification, or of all records of a valve."""
 
 

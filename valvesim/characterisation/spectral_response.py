@@ -22,9 +22,10 @@ from valvesim.characterisation.held_scenario import (
     held,
     held_oil_temperature,
     output_of,
+    output_unit,
     rated_command,
-    unit_of,
 )
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, ResponseOptions
 from valvesim.characterisation.record_checks import (
     check_amplitude,
     check_frequencies,
@@ -38,9 +39,6 @@ from valvesim.inputs import Chirp
 from valvesim.simulation.result import Result
 from valvesim.simulation.run import simulate
 from valvesim.units import in_si, reads_units
-
-CHIRP_REST = 0.5  # s before and after a simulated chirp: the length of a window, which tapers its ends
-EXCITED = 1e-3  # share of the input's greatest power density above which a frequency counts as excited
 
 
 def _checked_chirp(
@@ -66,6 +64,7 @@ def _checked_chirp(
 def spectral_response(
     time, command, output, *, low: float | None = None, high: float | None = None, resolution: float | None = None,
     channel: str = "output", share: float = float("nan"), oil_temperature: float = float("nan"),
+    options: ResponseOptions = DEFAULT_CHARACTERISATION.response,
 ) -> FrequencyResponse:  # fmt: skip
     """Frequency response from the record of one chirp (or noise), arrays (n_t,): time s, command and output.
 
@@ -92,12 +91,12 @@ def spectral_response(
             f"chirp record: a resolution of {width:.3g} Hz makes windows of {window} of its {len(t)} samples; between "
             "16 and half of the record are needed"
         )
-    options: Any = {"fs": rate, "window": "hann", "nperseg": window, "noverlap": 3 * window // 4}
-    f, P_uu = signal.welch(u, **options)
-    _, P_yy = signal.welch(y, **options)
-    _, P_uy = signal.csd(u, y, **options)
+    welch: Any = {"fs": rate, "window": "hann", "nperseg": window, "noverlap": 3 * window // 4}
+    f, P_uu = signal.welch(u, **welch)
+    _, P_yy = signal.welch(y, **welch)
+    _, P_uy = signal.csd(u, y, **welch)
     inside = (f >= max(2.0 * width, low or 0.0)) & (f <= min(rate / FEWEST_A_CYCLE, high or np.inf))
-    inside &= P_uu > EXCITED * np.max(P_uu)
+    inside &= P_uu > options.excited * np.max(P_uu)
     if int(inside.sum()) < 3:
         raise InputError(
             f"chirp record: the command excites fewer than three points between {low or f[1]:.4g} and "
@@ -116,6 +115,7 @@ def spectral_response(
         distortion=np.full(int(inside.sum()), np.nan),
         residual=np.full(int(inside.sum()), np.nan),
         coherence=coherence[inside],
+        options=options,
     )
 
 
@@ -138,10 +138,11 @@ def chirp_response(
     source: Source, *, amplitude: float, low: float = 5.0, high: float = 500.0, duration: float = 6.0,
     oil_temperature: float | None = None, part_temperature: float | None = None, output: str = "spool_position",
     bias: float = 0.0, dither: Dither = NO_DITHER, progress: Callable[[float], None] | None = None,
+    options: ResponseOptions = DEFAULT_CHARACTERISATION.response,
 ) -> FrequencyResponse:  # fmt: skip
     """Simulate one chirp, even in hertz from `low`/5 to 1.1 `high` Hz, and take its `spectral_response`.
 
-    A rest of `CHIRP_REST` s stands before and after it. Sampled at 20 samples a cycle of the highest frequency. A
+    A rest of `chirp_rest` s stands before and after it. Sampled at 20 samples a cycle of the highest frequency. A
     `dither` comes upon it all. Other arguments as in `frequency_response`.
     Raises InputError for a band that does not rise, an amplitude that is not positive, and as `spectral_response`.
     """
@@ -149,20 +150,21 @@ def chirp_response(
     amplitude, bias = (in_si(each, base.drive.command_unit, "chirp response") for each in (amplitude, bias))
     check_amplitude(amplitude)
     check_frequencies(np.array([low, high]))
-    unit_of(base, output)
+    output_unit(base, output)
     if low >= high:
         raise InputError(f"chirp response: low = {low:g} Hz must be below high = {high:g} Hz")
     start, end = low / 5.0, 1.1 * high
     command = Chirp(
-        amplitude=amplitude, start_frequency=start, end_frequency=end, duration=duration, offset=bias, time=CHIRP_REST
+        amplitude=amplitude, start_frequency=start, end_frequency=end, duration=duration, offset=bias,
+        time=options.chirp_rest,
     )
     case = replace(
-        base, command=dither.upon(command, rated_command(base)), duration=duration + 2.0 * CHIRP_REST,
+        base, command=dither.upon(command, rated_command(base)), duration=duration + 2.0 * options.chirp_rest,
         output_rate=20.0 * max(end, dither.frequency if dither.amplitude else 0.0),
     )  # fmt: skip
     result = simulate(case, progress=progress)
     taken = spectral_response(
         result.time, command_of(result), output_of(result, output), low=low, high=high, channel=output,
-        share=amplitude / rated_command(base), oil_temperature=held_oil_temperature(base),
+        share=amplitude / rated_command(base), oil_temperature=held_oil_temperature(base), options=options,
     )  # fmt: skip
     return replace(taken, amplitude=amplitude)

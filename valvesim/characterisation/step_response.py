@@ -22,9 +22,10 @@ from valvesim.characterisation.held_scenario import (
     held,
     held_oil_temperature,
     output_of,
+    output_unit,
     rated_command,
-    unit_of,
 )
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, ResponseOptions
 from valvesim.characterisation.record_checks import checked_record, flat_share
 from valvesim.errors import InputError
 from valvesim.inputs import Step, evaluate
@@ -54,7 +55,6 @@ class StepResponse:
         return step_figures(self.time, self.command, self.output, unit=self.unit)
 
 
-DITHERED = 0.05  # s of dither before a step
 _STEP_DOCS = {
     "time_to_90_percent": "from the step of the command until the output first reaches 90 % of its change",
     "rise_time": "between first reaching 10 % and 90 % of the change",
@@ -205,21 +205,21 @@ def _dead(t: np.ndarray, s: np.ndarray, noise: float, t_step: float) -> float:
 def step_response(
     source: Source, *, amplitude: float, oil_temperature: float | None = None, part_temperature: float | None = None,
     output: str = "spool_position", bias: float = 0.0, duration: float = 0.06, output_rate: float = 100e3,
-    dither: Dither = NO_DITHER,
+    dither: Dither = NO_DITHER, options: ResponseOptions = DEFAULT_CHARACTERISATION.response,
 ) -> StepResponse:  # fmt: skip
     """Simulate a step of the command from `bias` by `amplitude` (A, or V of a scenario that is driven by voltage).
 
     `source` is a valve or a scenario whose oil, pressures, drive, thermal state and effects act (see `held`); the step
     is 2 ms after the start and `duration` s of it are recorded. `output` is any channel of a result. A `dither` has
-    acted for `DITHERED` s before; command and output are told without its sine.
+    acted for `dither_time` s before; command and output are told without its sine.
     Raises InputError for an amplitude of zero or NaN, an unknown channel, and as `simulate` does.
     """
     base = held(source, oil_temperature=oil_temperature, part_temperature=part_temperature)
     amplitude, bias = (in_si(each, base.drive.command_unit, "step response") for each in (amplitude, bias))
     if not np.isfinite(amplitude) or amplitude == 0.0:
         raise InputError(f"step response: amplitude = {amplitude:g} must be a number other than zero")
-    unit = unit_of(base, output)
-    wait = DITHERED if dither.amplitude else 0.0
+    unit = output_unit(base, output)
+    wait = options.dither_time if dither.amplitude else 0.0
     step = Step(before=bias, after=bias + amplitude, time=wait + 0.002)
     command = dither.upon(step, rated_command(base))
     result = simulate(replace(base, command=command, duration=wait + 0.002 + duration, output_rate=output_rate))

@@ -19,7 +19,7 @@ from valvesim.valve.equilibrium import static_solution
 
 QUANTITIES = ("armature_angle", "spool_position")
 SCALES = {channel.name: channel.scale for channel in STATE_CHANNELS}
-STILL = 1e-3  # share of its scale below which a quantity counts as not moving
+LEAST_MOTION = 1e-3  # share of its scale below which a quantity counts as not moving
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +109,7 @@ def observed_drift(result: Result, cold: Result, *, windows: int = 60) -> tuple[
     drifts = {}
     for name in QUANTITIES:
         warm_values, cold_values = result.values[name], cold.values[name]
-        floor = 1e-3 * max(np.max(np.abs(cold_values)), STILL * SCALES[name]) ** 2
+        floor = 1e-3 * max(np.max(np.abs(cold_values)), LEAST_MOTION * SCALES[name]) ** 2
         gains = []
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             if b > a:

@@ -32,8 +32,8 @@ def datasheet(
     settings: tuple[str, ...],
 ) -> None:  # fmt: skip
     """The datasheet of a valve at any oil temperatures: datasheet.html and datasheet.pdf, pictures inside."""
-    from valvesim.characterisation.datasheet import measure, tests_of
-    from valvesim.characterisation.judgement_table import HEADINGS, judgement_rows, rows_of
+    from valvesim.characterisation.datasheet import datasheet_tests, measure
+    from valvesim.characterisation.judgement_table import VERDICT_HEADINGS, judgement_rows, rows_of
     from valvesim.characterisation.specification import COMMON
     from valvesim.reports.datasheet import datasheet_report
     from valvesim.simulation.scenario_toml import read_tables
@@ -47,13 +47,13 @@ def datasheet(
             own.valve, own.oil, effects=own.effects, oil_temperatures=temperatures,
             progress=lambda share: bar.update(stage, completed=share),
         )  # fmt: skip
-        tests = tests_of(sheet, limits)
+        tests = datasheet_tests(sheet, limits)
         judged = judged_by(limits, tests, valve=own.valve)
         written = datasheet_report(sheet, folder, judged=judged, date=date.today())
     if form != "table":
         print_rows(rows_of(tests, judged), form)
     else:
         if judged:
-            print_table("verdicts", HEADINGS, judgement_rows(judged, COMMON))
+            print_table("verdicts", VERDICT_HEADINGS, judgement_rows(judged, COMMON))
         print_written([output / path.name for path in written])
     end_on_failure(judged)

@@ -34,7 +34,7 @@ def console() -> Console:
         def render(self, *arguments: Any, **options: Any) -> Iterator[Segment]:
             for segment in super().render(*arguments, **options):
                 plain = segment.control or segment.text == "\n" or segment.text.isprintable()
-                yield segment if plain else Segment(shown(segment.text), segment.style)
+                yield segment if plain else Segment(printable(segment.text), segment.style)
 
         def on_broken_pipe(self) -> None:
             raise  # it is called where the error is handled
@@ -42,7 +42,7 @@ def console() -> Console:
     return SafeConsole(highlight=False, width=None if sys.stdout.isatty() else 160)
 
 
-def shown(text: str) -> str:
+def printable(text: str) -> str:
     """A text with its control characters, all but the ends of lines, as escapes."""
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
@@ -109,17 +109,17 @@ def print_rows(rows: Sequence[Mapping[str, Any]], form: str) -> None:
 
 def print_figures(tests: Tests, form: str, judged: Sequence[Judgement] = (), written: Sequence[Path] = ()) -> None:
     """Tests with their figures as tables, "json" or "csv", the verdicts on them, and the files that were written."""
-    from valvesim.characterisation.figure_of_merit import table
-    from valvesim.characterisation.judgement_table import FIGURE_HEADINGS, HEADINGS, judgement_rows, rows_of
+    from valvesim.characterisation.figure_of_merit import merit_rows
+    from valvesim.characterisation.judgement_table import FIGURE_HEADINGS, VERDICT_HEADINGS, judgement_rows, rows_of
     from valvesim.characterisation.specification import COMMON
 
     if form != "table":
         print_rows(rows_of(tests, judged), form)
         return
     for title, _, figures in tests:
-        print_table(title, FIGURE_HEADINGS, table(figures))
+        print_table(title, FIGURE_HEADINGS, merit_rows(figures))
     if judged:
-        print_table("verdicts", HEADINGS, judgement_rows(judged, COMMON))
+        print_table("verdicts", VERDICT_HEADINGS, judgement_rows(judged, COMMON))
     print_written(written)
 
 

@@ -39,12 +39,12 @@ def fmu(
 
     SCENARIO|VALVE is a scenario file, a valve file, or one that comes along by its name.
     """
-    from valvesim.export.fmu import check_own, export_fmu
+    from valvesim.export.fmu import check_replaceable, export_fmu
     from valvesim.export.reference_results import write_reference
     from valvesim.export.source import load_source
 
     case = load_source(source, settings=settings, valve=valve, effects=effects)
-    check_own(output, overwrite=overwrite)
+    check_replaceable(output, overwrite=overwrite)
     written = export_fmu(case, output, version=fmi, compiler=compiler)
     told = f"binary for {written.binary.split('/')[1]}" if written.binary else "C sources alone, no binary"
     click.echo(

@@ -64,7 +64,7 @@ def _print(found: Identification) -> None:
         condition_text,
         interval_text,
         limit_text,
-        value_text,
+        value_cells,
     )
     from valvesim.characterisation.specification import COMMON
 
@@ -75,7 +75,7 @@ def _print(found: Identification) -> None:
     common, rows = found.specification.conditions.items(), []
     for one in found.figures:
         limit = one.asked.limit
-        value, error, unit = value_text(one.value, limit.unit, one.deviation)
+        value, error, unit = value_cells(one.value, limit.unit, one.deviation)
         at = condition_text(dict(limit.conditions.items() - common))
         told = (limit.figure.replace("_", " "), at, asked_text(limit))
         rows.append((*told, value, error, unit, "yes" if one.reached else "NO"))
@@ -90,7 +90,7 @@ def _print(found: Identification) -> None:
     screen = console()
     for conflict in found.conflicts:
         limit = conflict.figure.limit
-        value, _, unit = value_text(conflict.reached, limit.unit)
+        value, _, unit = value_cells(conflict.reached, limit.unit)
         others = " or ".join(named(a.limit) for a in conflict.against)
         against = f"; it goes once {others} is given up" if others else ""
         missed = f"{named(limit)} of {limit_text(limit)} is not reached ({value} {unit}){against}"
@@ -103,7 +103,7 @@ def _print(found: Identification) -> None:
     if further:
         print_table("expected of what was not told", ("figure", "condition", "value", "value, 95 %", "unit"), further)
     for following in found.next_figures[:1]:
-        value, error, unit = value_text(following.expected, following.limit.unit, following.deviation)
+        value, error, unit = value_cells(following.expected, following.limit.unit, following.deviation)
         screen.print(escape(
             f"measure next: {named(following.limit)}, expected {value} ± {error} {unit}; it narrows "
             f"{following.narrows.replace('_', ' ')} to {following.after / following.before:.0%} of what is open"

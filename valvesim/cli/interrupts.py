@@ -22,7 +22,7 @@ from valvesim.temporary_files import MOVING, remove_all
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 MESSAGE = "interrupted; nothing half-written is left"
-PATIENCE = 0.5  # s, that moving results and ending worker processes are waited for
+CLEANUP_TIME = 0.5  # s, that moving results and ending worker processes are waited for
 
 _ending = threading.Event()
 
@@ -126,13 +126,13 @@ def _wait(heard: socket.socket) -> None:
 
 def _end(number: int) -> None:
     try:
-        MOVING.acquire(timeout=PATIENCE)  # and never given back
+        MOVING.acquire(timeout=CLEANUP_TIME)  # and never given back
         workers = multiprocessing.active_children()
         for worker in workers:
             worker.kill()
         _kill_programs()
         for worker in workers:
-            worker.join(PATIENCE)
+            worker.join(CLEANUP_TIME)
         remove_all()
         bar = "\r\x1b[2K\x1b[?25h" if sys.stderr is not None and sys.stderr.isatty() else ""
         os.write(2, f"{bar}error: {MESSAGE}\n".encode())

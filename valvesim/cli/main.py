@@ -24,14 +24,14 @@ from valvesim.cli.permissions import with_permissions
 from valvesim.cli.streams import CLOSED_PIPE, drop_output, prepare_streams
 from valvesim.errors import InputError, SolveError, ValidityWarning, nearest, one_line
 
-SECTIONS = {  # of the help, each with its commands
+COMMAND_SECTIONS = {  # of the help, each with its commands
     "Simulate": ("run", "scenarios", "static", "study", "open"),
     "Characterise": ("bench", "response", "datasheet", "identify", "reproduce"),
     "Measured records": ("records", "acceptance", "plan", "diagnose"),
     "Look up": ("parameters", "effects", "oils"),
     "Hand on": ("export",),
 }
-COMMANDS = tuple(sorted(name for names in SECTIONS.values() for name in names))
+COMMAND_NAMES = tuple(sorted(name for names in COMMAND_SECTIONS.values() for name in names))
 
 
 class ClosedPipe(Exception):
@@ -48,21 +48,21 @@ class _Commands(click.Group):
             raise ClosedPipe from None  # or click would make a failure of it
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
+        return list(COMMAND_NAMES)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS:
+        if cmd_name not in COMMAND_NAMES:
             return None
         return with_permissions(getattr(import_module(f"valvesim.cli.{cmd_name}"), cmd_name))
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
-            raise click.UsageError(f"no command {args[0]!r}{nearest(args[0], COMMANDS)}", ctx)
+        if args and not args[0].startswith("-") and args[0] not in COMMAND_NAMES:
+            raise click.UsageError(f"no command {args[0]!r}{nearest(args[0], COMMAND_NAMES)}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Each with the first sentence of its help, in full."""
-        for heading, names in SECTIONS.items():
+        for heading, names in COMMAND_SECTIONS.items():
             rows = []
             for name in names:
                 command = self.get_command(ctx, name)

@@ -13,7 +13,7 @@ from valvesim.cli.display import console, print_rows, print_table, print_written
 from valvesim.cli.options import columns_option, format_option, output_option
 from valvesim.cli.output_folder import all_or_nothing
 
-HEADINGS = (
+CHANNEL_HEADINGS = (
     "channel", "column", "least", "greatest", "unit", "Hz", "readings", "missing", "longest gap [s]", "noise",
     "resolution", "saturated",
 )  # fmt: skip
@@ -79,7 +79,7 @@ def _print_survey(found: Any, qualities: Any) -> None:
         print_table(f"{name}: columns as they stand in the file", ("column", "unit"), found.columns)
         return
     table = titled_table(f"{name}: {_clock_text(found.recording)}")
-    for heading in HEADINGS:
+    for heading in CHANNEL_HEADINGS:
         table.add_column(escape(heading), justify="left" if heading in ("channel", "column", "unit") else "right")
     for one in qualities:
         table.add_row(*map(escape, _row(one)))

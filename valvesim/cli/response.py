@@ -39,7 +39,7 @@ def response(
     Also at the amplitudes and frequencies of --spec. Of the reference valve, of --valve, or of the valve, oil, drive
     and effects of a SCENARIO.
     """
-    from valvesim.characterisation.response_set import amplitudes_of, measure_responses, tests_of
+    from valvesim.characterisation.response_set import amplitudes_of, measure_responses, response_tests
     from valvesim.reports.response import response_report
     from valvesim.reports.title_block import valve_name
     from valvesim.simulation.scenario import Scenario, Thermal
@@ -61,7 +61,7 @@ def response(
             progress=lambda share: bar.update(stage, completed=share),
         )
         paths = response_report(sets, folder, valve=valve_name(source.valve), date=date.today())
-    tests = tests_of(sets, source, limits)
+    tests = response_tests(sets, source, limits)
     judged = judged_by(limits, tests)
     print_figures(tests, form, judged, [output / path.name for path in paths])
     end_on_failure(judged)

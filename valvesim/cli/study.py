@@ -127,20 +127,19 @@ def _print_result(findings: Any) -> None:
     from valvesim.studies import summary
 
     result, screen = findings.result, console()
-    print_table(result.study.title, page.FIGURES, summary.figure_rows(result))
+    print_table(result.study.title, page.FIGURE_COLUMNS, summary.figure_rows(result))
     if result.criteria:
-        print_table("limits", page.LIMITS, summary.limit_rows(result))
+        print_table("limits", page.LIMIT_COLUMNS, summary.limit_rows(result))
     for one in findings.indices:
         kind = "Sobol indices" if one.are_sobol else f"by regression, R² {one.explained:.3f}"
-        print_table(
-            f"{one.figure}: share of the variance, {kind}", page.INDICES, summary.index_rows(findings, one.figure, 5)
-        )
+        rows = summary.index_rows(findings, one.figure, 5)
+        print_table(f"{one.figure}: share of the variance, {kind}", page.INDEX_COLUMNS, rows)
     if rows := summary.halved_rows(findings, 5):
-        print_table("which tolerance to tighten", page.HALVED, rows)
+        print_table("which tolerance to tighten", page.HALVED_COLUMNS, rows)
         screen.print(summary.plan_words(findings), markup=False)
     if result.criteria:
         own = result.yield_
-        screen.print(f"yield {summary.percent(own.share)} ({summary.interval_text(own)}, 95 %)")
+        screen.print(f"yield {summary.percent_text(own.share)} ({summary.yield_interval_text(own)}, 95 %)")
     for name in result.unjudged:
         screen.print(f"not judged: {name}, which no kept figure shows")
     for count, first, reason in summary.failure_rows(result, 3):

@@ -13,7 +13,7 @@ from valvesim.diagnosis.result import OTHER_VALVE, RECORDS_APART, Term, WhatToDo
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.prior import NETWORK
 from valvesim.valve.effect import Advice
-from valvesim.valve.thermal_network import NODES, ends_of, heat_words
+from valvesim.valve.thermal_network import THERMAL_NODES, ends_of, heat_words
 
 
 def advice_on_causes(in_set: Sequence[FittedHypothesis], unknown_reason: str) -> tuple[WhatToDo, ...]:
@@ -55,7 +55,7 @@ def _of_candidate(candidate: Candidate) -> Advice | None:
 
 def _of_heat_path(name: str) -> Advice:
     """What to do about a figure of the thermal network."""
-    parts = [end for end in ends_of(name) if end.replace(" ", "_") in NODES]
+    parts = [end for end in ends_of(name) if end.replace(" ", "_") in THERMAL_NODES]
     return Advice(
         part=f"heat path of the {' and the '.join(parts)}: the {heat_words(name)}",
         inspect=f"thermometers at the {' and the '.join(parts)}, or next to it, during a warm-up",

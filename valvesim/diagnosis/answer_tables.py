@@ -16,7 +16,7 @@ from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.study import Study
 
-UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *SIGNAL_CHANNELS)}
+CHANNEL_UNITS = {channel.name: channel.unit for channel in (*STATE_CHANNELS, *SIGNAL_CHANNELS)}
 
 
 def candidate_answers(

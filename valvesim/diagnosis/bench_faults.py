@@ -1,250 +1,226 @@
-"""The bench, not the valve: what a test bench does that no record tells, each tried as a hypothesis of its own.
+"""The bench, not the valve: what a test bench does that no record tells.
 
-A supply or an oil temperature that wanders or ripples, a mains hum upon the current, clocks of channels that run apart,
-a meter that drifts. Each is a few nuisance parameters. One that explains what is left by much more than chance, and
-beside the likeliest causes too, joins the nominal model: it is then the bench's fault, and no cause is sought for it.
+Instruments err (`identification.instrument_errors`), the supply ripples, the mains hum upon the current. What explains
+the readings by much more than chance, and beside the likeliest causes too, joins the nuisance parameters of the nominal
+model: no cause is sought for it. A strong cause hides it, so it is sought in what the likeliest cause leaves as well.
+
+What is told of it in the end goes by a Wald statistic, beside the cause that is named (Wald 1943).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
+from valvesim.diagnosis.detection import nuisance_covariance, wald_statistic
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
-from valvesim.identification.between_samples import InputShift, Wave
-from valvesim.identification.fit import evaluate_fit, rescored
-from valvesim.identification.fit_jacobian import all_candidate_sensitivities
+from valvesim.diagnosis.starts import start_points
+from valvesim.identification.between_samples import Wave
+from valvesim.identification.fit import rescored
+from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
+from valvesim.identification.hypothesis_fit import fit_hypothesis
 from valvesim.identification.input_waves import (
     fitted_waves,
-    linear_reduction,
+    linear_gain,
     outstanding_frequencies,
     wave_columns,
+    wave_name,
     wave_parameters,
     wave_size,
     wave_words,
 )
-from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
-from valvesim.identification.nominal_fit import NominalFit, fit_nominal_near, with_inputs_reviewed
-from valvesim.identification.prior import NuisanceParameter, ToleratedSensorError, measured_channels
-from valvesim.identification.session import value_text
+from valvesim.identification.instrument_errors import (
+    SHIFTED,
+    clock_rates,
+    has_instrument_errors,
+    input_shifts,
+    instrument_errors,
+    meter_drifts,
+    time_of_span,
+)
+from valvesim.identification.nominal_fit import (
+    NominalFit,
+    assembled,
+    fit_nominal_near,
+    with_inputs_beside,
+    with_inputs_reviewed,
+)
+from valvesim.identification.prior import NuisanceParameter
+from valvesim.identification.session import Session, value_text
 from valvesim.identification.study import Study
-from valvesim.valve.effect import Advice, Parameter
+from valvesim.valve.effect import Advice
 
 
 @dataclass(frozen=True, eq=False)
 class BenchFault:
-    """Something that the bench may do: the parameters that say how much, their size in words, and
-    what to do about it.
-
-    `gain` is the reduction of the chi-square that the linear answers promise.
-    """
+    """Something that the bench did: the parameters that say how much, their size in words, and what to do about it."""
 
     parameters: tuple[NuisanceParameter, ...]
     words: Callable[[np.ndarray], str]
     advice: Advice
-    gain: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class BenchHypothesis:
+    """What the bench may do, as parameters, and the reduction of the chi-square that the linear answers promise."""
+
+    parameters: tuple[NuisanceParameter, ...]
+    gain: float
 
 
 def with_bench_faults(
     nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
 ) -> tuple[NominalFit, ScoreTest]:
-    """The nominal fit with the bench faults that the readings show, and what that leaves."""
+    """The nominal fit with what the bench did by the readings, and what that leaves."""
     for _ in range(options.bench.most_faults):
-        fault = _likeliest(nominal, scores, options=options)
-        if fault is None:
+        likeliest = _likeliest(nominal, scores, options=options)
+        if likeliest is None:
             break
-        study = nominal.study
-        extended = study.nominal.extended(fault.parameters)
-        prepared = study.unweighted().with_nominal(extended)
-        point = np.append(nominal.fit.point, np.zeros(len(fault.parameters)))
-        better = fit_nominal_near(prepared, point, full_weight=not study.weights)
-        if nominal.fit.chi_square - rescored(study, better.fit).chi_square < 0.5 * fault.gain:
+        better = _extended(nominal, likeliest.parameters)
+        if nominal.fit.chi_square - rescored(nominal.study, better.fit).chi_square < 0.5 * likeliest.gain:
             break  # the linear answers were wrong: it is something else
-        better = with_inputs_reviewed(better)  # which the fault may have hidden
+        nominal = with_inputs_reviewed(better)  # which the fault may have hidden
+        scores = score_test(nominal, nominal.fit, options=options)
+    return nominal, scores
+
+
+def with_faults_beside_cause(
+    nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
+) -> tuple[NominalFit, ScoreTest]:
+    """The same by what the likeliest cause leaves, fitted a little: what the nominal valve leaves is all of the cause
+    where it is inadequate.
+    """
+    for _ in range(options.bench.most_faults):
+        starts = start_points(scores, frozenset())[:1]
+        if not starts or nominal.fit.chi_square < options.identification.fit.inadequate_ratio * nominal.fit.rows:
+            break
+        fit = fit_hypothesis(nominal, starts[0], linearisations=options.isolation.near_linearisations)
+        if fit is None:
+            break
+        beside = score_test(nominal, fit, options=options)
+        likeliest = _likeliest(nominal, beside, options=options)
+        better = _extended(nominal, likeliest.parameters) if likeliest is not None else nominal
+        at_fit = assembled(nominal.study, fit, beside.linearised, beside.columns)
+        better = with_inputs_beside(nominal, at_fit) if better is nominal else better
+        if better is nominal:
+            break
         nominal, scores = better, score_test(better, better.fit, options=options)
     return nominal, scores
 
 
-def fitted_faults(nominal: NominalFit, *, options: DiagnosisOptions) -> tuple[WhatToDo, ...]:
-    """The bench faults that a nominal fit has among its parameters, with what to do about them."""
-    model = nominal.study.nominal
-    values = {p.name: p.at(t) for p, t in zip(model.parameters, nominal.fit.point, strict=True)}
-    waves = [_wave(parameters) for parameters in fitted_waves(model).values()]
-    others = [fault for fault in steady_faults(nominal.study, options=options) if fault.parameters[0].name in values]
-    return tuple(
-        what_to_do(fault.words(np.array([values[p.name] for p in fault.parameters])), fault.advice)
-        for fault in (*waves, *others)
-    )
+def _extended(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:
+    """The nominal fit with more parameters."""
+    prepared = nominal.study.unweighted().with_nominal(nominal.study.nominal.extended(parameters))
+    point = np.append(nominal.fit.point, np.zeros(len(parameters)))
+    return fit_nominal_near(prepared, point, full_weight=not nominal.study.weights)
 
 
-def explained_by_faults(nominal: NominalFit, *, options: DiagnosisOptions) -> float:
-    """By how much the chi-square of a nominal fit is larger where the bench faults that it has are taken off it."""
-    model = nominal.study.nominal
-    own = {p.name for wave in fitted_waves(model).values() for p in wave}
-    own |= {p.name for fault in steady_faults(nominal.study, options=options) for p in fault.parameters}
-    without = [0.0 if p.name in own else t for p, t in zip(model.parameters, nominal.fit.point, strict=True)]
-    return evaluate_fit(nominal.study, np.array(without), ()).chi_square - nominal.fit.chi_square
+def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatToDo, ...]:
+    """What the bench did by a fit, with what to do about it: what the readings would miss by more than chance."""
+    study, fit = scores.study, scores.fit
+    model, covariance = study.nominal, nuisance_covariance(scores)
+    at = {p.name: k for k, p in enumerate(model.parameters)}
+    told = []
+    for fault in _known_faults(study):
+        own = [at[one.name] for one in fault.parameters if one.name in at]
+        if own and wald_statistic(scores, own, covariance) > options.bench.minimum_gain:
+            values = np.array([model.parameters[k].at(fit.point[k]) for k in own])
+            told.append(what_to_do(fault.words(values), fault.advice))
+    return tuple(told)
 
 
-def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchFault | None:
-    """The bench fault that explains most of what is left, beside the likeliest causes too; None where none does."""
-    fit, taken = nominal.fit, {p.name for p in nominal.study.nominal.parameters}
-    faults = [f for f in bench_faults(nominal, options=options) if f.parameters[0].name not in taken]
-    if not faults:
+def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:
+    """What the bench may do that explains most of what a fit leaves, beside the likeliest causes too; None where
+    nothing does. The fit is the nominal one, or one with candidates.
+    """
+    taken = nominal.study.nominal.parameters
+    hypotheses = [h for h in _hypotheses(nominal.study, scores) if not {p.name for p in h} & {p.name for p in taken}]
+    if not hypotheses:
         return None
-    parameters = [p for fault in faults for p in fault.parameters]
-    columns = _columns(nominal, parameters)
-    causes = _likeliest_causes(nominal, scores, options=options)
-    gains = []
+    fit, study = scores.fit, nominal.study
+    J = study.stack(scores.columns)
+    columns = added_jacobian_of(study, scores.linearised, [p for each in hypotheses for p in each])
+    causes = np.column_stack([study.stack(scores.own_columns), _likeliest_causes(study, scores, options=options)])
+    fitted = len(scores.own)
+    found = []
     start = 0
-    for fault in faults:
-        S = columns[:, start : start + len(fault.parameters)]
-        start += len(fault.parameters)
-        gains.append(min(_gain(nominal, S, causes[:, :k]) for k in range(causes.shape[1] + 1)))
+    for parameters in hypotheses:
+        S = columns[:, start : start + len(parameters)]
+        start += len(parameters)
+        by = (linear_gain(J, fit, S, causes[:, :k]) for k in range(fitted, causes.shape[1] + 1))
+        found.append(BenchHypothesis(parameters, min(by) - len(parameters)))
     most = max(float(np.max(scores.z(), initial=0.0)) ** 2, fit.chi_square - fit.rows)
-    least = max(options.bench.minimum_gain, options.bench.gain_share * most)
-    best = int(np.argmax(gains))
-    return replace(faults[best], gain=gains[best]) if gains[best] > least else None
+    best = max(found, key=lambda one: one.gain)
+    return best if best.gain > max(options.bench.minimum_gain, options.bench.gain_share * most) else None
 
 
-def _gain(nominal: NominalFit, S: np.ndarray, beside: np.ndarray) -> float:
-    """The reduction of the chi-square by columns S (rows, k), with their priors, beyond that by those `beside`."""
-
-    J, fit = nominal.J, nominal.fit
-    together = linear_reduction(J, fit, np.column_stack([beside, S]), beside.shape[1])
-    return together - linear_reduction(J, fit, beside, beside.shape[1])
-
-
-def _likeliest_causes(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:
-    """Whitened columns (rows, k) of the few candidates that explain most on their own."""
+def _likeliest_causes(study: Study, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:
+    """Whitened columns (rows, k) of the few candidates that explain most of what is left on their own."""
     z = scores.z()
     few = [int(k) for k in np.argsort(-z, kind="stable")[: options.bench.causes_beside] if z[k] > 0.0]
     if not few:
-        return np.empty((len(nominal.fit.residual), 0))
+        return np.empty((len(scores.fit.residual), 0))
     candidates = [scores.candidates[k] for k in few]
-    variant = nominal.fit.variant(nominal.study.nominal)
+    variant = scores.fit.variant(study.nominal)
     changed = [c.apply_to(variant, scores.sizes[k]) for c, k in zip(candidates, few, strict=True)]
-    study = nominal.study
-    return study.stack(all_candidate_sensitivities(study, nominal.linearised, nominal.columns, candidates, changed))
-
-
-def _columns(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> np.ndarray:
-    """Whitened sensitivities (rows, k) to one prior deviation of each parameter, about the nominal fit."""
-    study = nominal.study
-    base = study.nominal.variant
-    own = replace(study.nominal, parameters=tuple(parameters), variant=base)
-
-    def columns_of(linear) -> dict[str, np.ndarray]:
-        return parameter_sensitivities(linear, own, perturbed_variants(own, linear.variant))
-
-    return study.stack([columns_of(linear) for linear in nominal.linearised])
+    return study.stack(all_candidate_sensitivities(study, scores.linearised, scores.columns, candidates, changed))
 
 
 # ---------------------------------------------------------------- what a bench may do
 
 
-def bench_faults(nominal: NominalFit, *, options: DiagnosisOptions) -> list[BenchFault]:
-    """What the bench of a session may do, by what a nominal fit leaves."""
-    study, records = nominal.study, nominal.study.session.training
+def _hypotheses(study: Study, scores: ScoreTest) -> list[tuple[NuisanceParameter, ...]]:
+    """What the bench may do, by what a fit leaves: a wave upon an input, or that instruments err."""
+    records = study.session.training
     waves = [
-        _wave(wave_parameters(records, column, frequency, wave_size(study.nominal, records, column)))
-        for frequency in outstanding_frequencies(study, nominal.fit.readings)
+        wave_parameters(records, column, frequency, wave_size(study.nominal, records, column))
+        for frequency in outstanding_frequencies(study, scores.fit.readings, scores.options.bench.wave_peak)
         for column in wave_columns(records)
+        if wave_name(column, frequency) not in fitted_waves(study.nominal)
     ]
-    return [*waves, *steady_faults(study, options=options)]
+    if has_instrument_errors(study.nominal.parameters):
+        return waves
+    return [*waves, instrument_errors(study.session, options=study.options)]
 
 
-def steady_faults(study: Study, *, options: DiagnosisOptions) -> list[BenchFault]:
-    """What a bench may do that has no frequency: inputs that are off or wander, clocks and meters that drift."""
-    supply, records = float(study.session.valve.supply_pressure), study.session.training
-    faults = []
-    for column, words, size, unit in (
-        ("oil_temperature", "the oil temperature is off", options.bench.oil_temperature, "delta_degC"),
-        ("supply_pressure", "the supply pressure is off", options.bench.supply_pressure * supply, "Pa"),
-    ):
-        for growing in (False, True):
-            faults.append(_shift(records, column, words, size, unit, growing))
-    channels = measured_channels(study.session)
-    faults.append(_of_sensors("clocks of the channels run apart", CLOCK_RATE, channels, options.bench.clock_rate))
-    faults += [_drifting(channel, study, options=options) for channel in channels]
-    return faults
+def _known_faults(study: Study) -> list[BenchFault]:
+    """What a bench may do, as it is told; the waves are those of the study."""
+    session, options = study.session, study.options
+    waves = [BenchFault(wave, _wave_words(wave), _wave_advice(wave)) for wave in fitted_waves(study.nominal).values()]
+    shifts = [
+        BenchFault(input_shifts(session, column, growing, options), _shift_words(column, growing), OF_INPUT[column])
+        for column in SHIFTED
+        for growing in (False, True)
+    ]
+    drifts = [BenchFault((p,), _drift_words(p, session), METER) for p in meter_drifts(session, options)]
+    return [*waves, *shifts, BenchFault(clock_rates(session, options), _clock_words, CLOCKS), *drifts]
 
 
-def _wave(parameters: tuple[NuisanceParameter, ...]) -> BenchFault:
-    """A wave on an input, see `wave_parameters`."""
-    wave = parameters[0].input
-    advice = OF_WAVE.get(wave.column, HUM) if isinstance(wave, Wave) else HUM
-    return BenchFault(parameters, lambda values: wave_words(parameters, values), advice)
+def _wave_words(wave: Sequence[NuisanceParameter]) -> Callable[[np.ndarray], str]:
+    return lambda values: wave_words(wave, values)
 
 
-def _shift(records, column: str, words: str, size: float, unit: str, growing: bool) -> BenchFault:
-    """An input that is off, or wanders off, in each record."""
-    parameters = tuple(
-        NuisanceParameter(f"shift@{record.name}:{column}:{growing}", unit, 0.0, size, (-4.0 * size, 4.0 * size),
-                          input=InputShift(record.name, column, growing))
-        for record in records
-    )  # fmt: skip
-
-    def said(values: np.ndarray) -> str:
-        within = " within a record" if growing else ""
-        return f"{words} by up to {value_text(float(np.abs(values).max()), unit)}{within}"
-
-    return BenchFault(parameters, said, OF_INPUT[column])
+def _wave_advice(wave: Sequence[NuisanceParameter]) -> Advice:
+    deviation = wave[0].input
+    return OF_WAVE.get(deviation.column, HUM) if isinstance(deviation, Wave) else HUM
 
 
-def _of_sensors(words: str, effect: ToleratedSensorError, channels: Sequence[str], size: float) -> BenchFault:
-    parameters = tuple(
-        NuisanceParameter(f"{effect.name}@{channel}", "1", 0.0, size, effect.amplitude.bounds, effect.on(channel))
-        for channel in channels
-    )
-    return BenchFault(parameters, lambda values: f"{words} by up to {np.abs(values).max() * 1e6:.3g} ppm", CLOCKS)
+def _shift_words(column: str, growing: bool) -> Callable[[np.ndarray], str]:
+    what, within = column.replace("_", " "), " within a record" if growing else ""
+    unit = SHIFTED[column]
+    return lambda values: f"the {what} is off by up to {value_text(float(np.abs(values).max()), unit)}{within}"
 
 
-def _drifting(channel: str, study: Study, *, options: DiagnosisOptions) -> BenchFault:
-    """A meter that drifts within each record at one rate."""
-    span = max(float(np.ptp(r.values[channel])) for r in study.session.training if channel in r.outputs)
-    longest = max(r.duration for r in study.session.training)
-    effect = METER_DRIFT.on(channel)
-    size = options.bench.meter_drift * span / longest
-    parameter = NuisanceParameter(
-        f"meter_drift@{channel}", effect.amplitude.unit, 0.0, size, (-4.0 * size, 4.0 * size), effect
-    )
-    return BenchFault(
-        (parameter,),
-        lambda values: f"{channel} as read drifts by {abs(values[0]) * longest / span:.2g} of its span in a record",
-        METER,
-    )
+def _clock_words(values: np.ndarray) -> str:
+    return f"clocks of the channels run apart by up to {np.abs(values).max() * 1e6:.3g} ppm"
 
 
-def _apart(reading, p):
-    return np.interp(reading.time * (1.0 - p.rate), reading.time, reading.values)
-
-
-CLOCK_RATE = ToleratedSensorError(
-    name="clock_rate",
-    doc="the channel's clock runs fast or slow",
-    location="sensor",
-    signature="a delay that grows",
-    parameters=(
-        Parameter(name="rate", unit="1", doc="rate", default=0.0, bounds=(-0.01, 0.01), neutral=0.0, typical=1e-4),
-    ),
-    reading=_apart,
-)
-
-METER_DRIFT = ToleratedSensorError(
-    name="meter_drift",
-    doc="the reading drifts within a record",
-    location="sensor",
-    signature="an offset that grows",
-    parameters=(
-        Parameter(
-            name="rate", unit="channel/s", doc="rate", default=0.0, bounds=(-10.0, 10.0), neutral=0.0, typical=0.01
-        ),
-    ),
-    reading=lambda reading, p: reading.values + p.rate * (reading.time - reading.time[0]),
-)
+def _drift_words(parameter: NuisanceParameter, session: Session) -> Callable[[np.ndarray], str]:
+    channel = parameter.sensor.channel if parameter.sensor is not None else ""
+    over = time_of_span(session, channel)
+    return lambda values: f"{channel} as read drifts by {100.0 * abs(values[0]) * over:.2g} % of its span in a record"

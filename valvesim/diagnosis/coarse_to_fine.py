@@ -49,7 +49,9 @@ def fit_coarse_to_fine(
 
 
 def _without_outliers(nominal: NominalFit) -> NominalFit:
-    """The nominal fit without single readings far off it, if there are such."""
+    """The nominal fit without single readings far off it, if there are such; an inadequate fit errs itself."""
+    if nominal.fit.chi_square > nominal.study.options.fit.inadequate_ratio * nominal.fit.rows:
+        return nominal
     own = nominal.study.unweighted()
     cleaned = without_outliers(own, own, nominal.fit, nominal.linearised)
     if cleaned is own:

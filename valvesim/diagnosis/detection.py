@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import largest_shift
 from valvesim.diagnosis.score_test import ScoreTest
 from valvesim.identification.fit import Fit
+from valvesim.identification.instrument_errors import is_of_bench
+from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.nominal_fit import NominalFit
+from valvesim.identification.projection import inverse_of
 from valvesim.identification.study import Study, residual_of
 
 
@@ -17,15 +22,13 @@ def detect(scores: ScoreTest) -> tuple[bool, float]:
     level = scores.level(scores.options.detection.false_alarm)
     shows = scores.z().max(initial=0.0) > level or _term_p_value(scores) < scores.options.detection.term_false_alarm
     stretched = largest_shift(scores.fit) > level  # such as a clock that is early, which has no name
-    return bool(shows or stretched or exceeds_noise(scores.fit, scores.study, options=scores.options)), level
+    return bool(shows or stretched or beyond_noise(scores.fit, scores.study, options=scores.options) > 0.0), level
 
 
-def exceeds_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> bool:
-    """Whether a fit leaves more than the noise where that is verified, beyond what the noise's own estimate may be
-    off.
-    """
+def beyond_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> float:
+    """The chi-square that a fit leaves beyond the noise where that is verified, and beyond what that may be off."""
     chi_square, rows = verified_chi_square(fit, study)
-    return bool(chi_square - rows > options.detection.noise_error * rows + 5.0 * np.sqrt(2.0 * rows))
+    return max(chi_square - rows - options.detection.noise_error * rows - 5.0 * float(np.sqrt(2.0 * rows)), 0.0)
 
 
 def verified_chi_square(fit: Fit, study: Study) -> tuple[float, float]:
@@ -72,24 +75,67 @@ def is_inadequate(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -
     return bool(shares) and float(np.median(shares)) > options.selection.inadequate_share
 
 
-def is_physical(fit: Fit, *, options: DiagnosisOptions) -> bool:
-    """Whether no figure that is not named is so far off that the part would be another one."""
-    return largest_shift(fit) <= options.selection.most_shift
+def nuisance_covariance(scores: ScoreTest) -> np.ndarray:
+    """The covariance (p, p) of the nuisance parameters of a fit, in prior deviations, its candidates being free."""
+    G, p, own = scores.gram.total, scores.gram.parameters, len(scores.own)
+    free = [*range(1, 1 + p), *(1 + p + j for j in scores.own)]
+    return inverse_of(G[np.ix_(free, free)] + np.diag([1.0] * p + [0.0] * own))[:p, :p]
+
+
+def wald_statistic(scores: ScoreTest, which: Sequence[int], covariance: np.ndarray | None = None) -> float:
+    """By how much the chi-square would be larger without some nuisance parameters (Wald 1943), by the linearised
+    equations; `covariance` is `nuisance_covariance`, where it is known.
+    """
+    if not len(which):
+        return 0.0
+    covariance = nuisance_covariance(scores) if covariance is None else covariance
+    moved = scores.fit.point[list(which)]
+    return float(moved @ inverse_of(covariance[np.ix_(which, which)]) @ moved)
+
+
+def explained_by_bench(scores: ScoreTest) -> float:
+    """The chi-square that a fit explains by what the bench did."""
+    parameters = scores.study.nominal.parameters
+    return wald_statistic(scores, [k for k, p in enumerate(parameters) if is_of_bench(p)])
+
+
+def at_limit(fit: Fit, study: Study) -> np.ndarray:
+    """(p,) True for the figures that a fit has as far off as it may: the part would be another one."""
+    return np.abs(fit.point) > (1.0 - 1e-6) * study.options.prior.reach
+
+
+def rests_on_limits(final: ScoreTest) -> float:
+    """The part of the chi-square that a fit explains by figures at their limits: by the linearised equations it would
+    be lost if they were halfway back.
+    """
+    if not at_limit(final.fit, final.study).any():
+        return 0.0
+    G, p, own = final.gram.total, final.gram.parameters, len(final.own)
+    free = [*range(1, 1 + p), *(1 + p + j for j in final.own)]
+    H = G[np.ix_(free, free)] + np.diag([1.0] * p + [0.0] * own)
+    gradient = G[free, 0] - np.append(final.gram.prior_now, np.zeros(own))
+    falls = []
+    for share in (1.0, 0.5):
+        ends = np.append(np.full(p, share * final.study.options.prior.reach), np.full(own, np.inf))
+        now = np.append(final.fit.point, np.zeros(own))
+        step = bounded_step(H, gradient, np.array([-ends - now, ends - now]))
+        falls.append(float((2.0 * gradient - H @ step) @ step))
+    return falls[0] - falls[1]
 
 
 def unexplained_share(nominal: NominalFit, final: ScoreTest) -> float:
     """The share of what the best explains that it leaves, beyond chance, for others to explain: a free term, an
-    amplitude that wanders or, beside two causes, a third one. Infinite where more than the noise is left.
-    """  # fmt: skip
+    amplitude that wanders or, beside two causes, a third one; more than the noise; or what it explains by figures that
+    no such part has. What the bench explains may leave a little itself.
+    """
     from scipy.stats import chi2
 
-    if exceeds_noise(final.fit, nominal.study, options=final.options):
-        return float("inf")
     tests = [(value, freedom) for value, freedom in final.term_tests() if freedom]
     over = [
         value - float(chi2.isf(final.options.detection.term_significance / len(tests), freedom))
         for value, freedom in tests
     ]
+    over += [rests_on_limits(final), beyond_noise(final.fit, nominal.study, options=final.options)]
     wander, freedom = final.constancy()
     if freedom:
         over.append(wander - float(chi2.isf(1e-3, freedom)))
@@ -98,4 +144,5 @@ def unexplained_share(nominal: NominalFit, final: ScoreTest) -> float:
     ) > final.level(final.options.detection.false_alarm):
         over.append(third**2)
     gained = max(nominal.fit.chi_square - final.fit.chi_square, 1.0)
-    return max([0.0, *over]) / gained
+    bearable = final.options.bench.unexplained_share * explained_by_bench(final)
+    return max(max(over) - bearable, 0.0) / gained

@@ -15,7 +15,7 @@ import numpy as np
 
 from valvesim.diagnosis.advice import advice_on_causes, advice_on_unknown
 from valvesim.diagnosis.answer_tables import (
-    UNITS,
+    CHANNEL_UNITS,
     candidate_answers,
     detection_limits,
     error_table,
@@ -99,9 +99,10 @@ def _answer(isolation: Isolation) -> Diagnosis:
     found = isolation.found
     if _none_stands(in_set, found, recovered, inadequate, options=options):
         in_set, unknown_reason = [], ""
-    far = _far_off(study, recovered.point if recovered is not None and not in_set else chosen.point, options=options)
-    if isolation.alarm and far:
-        in_set, unknown_reason, recovered = [], "", None
+    far = ""
+    if isolation.alarm and not in_set:
+        far = _far_off(study, recovered.point if recovered is not None else chosen.point)
+        recovered = None if far else recovered
     answers = candidate_answers(nominal, found, in_set, level, unknown_reason, options=isolation.scores.options)
     verdict = verdict_of(isolation.alarm, in_set, unknown_reason)
     term: Term | None = None
@@ -162,8 +163,8 @@ def _answer(isolation: Isolation) -> Diagnosis:
         term=term,
         shifts=parameter_shifts(study, point),
         noise=tuple(
-            NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=UNITS[channel], order=len(n.lags),
-                       verified=n.verified, source=n.source)
+            NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=CHANNEL_UNITS[channel],
+                       order=len(n.lags), verified=n.verified, source=n.source)
             for (channel, rate), n in study.noise.items()
         ),
         scores=score_table(scores),
@@ -194,13 +195,11 @@ def _hypotheses(
     return best, best.fit if best is not None else nominal.fit, answer_set, isolation.unknown_reason
 
 
-def _far_off(study: Study, point: np.ndarray, *, options: DiagnosisOptions) -> str:
-    """The figures that a point (p,) has off by more than any such part can be, in words; "" where there are none."""
-    limit = options.selection.most_shift
-    far = [(p, float(t)) for p, t in zip(study.nominal.parameters, point, strict=True) if abs(t) > limit]
-    far.sort(key=lambda each: -abs(each[1]))
-    words = [f"{p.name} {abs(t) / options.identification.fit.tolerance_deviations:.0f} tolerances off" for p, t in far]
-    return ", ".join(words[:3])
+def _far_off(study: Study, point: np.ndarray) -> str:
+    """The figures that a point (p,) has off by as much as they may be, in words; "" where there are none."""
+    limit, end = study.options.prior.reach, study.options.fit.tolerance_deviations
+    far = [p.name for p, t in zip(study.nominal.parameters, point, strict=True) if abs(t) > (1.0 - 1e-6) * limit]
+    return ", ".join(f"{name} {limit / end:.0f} tolerances off" for name in far[:3])
 
 
 def verdict_of(alarm: bool, in_set: Sequence[FittedHypothesis], unknown_reason: str = "") -> str:

@@ -22,6 +22,7 @@ from valvesim.units import exact_text
 from valvesim.valve.additive_term import LAG, NONE, PATH, PORTS, VARIABLES, term_effect
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect
+from valvesim.valve.effects.sensors import sensor_lag
 
 INPUT_FILE = "inputs.csv"  # where the scenario looks for inputs that its record's file does not give as they are
 EFFECT_FILE = "recovered_term.py"  # where the scenario looks for a recovered term, beside itself
@@ -104,7 +105,7 @@ def _as_declared(session: Session, active: ActiveEffect) -> ActiveEffect:
 def _stated_lags(session: Session, record: Record) -> list[ActiveEffect]:
     """The lags that the session states of the record's sensors, as effects."""
     lags = {name: session.sensors[name].lag for name in record.outputs if name in session.sensors}
-    return [CATALOGUE["sensor_lag"].on(name)(time_constant=lag) for name, lag in lags.items() if lag > 0.0]
+    return [sensor_lag(name, lag) for name, lag in lags.items() if lag > 0.0]
 
 
 def _recovered(session: Session, effect: Effect) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valvesim.diagnosis.answer_tables import UNITS
+from valvesim.diagnosis.answer_tables import CHANNEL_UNITS
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import Gain, Trace
 from valvesim.errors import InputError, SolveError
@@ -143,7 +143,7 @@ def _traces(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]
     for name in record.outputs:
         key = _nearest_noise_key(study, name, record.pace)
         found.append(
-            Trace(record=record.name, channel=name, unit=UNITS[name], role=record.role, time=record.time,
+            Trace(record=record.name, channel=name, unit=CHANNEL_UNITS[name], role=record.role, time=record.time,
                   measured=record.values[name], base=reads[0][name], extended=reads[1][name],
                   noise=study.noise[key].deviation if key is not None else 0.0)
         )  # fmt: skip

@@ -12,8 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from valvesim.diagnosis.bench_faults import explained_by_faults, fitted_faults, with_bench_faults
-from valvesim.diagnosis.detection import detect, is_inadequate, unexplained_share
+from valvesim.diagnosis.bench_faults import (
+    told_faults,
+    with_bench_faults,
+    with_faults_beside_cause,
+)
+from valvesim.diagnosis.detection import detect, explained_by_bench, is_inadequate, unexplained_share
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
@@ -73,15 +77,20 @@ def isolate(
     scores = score_test(nominal, nominal.fit, options=options)
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)
-    bench = fitted_faults(nominal, options=options)
+    if detect(scores)[0]:
+        nominal, scores = with_faults_beside_cause(nominal, scores, options=options)
+    bench = told_faults(scores, options=options)
     if bench and detect(scores)[0]:
         # no model is the plant: what is little beside what the bench explains may be the bench too
-        explained = explained_by_faults(nominal, options=options)
-        left = max(nominal.fit.chi_square - nominal.fit.rows, float(np.max(scores.z(), initial=0.0)) ** 2)
-        if left < options.isolation.unexplained_share * explained:
+        explained = explained_by_bench(scores)
+        if (
+            float(np.max(scores.z(), initial=0.0)) ** 2 < options.bench.unexplained_share * explained
+            and nominal.fit.chi_square - nominal.fit.rows < options.bench.excess_share * explained
+        ):
             level = scores.level(options.detection.false_alarm)
             return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
-    return replace(_isolated(nominal, scores, progress, known, options=options), bench=bench)
+    isolation = _isolated(nominal, scores, progress, known, options=options)
+    return replace(isolation, bench=told_faults(isolation.final, options=options))
 
 
 def _isolated(

@@ -32,7 +32,8 @@ class FittedHypothesis:
     @property
     def least_chi_square(self) -> float:
         """The chi-square less what the fit still predicts to gain."""
-        return self.fit.chi_square - min(self.fit.predicted_reduction, self.options.identification.fit.unconverged)
+        most = 2.0 * self.options.identification.fit.hypothesis_ftol
+        return self.fit.chi_square - min(self.fit.predicted_reduction, most)
 
     @property
     def prior_penalty(self) -> float:

@@ -1,13 +1,14 @@
 """The options of a diagnosis: every threshold with its unit, meaning and where its value comes from.
 
-`diagnose(session, options=DiagnosisOptions(...))` passes them on. See `valvesim.identification.options`.
+`diagnose(session, options=DiagnosisOptions(...))` passes them on. See `valvesim.options`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from valvesim.identification.options import JUDGEMENT, IdentificationOptions, option
+from valvesim.identification.options import IdentificationOptions
+from valvesim.options import JUDGEMENT, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +49,7 @@ class DetectionOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions:
-    """What the bench may do that no record tells; the sizes are prior deviations."""
+    """What the bench may do that no record tells."""
 
     most_faults: int = option(3, "1", "faults of the bench at once", JUDGEMENT)
     minimum_gain: float = option(
@@ -57,11 +58,16 @@ class BenchOptions:
     gain_share: float = option(
         0.05, "1", "the same as a share of what is left: linear answers of a strong cause err by as much", JUDGEMENT
     )
+    wave_peak: float = option(
+        5.0, "1", "times the spectrum beside it at which a wave is thought of", "a cause hides it: the gain decides"
+    )
+    unexplained_share: float = option(
+        5e-4, "1", "share of what the bench explains that a candidate or a term may show of it", "no model is the plant"
+    )
+    excess_share: float = option(
+        2e-3, "1", "share of it that may be left beyond the noise without an alarm", "no model is the plant"
+    )
     causes_beside: int = option(3, "1", "likeliest causes beside which it must explain as much", JUDGEMENT)
-    oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
-    supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
-    clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
-    meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,9 +146,6 @@ class SelectionOptions:
         "1",
         "twice the log prior odds against a cause that nobody has listed",
         "of a hundred names given alone four stand for one",
-    )
-    most_shift: float = option(
-        10.0, "1", "prior deviations that no unnamed figure may be off in an answer", "five tolerances: another part"
     )
     record_share: float = option(
         0.8, "1", "share of what is left beyond the noise that one test carries where it may not belong", JUDGEMENT

@@ -10,7 +10,7 @@ import numpy as np
 from valvesim.diagnosis.model_selection import FittedHypothesis, distinct, is_negligible
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.identification.fit import Fit, FittedCandidate
-from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis
+from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
 
 
@@ -80,8 +80,8 @@ def _restarted_within_tolerance(nominal: NominalFit, fit: Fit, *, options: Diagn
     for _ in range(options.isolation.restarts):
         best = min(tried, key=lambda one: one.chi_square)
         if (
-            best.predicted_reduction < options.identification.fit.unconverged
-            or best.chi_square > reached - options.identification.fit.unconverged
+            best.predicted_reduction < unconverged(nominal, best)
+            or best.chi_square > reached - unconverged(nominal, best)
         ):
             break
         reached = best.chi_square

@@ -30,12 +30,15 @@ class ScoreTest:
 
     `projected` are the candidates, then the basis functions of the term hypotheses, orthogonal to the nuisance
     parameters and to the fitted candidates. `sizes` (q,) are the amplitudes at which the candidates' columns stand;
-    `blocks` the columns of each term hypothesis; `own` those of the fitted candidates.
+    `blocks` the columns of each term hypothesis; `own` those of the fitted candidates. `columns` are the sensitivities
+    of each record to the nuisance parameters, `own_columns` those to the fitted candidates, by channel.
     """
 
     study: Study
     fit: Fit
     linearised: tuple[LinearisedRecord, ...]
+    columns: tuple[dict[str, np.ndarray], ...]
+    own_columns: tuple[dict[str, np.ndarray], ...]
     gram: GramMatrix
     candidates: tuple[Candidate, ...]
     sizes: np.ndarray
@@ -134,7 +137,8 @@ def score_test(
     freed = tuple(range(q + f, q + f + count))
     projected = project(gram, 0, q + f + count).without(freed)
     return ScoreTest(
-        study, fit, tuple(linearised), gram, candidates, sizes, tuple(terms), blocks, freed, projected, options=options
+        study, fit, tuple(linearised), tuple(J), tuple(own), gram, candidates, sizes, tuple(terms), blocks, freed,
+        projected, options=options,
     )
 
 

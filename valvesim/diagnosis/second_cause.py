@@ -6,7 +6,7 @@ from collections.abc import Sequence, Set
 
 import numpy as np
 
-from valvesim.diagnosis.detection import exceeds_noise
+from valvesim.diagnosis.detection import beyond_noise, explained_by_bench
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, distinct, with_minimum_gain
 from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses
 from valvesim.diagnosis.score_test import ScoreTest, score_test
@@ -26,12 +26,11 @@ def with_second_cause(
     while len(final.fit.fitted) < final.options.isolation.most_causes:
         z, level = final.z(), final.level(final.options.detection.false_alarm)
         best = found[0]
-        share = (
-            0.0
-            if exceeds_noise(final.fit, nominal.study, options=final.options)
-            else final.options.detection.doubtful_share
-        )
-        if z.max(initial=0.0) ** 2 < max(level**2, share * (nominal.fit.chi_square - best.fit.chi_square)):
+        bearable = final.options.detection.doubtful_share * (nominal.fit.chi_square - best.fit.chi_square)
+        if beyond_noise(final.fit, nominal.study, options=final.options) > bearable:
+            bearable = 0.0
+        bearable = max(bearable, final.options.bench.unexplained_share * explained_by_bench(final))
+        if z.max(initial=0.0) ** 2 < max(level**2, bearable):
             break
         near = best_of_labels(final, z, final.options.isolation.second_share * z.max())[
             : final.options.isolation.seconds

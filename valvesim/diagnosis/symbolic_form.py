@@ -12,8 +12,8 @@ from valvesim.diagnosis.term_estimation import (
     TermFit,
     TermProblem,
     _linearised_at,
-    normal_equations,
     shortened_step,
+    term_normal_equations,
 )
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.projection import inverse_of
@@ -132,7 +132,7 @@ def with_formula(problem: TermProblem, solution: TermEstimate, gained: float) ->
     bending, problem = problem.penalty(), replace(problem, free=True)
     state, p, k = solution.state, len(solution.state.point), len(problem.knots)
     state = replace(state, chi_square=state.chi_square - float(state.values @ bending @ state.values))
-    H, gradient = normal_equations(problem, state, solution.J, solution.V)
+    H, gradient = term_normal_equations(problem, state, solution.J, solution.V)
     at, rest = np.arange(p, p + k), np.r_[:p, p + k : len(H)]
     back = np.linalg.solve(H[np.ix_(rest, rest)], np.column_stack([gradient[rest], H[np.ix_(rest, at)]]))
     W = H[np.ix_(at, at)] - H[np.ix_(at, rest)] @ back[:, 1:]
@@ -178,7 +178,7 @@ def _fit_formula(
     T[:p, :p], T[p : p + k, p : p + m], T[p + k :, p + m :] = np.eye(p), F / scale, np.eye(more)
     J, V = solution.J, solution.V
     for _ in range(problem.options.missing_term.formula_steps):
-        H, gradient = normal_equations(problem, held, J, V)
+        H, gradient = term_normal_equations(problem, held, J, V)
         inverse = T @ inverse_of(T.T @ H @ T) @ T.T
         new = shortened_step(problem, held, inverse @ gradient, p)
         if new is None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from valvesim.diagnosis.detection import is_physical
+from valvesim.diagnosis.detection import at_limit
 from valvesim.diagnosis.isolation import Isolation, judged
 from valvesim.diagnosis.missing_term import RecoveredTerm
 from valvesim.diagnosis.model_selection import FittedHypothesis, distinct
@@ -31,7 +31,9 @@ def as_catalogue_entry(isolation: Isolation, recovered: RecoveredTerm) -> Isolat
     entries = [
         FittedHypothesis(fit, options=options)
         for fit in fits
-        if fit is not None and fit.chi_square - fit.predicted_reduction < most and is_physical(fit, options=options)
+        if fit is not None
+        and fit.chi_square - fit.predicted_reduction < most
+        and not at_limit(fit, nominal.study).any()
     ]
     if not entries:
         return isolation

@@ -26,7 +26,7 @@ from valvesim.identification.study import Study
 from valvesim.valve.additive_term import LAG, NONE, PATH, TermHypothesis, linear_b_splines, term_effect
 from valvesim.valve.effect import ActiveEffect
 
-NAME = "recovered_term"
+RECOVERED_TERM = "recovered_term"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,8 @@ class TermProblem:
         figures = {LAG: {"time_constant": hypothesis.time_constant * by}, PATH: {"width": hypothesis.width * by}}
         effect = term_effect(
             hypothesis.port.name, hypothesis.variable.name, tuple(self.knots), (self.size,) * len(self.knots),
-            memory=hypothesis.memory, time_constant=hypothesis.time_constant, width=hypothesis.width, name=NAME,
+            memory=hypothesis.memory, time_constant=hypothesis.time_constant, width=hypothesis.width,
+            name=RECOVERED_TERM,
         )  # fmt: skip
         heights = {f"value_{k + 1}": float(v) for k, v in enumerate(values)}
         return effect(share=1.0, **heights, **figures.get(hypothesis.memory, {}))
@@ -143,7 +144,7 @@ def estimate_term(
     )
     J = nominal.J
     for _ in range(options.missing_term.steps):
-        H, gradient = normal_equations(problem, state, J, V)
+        H, gradient = term_normal_equations(problem, state, J, V)
         inverse = inverse_of(H)
         step = inverse @ gradient
         predicted_reduction, gained = float(gradient @ step), nominal.fit.chi_square - state.chi_square
@@ -186,7 +187,7 @@ def term_columns(problem: TermProblem, linearised: Sequence[LinearisedRecord], s
         by.append(problem.options.missing_term.memory_step)
 
     def columns_of(linear: LinearisedRecord) -> dict[str, np.ndarray]:
-        own = tuple(a for a in linear.variant.effects if state is None or a.effect.name != NAME)
+        own = tuple(a for a in linear.variant.effects if state is None or a.effect.name != RECOVERED_TERM)
         bare = replace(linear.variant, effects=own)
         moved = linear.linear_difference([bare.with_effect(problem.active(v, f)) for v, f in moves])
         return {name: columns / np.array(by) for name, columns in moved.items()}
@@ -211,7 +212,7 @@ def _term_size(nominal: NominalFit, V: np.ndarray) -> float | None:
     return size if np.isfinite(size) and size > 0.0 else None
 
 
-def normal_equations(
+def term_normal_equations(
     problem: TermProblem, state: TermFit, J: np.ndarray, V: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(H, gradient) of [t, v, s], with their priors."""

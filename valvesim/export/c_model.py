@@ -10,12 +10,12 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from valvesim.errors import InputError
-from valvesim.export.traced_valve import INPUTS, TracedValve, ValveVariable
+from valvesim.export.traced_valve import EXPORTED_INPUTS, TracedValve, ValveVariable
 from valvesim.simulation import driver, run, temperature_knots
 from valvesim.solver import rodas5p
 from valvesim.solver.elimination import print_elimination
 from valvesim.valve.coefficients import PART_NAMES
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 
 ARGUMENTS = {
     "coefficients": ("p", "T", "u"),
@@ -33,7 +33,7 @@ ARGUMENTS = {
 """The functions of CasADi's that are printed, each `valve_model_NAME(arguments..., out)`, with their arguments."""
 
 _SQUARE = "[VALVE_COUPLED][VALVE_COUPLED]"
-LINES = {
+SOLVER_FUNCTIONS = {
     "prepare": "const double c[], double out[]",
     "rates": "const double y[], const double u[], const double c[], double out[]",
     "linearise": "const double y[], const double u[], const double u_t[], const double c[], const double c_t[],\n"
@@ -67,7 +67,7 @@ def _header(valve: TracedValve, digest: str) -> str:
         "STATES": len(valve.states), "OUTPUTS": len(valve.outputs), "COEFFICIENTS": len(valve.coefficient_names),
         "PREPARED": valve.equations.coefficients,
         "FIRST_TEMPERATURE": valve.coefficient_names.index(f"{PART_NAMES[0]}_temperature"),
-        "CLEARANCES": len(valve.clearances), "NODES": len(NODES), "LAGGED_PARTS": int(valve.lagged_parts),
+        "CLEARANCES": len(valve.clearances), "NODES": len(THERMAL_NODES), "LAGGED_PARTS": int(valve.lagged_parts),
         "USES_RATE": int(valve.uses_rate),
         "SETTLES": int(valve.settles),
     }  # fmt: skip
@@ -85,7 +85,7 @@ def _header(valve: TracedValve, digest: str) -> str:
         "",
         "/* Where each stands; inputs also by their place in the equations. */",
     ]
-    for k, (one, channel) in enumerate(zip(valve.inputs, INPUTS, strict=True)):
+    for k, (one, channel) in enumerate(zip(valve.inputs, EXPORTED_INPUTS, strict=True)):
         lines.append(_define("INPUT", channel.name, k, one))
         if one.name != channel.name:
             lines.append(_define("INPUT", one.name, k, one))
@@ -111,7 +111,7 @@ def _header(valve: TracedValve, digest: str) -> str:
         "extern const int valve_clearances[VALVE_CLEARANCES];",
         "",
         *(f"{_signature(name)};" for name in ARGUMENTS),
-        *(f"void valve_model_{name}({arguments});" for name, arguments in LINES.items()),
+        *(f"void valve_model_{name}({arguments});" for name, arguments in SOLVER_FUNCTIONS.items()),
         "",
         "#endif",
         "",
@@ -151,7 +151,7 @@ def _code(valve: TracedValve) -> str:
         "",
         *(
             line
-            for name, (arguments, value) in FUNCTIONS.items()
+            for name, (arguments, value) in C_FUNCTIONS.items()
             for line in (f"static inline double {name}({arguments})", "{", f"    return {value};", "}", "")
         ),
     ]
@@ -172,8 +172,8 @@ def _code(valve: TracedValve) -> str:
     factor = ["def factor(J, diagonal, W, pivots):", *(f"    {line}" for line in factor)]
     printed = [*valve.equations.lines, *factor, *rodas5p.print_step(valve.coupled, solve)]
     for name, body in _by_function(printed).items():
-        if name in LINES:
-            lines += [f"void valve_model_{name}({LINES[name]})", "{", *_c_lines(body), "}", ""]
+        if name in SOLVER_FUNCTIONS:
+            lines += [f"void valve_model_{name}({SOLVER_FUNCTIONS[name]})", "{", *_c_lines(body), "}", ""]
     return "\n".join(lines)
 
 
@@ -262,7 +262,7 @@ def _function(name: str, function: Any, targets: Sequence[str]) -> list[str]:
     return [_signature(name), "{", *declared, *untouched, *lines]
 
 
-FUNCTIONS = {
+C_FUNCTIONS = {
     name: (arguments, value)
     for name, arguments, value in (
         ("sign", "double a", "(a > 0.0) ? 1.0 : ((a < 0.0) ? -1.0 : 0.0)"),

@@ -11,7 +11,7 @@ import numpy as np
 from valvesim.export.c_model import model_sources
 from valvesim.export.fmu import C_FOLDER, MODEL_FILES
 from valvesim.export.reference_results import reference_values
-from valvesim.export.traced_valve import INPUTS, TracedValve, trace_valve
+from valvesim.export.traced_valve import EXPORTED_INPUTS, TracedValve, trace_valve
 from valvesim.inputs import Constant, Table, evaluate
 from valvesim.simulation.scenario import Scenario
 from valvesim.valve.fluid import COMPUTED_RANGE
@@ -84,7 +84,7 @@ def _test(valve: TracedValve) -> str:
 
     places = ", ".join(f"{k} + {'VALVE_STATES' if kind == 'OUTPUT' else '0'}" for kind, k, _ in checked)
     figures = {
-        "@SAMPLES@": str(len(times)), "@INPUTS@": str(len(INPUTS)), "@CHANNELS@": str(len(checked)),
+        "@SAMPLES@": str(len(times)), "@INPUTS@": str(len(EXPORTED_INPUTS)), "@CHANNELS@": str(len(checked)),
         "@STEP@": repr(TEST_STEP), "@FIXED_STEPS@": str(TEST_FIXED_STEPS), "@ERROR@": repr(TEST_ERROR),
         "@ERROR_FIXED@": repr(TEST_ERROR_FIXED), "@INPUT_ROWS@": rows(inputs), "@EXPECTED_ROWS@": rows(columns),
         "@PLACES@": places, "@SPANS@": ", ".join(repr(span) for span in spans.tolist()),

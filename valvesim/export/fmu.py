@@ -39,7 +39,7 @@ C_FOLDER = Path(__file__).parent / "c"
 MODEL_FILES = ("valve.c", "valve_solver.c", "valve_thermal.c", "valve_rest.c", "valve_text.c")
 VERSIONS = ("3.0", "2.0")
 CHECKED = ("-Werror=implicit-function-declaration",)  # a call of nothing would fail in the importer alone
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-DNDEBUG", *CHECKED)
+COMPILER_FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-DNDEBUG", *CHECKED)
 PLATFORMS = {  # (system, machine) -> folder of FMI 2.0, of FMI 3.0
     ("Linux", "x86_64"): ("linux64", "x86_64-linux"),
     ("Linux", "aarch64"): ("", "aarch64-linux"),
@@ -107,7 +107,7 @@ def export_fmu(
     )  # fmt: skip
 
 
-def check_own(path: Path, *, overwrite: bool) -> None:
+def check_replaceable(path: Path, *, overwrite: bool) -> None:
     """InputError where a file stands that is no FMU of this program, unless it may be written over."""
     if overwrite or not path.exists():
         return
@@ -141,7 +141,7 @@ def find_compiler(named: str | None = None) -> str | None:
 
 def compile_c(compiler: str, folder: Path, sources: Sequence[str], output: Path) -> None:
     """Compile and link C files of a folder. SolveError with the compiler's first complaint where that fails."""
-    command = [compiler, *FLAGS, *sources, "-o", str(output), "-lm"]
+    command = [compiler, *COMPILER_FLAGS, *sources, "-o", str(output), "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         complaint = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])

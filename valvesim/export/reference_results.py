@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from valvesim.channels import SIGNAL_CHANNELS
-from valvesim.export.traced_valve import INPUTS, TracedValve, trace_valve
+from valvesim.export.traced_valve import EXPORTED_INPUTS, TracedValve, trace_valve
 from valvesim.inputs import evaluate
 from valvesim.io import write_atomically
 from valvesim.simulation.run import simulate
@@ -26,12 +26,12 @@ def reference_values(scenario: Scenario) -> tuple[np.ndarray, dict[str, np.ndarr
     values = dict(result.values)
     for name in PART_NAMES:
         exact = getattr(scenario.temperatures(knots=result.time).parts, name)
-        if f"{name}_temperature" not in measured_channels(scenario):
+        if f"{name}_temperature" not in sensed_channels(scenario):
             values[f"{name}_temperature"] = np.broadcast_to(exact, result.time.shape)
     return result.time, values
 
 
-def measured_channels(scenario: Scenario) -> set[str]:
+def sensed_channels(scenario: Scenario) -> set[str]:
     """The channels that a sensor effect acts on: a run has their reading, an FMU both."""
     return {active.effect.channel for active in scenario.effects if active.effect.reading is not None}
 
@@ -43,10 +43,10 @@ def write_reference(scenario: Scenario, fmu: str | Path) -> list[Path]:
     commands = (scenario.command, None, *scenario.pressures(), scenario.oil_temperature)
     inputs = {
         one.name: evaluate(command, times)
-        for one, command, _ in zip(valve.inputs, commands, INPUTS, strict=True)
+        for one, command, _ in zip(valve.inputs, commands, EXPORTED_INPUTS, strict=True)
         if command is not None
     }
-    outputs = {name: values[channel] for name, channel in channel_of(valve).items()}
+    outputs = {name: values[channel] for name, channel in equivalent_channels(valve).items()}
     options = {
         "StartTime": 0.0, "StopTime": scenario.duration, "StepSize": 1.0 / scenario.output_rate,
         "RelTol": scenario.tolerance,
@@ -59,9 +59,9 @@ def write_reference(scenario: Scenario, fmu: str | Path) -> list[Path]:
     ]
 
 
-def channel_of(valve: TracedValve) -> dict[str, str]:
+def equivalent_channels(valve: TracedValve) -> dict[str, str]:
     """{state or output of the exported valve: the channel of a run that is the same}."""
-    measured = measured_channels(valve.scenario)
+    measured = sensed_channels(valve.scenario)
     found = {}
     for one in (*valve.states, *valve.outputs):
         plain = one.name.removeprefix("measured_")

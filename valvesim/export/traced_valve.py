@@ -3,7 +3,7 @@
 The formulas are those that a run uses, called with CasADi symbols: nothing of the valve's physics is written here.
 
 Symbols
-    p tunable parameters, u inputs (`INPUTS`), x states that the Jacobian couples, T temperatures as states
+    p tunable parameters, u inputs (`EXPORTED_INPUTS`), x states that the Jacobian couples, T temperatures as states
     s sources of the network: temperatures T, oil in the pilot stage, ambient; c coefficients, then part temperatures
 """
 
@@ -26,10 +26,10 @@ from valvesim.valve.coefficients import CLEARANCES, PART_NAMES, PartTemperatures
 from valvesim.valve.effect import READABLE, ActiveEffect, Reading
 from valvesim.valve.equilibrium import balances_at_rest, chamber_surplus, nozzle_pressures
 from valvesim.valve.fluid import COMPUTED_RANGE
-from valvesim.valve.thermal_network import NODES, SOURCES, throttling_rise
+from valvesim.valve.thermal_network import SOURCES, THERMAL_NODES, throttling_rise
 
 OIL_TEMPERATURE = Channel("oil_temperature", "degC", "oil before the pilot stage", 100.0)
-INPUTS = (*INPUT_CHANNELS, OIL_TEMPERATURE)
+EXPORTED_INPUTS = (*INPUT_CHANNELS, OIL_TEMPERATURE)
 """Inputs of the exported valve in order: those of the equations, then the oil's temperature."""
 COMMAND_LIMITS = {"A": 1.0, "V": 1e4}  # beyond which a command is no servo valve's
 OTHER_AT_ZERO = ("bulk_modulus_slope",)  # quantities with another formula at zero: zero stays, no other becomes it
@@ -178,7 +178,7 @@ class _Trace:
         initial = self.scenario.thermal.initial_temperature
         if self.network is not None:
             middle = "path_" if self.part_lag else ""
-            for node in NODES:
+            for node in THERMAL_NODES:
                 start: Any = initial.get(node) if isinstance(initial, Mapping) else initial
                 doc = f"temperature of the {node.replace('_', ' ')}" + (" before its lag" if middle else "")
                 start = None if start is None else float(start)
@@ -187,7 +187,7 @@ class _Trace:
                     ValveVariable(name=name, unit="degC", doc=doc, start=start, low=low, high=high, scale=100.0)
                 )  # fmt: skip
         if self.part_lag:
-            for node in NODES:
+            for node in THERMAL_NODES:
                 doc = f"temperature of the {node.replace('_', ' ')} behind its lag"
                 states.append(ValveVariable(name=f"{node}_lagged_temperature", unit="degC", doc=doc, scale=100.0))
         self.states = tuple(states)
@@ -197,25 +197,25 @@ class _Trace:
     def _trace_temperatures(self) -> None:
         """Oil in the pilot stage, rates of the network, part temperatures, coefficients."""
         SX, n_slow = self.casadi.SX, len(self.states) - self.coupled
-        self.u = SX.sym("u", len(INPUTS))
+        self.u = SX.sym("u", len(EXPORTED_INPUTS))
         self.T = SX.sym("T", n_slow)
-        oil = self.u[len(INPUTS) - 1]
+        oil = self.u[len(EXPORTED_INPUTS) - 1]
         self.pilot_oil = oil if self.drop is None else oil + throttling_rise(self.oil, self.drop)(oil)
-        path, rates = dict.fromkeys(NODES, self.pilot_oil), []
+        path, rates = dict.fromkeys(THERMAL_NODES, self.pilot_oil), []
         self.sources = SX.sym("s", n_slow + 2)
-        held = dict.fromkeys(NODES, self.sources[n_slow])
+        held = dict.fromkeys(THERMAL_NODES, self.sources[n_slow])
         if self.network is not None:
-            path = {node: self.T[k] for k, node in enumerate(NODES)}
-            held = {node: self.sources[k] for k, node in enumerate(NODES)}
+            path = {node: self.T[k] for k, node in enumerate(THERMAL_NODES)}
+            held = {node: self.sources[k] for k, node in enumerate(THERMAL_NODES)}
             outside = dict(zip(SOURCES, (self.sources[n_slow], self.sources[n_slow + 1]), strict=True))
             rates = list(self.network.rates(held | outside).values())
         parts = path
         if self.part_lag:
             tau = self.part_lag.effect.lag(self.part_lag.values)  # type: ignore[misc]  # looked at where it was found
-            first = n_slow - len(NODES)
-            rates += [_lag_rate(held[node], self.sources[first + k], tau) for k, node in enumerate(NODES)]
+            first = n_slow - len(THERMAL_NODES)
+            rates += [_lag_rate(held[node], self.sources[first + k], tau) for k, node in enumerate(THERMAL_NODES)]
             parts = {
-                node: _if_lagging(self.T[first + k], path[node], tau) for k, node in enumerate(NODES)
+                node: _if_lagging(self.T[first + k], path[node], tau) for k, node in enumerate(THERMAL_NODES)
             }  # fmt: skip
         self.thermal_rates = self.casadi.vertcat(*rates) if rates else SX(0, 1)
         self.parts = PartTemperatures(oil=self.pilot_oil, **parts)
@@ -292,7 +292,7 @@ class _Trace:
             if channel.name not in taken:
                 told = ValveVariable(name=channel.name, unit=channel.unit, doc=channel.doc, scale=channel.scale)
                 outputs.append((told, channels[channel.name]))
-        names = ("pilot_oil" if self.drop is not None else "", *NODES)
+        names = ("pilot_oil" if self.drop is not None else "", *THERMAL_NODES)
         for name in filter(None, names):
             shown = f"{name}_temperature"
             if shown not in taken:
@@ -403,7 +403,7 @@ class _Trace:
         bar = {name: positive[name].metadata["bounds"] for name in ("supply_pressure", "return_pressure")}
         bar["load_pressure"] = positive["load_pressure"].metadata["bounds"]
         variables = []
-        for channel, command in zip(INPUTS, commands, strict=True):
+        for channel, command in zip(EXPORTED_INPUTS, commands, strict=True):
             name, unit, doc = channel.name, channel.unit, channel.doc
             low, high = -np.inf, np.inf
             if name == "command":

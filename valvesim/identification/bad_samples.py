@@ -130,10 +130,11 @@ def without_outliers(
             usable[name] = record.usable[name] & ~outlying
             for k in np.flatnonzero(outlying):
                 line = "" if record.path is None else f", {record.place(int(k))}"
-                size = abs(float(left[k])) / study.noise[name, record.pace].deviation
+                off = float(left[k]) - float(np.median(left[[k - 2, k - 1, k + 1, k + 2]]))
+                size = abs(off) / study.noise[name, record.pace].deviation
                 notes.append(
                     f"{record.name}{line}: {name} of {value_text(float(record.values[name][k]), UNITS[name])} is "
-                    f"{size:.0f} noise deviations off, and its neighbours are not; it is left out"
+                    f"{size:.0f} noise deviations off its neighbours, as the model has them; it is left out"
                 )
         records.append(replace(record, usable=usable))
     return with_records(prepared, records, notes) if notes else prepared

@@ -2,7 +2,8 @@
 
 A record holds its command at samples. In between it may go straight, stay (a generator's staircase), go on smoothly (a
 generator far faster than the logger), or jump at any time; and what was logged as constant may have moved. Each is an
-`InputDeviation`: of points (time, value) with straight lines between them it makes others, by so much as its amount.
+`InputDeviation`. Most make of points (time, value) with straight lines between them other points, by so much as their
+amount; a `Wave` is added to what comes of these, as the sine that it is.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from valvesim.identification.options import IdentificationOptions
-from valvesim.inputs import Command, Constant, Table
+from valvesim.inputs import Command, Constant, Sine, Sum, Table
 
 EDGE = 1e-6  # s: how long a jump takes
 SMOOTH = 8  # points to a sample of a command that goes on smoothly
@@ -22,7 +23,7 @@ SMOOTH = 8  # points to a sample of a command that goes on smoothly
 Points = tuple[np.ndarray, np.ndarray]
 
 
-class InputDeviation(Protocol):
+class PointDeviation(Protocol):
     """How an input of a record differs from straight lines between its samples."""
 
     @property
@@ -96,21 +97,6 @@ class Smooth:
 
 
 @dataclass(frozen=True)
-class Wave:
-    """A wave on an input, `amount` in its SI unit at the crest: cos(2 pi f t - phase)."""
-
-    record: str
-    column: str
-    frequency: float
-    phase: float
-
-    def apply(self, points: Points, samples: Points, amount: float) -> Points:
-        t, u = points
-        fine = np.union1d(t, np.arange(t[0], t[-1], 1.0 / (96.0 * self.frequency)))
-        return fine, np.interp(fine, t, u) + amount * np.cos(2.0 * np.pi * self.frequency * fine - self.phase)
-
-
-@dataclass(frozen=True)
 class InputShift:
     """An input that is off by `amount`: throughout, or where `growing` by so much at the end and nothing before."""
 
@@ -123,13 +109,33 @@ class InputShift:
         return t, u + amount * ((t - t[0]) / (t[-1] - t[0]) if self.growing else 1.0)
 
 
+@dataclass(frozen=True)
+class Wave:
+    """A wave on an input, `amount` in its SI unit at the crest: cos(2 pi f t - phase)."""
+
+    record: str
+    column: str
+    frequency: float
+    phase: float
+
+    def command(self, amount: float) -> Command:
+        """The wave as a command of its own."""
+        return Sine(amplitude=amount, frequency=self.frequency, phase=0.5 * np.pi - self.phase)
+
+    def on_grid(self, times: np.ndarray) -> np.ndarray:
+        """A wave of amount one at times (n,) of an even grid as `added_on_grid` has it: means over hats, exact."""
+        damped = np.sinc(self.frequency * (times[1] - times[0])) ** 2
+        return damped * np.cos(2.0 * np.pi * self.frequency * times - self.phase)
+
+
+InputDeviation = PointDeviation | Wave
 Deviations = tuple[tuple[InputDeviation, float], ...]
-"""Deviations with their amounts, in the order in which they act."""
+"""Deviations with their amounts: those of the points in the order in which they act."""
 
 
-def acting_on(deviations: Deviations, record: str) -> Deviations:
-    """Those of a record."""
-    return tuple(each for each in deviations if each[0].record == record)
+def acting_on(deviations: Deviations, record: str, column: str = "") -> Deviations:
+    """Those of a record, or of one of its columns."""
+    return tuple(each for each in deviations if each[0].record == record and column in ("", each[0].column))
 
 
 def points_of(command: Command, end: float) -> Points:
@@ -140,21 +146,45 @@ def points_of(command: Command, end: float) -> Points:
     return np.asarray(command.times), np.asarray(command.values)
 
 
-def deviating(column: str, samples: Points, deviations: Deviations) -> Points:
-    """An input's points with the deviations of its column."""
+def deviating(samples: Points, deviations: Deviations) -> Points:
+    """An input's points with deviations of these; waves are none."""
     points = samples
     for deviation, amount in deviations:
-        if deviation.column == column:
+        if not isinstance(deviation, Wave):
             points = deviation.apply(points, samples, amount)
     return points
 
 
-def command_of(points: Points, where: str) -> Command:
+def deviating_command(command: Command, end: float, deviations: Deviations, where: str) -> Command:
+    """A measured input with deviations of it."""
+    waves = [one.command(amount) for one, amount in deviations if isinstance(one, Wave)]
+    if len(waves) < len(deviations):
+        command = command_through(deviating(points_of(command, end), deviations), where)
+    return Sum((command, *waves)) if waves else command
+
+
+def command_through(points: Points, where: str) -> Command:
     """The command that goes straight between points."""
     t, u = points
     if np.ptp(u) == 0.0:
         return Constant(value=float(u[0]))
     return Table(times=tuple(t.tolist()), values=tuple(u.tolist()), where=where)
+
+
+def added_input(
+    command: Command, end: float, deviations: Deviations, before: Deviations, times: np.ndarray
+) -> np.ndarray:
+    """What deviations of a measured input add to it beyond others `before`, at times (n,) of an even grid."""
+    added = np.zeros(len(times))
+    for sign, those in ((1.0, deviations), (-1.0, before)):
+        for one, amount in those:
+            if isinstance(one, Wave):
+                added += sign * amount * one.on_grid(times)
+    new, old = (tuple(each for each in those if not isinstance(each[0], Wave)) for those in (deviations, before))
+    if new != old:
+        samples = points_of(command, end)
+        added += added_on_grid(deviating(samples, new), deviating(samples, old), times)
+    return added
 
 
 def added_on_grid(new: Points, old: Points, times: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ effect, or a nominal parameter beyond its tolerance.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,7 @@ from valvesim.valve.effect import ActiveEffect, Effect
 from valvesim.valve.equations import AT_20
 from valvesim.valve.parameters import Valve
 
-SHAPES: dict[str, dict[str, tuple[float, ...]]] = {  # shape parameters at which an effect is looked for
-    "fixed_orifice_clogging": {"side": (1.0, 2.0)},
-    "nozzle_erosion": {"side": (1.0, 2.0)},
-    "eddy_current_lag": {"time_constant": (5e-4, 2e-3, 2e-2)},
-    "magnetic_hysteresis": {"turning_current": (1e-3, 4e-3)},
-}
 OTHER_NETWORK = "thermal_network"  # the label of all its figures: which of them is off, drifts hardly tell
-WHOLE = ("side",)  # shape parameters that are not fitted
 
 
 @dataclass(frozen=True)
@@ -58,7 +52,8 @@ class Candidate:
         if self.parameter is not None and self.parameter.of_network:
             return OTHER_NETWORK
         at = f"@{self.effect.channel}" if self.effect is not None and self.effect.channel else ""
-        return self.name + at + "".join(f"[{name}={value:g}]" for name, value in self.fixed if name in WHOLE)
+        fitted = {p.name for p in self.shapes()}
+        return self.name + at + "".join(f"[{name}={value:g}]" for name, value in self.fixed if name not in fitted)
 
     @property
     def one_sided(self) -> bool:
@@ -195,7 +190,7 @@ class Candidate:
         """The shape parameters that can be fitted."""
         if self.effect is None:
             return ()
-        return tuple(p for p in self.effect.parameters if p.neutral is None and p.name not in WHOLE)
+        return tuple(p for p in self.effect.parameters if p.neutral is None and not p.discrete)
 
 
 def candidates_of(session: Session, nominal: NominalModel) -> tuple[Candidate, ...]:
@@ -211,13 +206,10 @@ def candidates_of(session: Session, nominal: NominalModel) -> tuple[Candidate, .
             continue
         if effect.name in known:
             continue
-        shapes = SHAPES.get(effect.name, {})
-        combinations: list[tuple[tuple[str, float], ...]] = [()]
-        for name, values in shapes.items():
-            combinations = [(*one, (name, value)) for one in combinations for value in values]
+        sought = [[(p.name, value) for value in p.sought] for p in effect.parameters if p.sought]
         found += [
             Candidate(effect.name, one, fixed)
-            for fixed in combinations
+            for fixed in product(*sought)
             for one in _paced(effect, session, options=nominal.options)
         ]
     found = [_with_equivalent(candidate, nominal) for candidate in found]

@@ -13,6 +13,7 @@ from valvesim.identification.jacobian import candidate_sensitivities, parameter_
 from valvesim.identification.linearised_record import LinearisedRecord, linearise_record
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant, Trajectory
+from valvesim.identification.prior import NuisanceParameter
 from valvesim.identification.projection import GramMatrix
 from valvesim.identification.study import Study, residual_of
 
@@ -53,6 +54,18 @@ def jacobian_of(
         np.log(study.options.sensitivity.shape_ratio) if shape else perturbation(member) for member, shape in fit.layout
     ]
     return np.column_stack([J, own / sizes])
+
+
+def added_jacobian_of(
+    study: Study, linearised: Sequence[LinearisedRecord], parameters: Sequence[NuisanceParameter]
+) -> np.ndarray:
+    """Whitened sensitivities (rows, k) to one prior deviation of more parameters than a study has, about a fit."""
+    own = replace(study.nominal, parameters=tuple(parameters))
+
+    def columns_of(linear: LinearisedRecord) -> dict[str, np.ndarray]:
+        return parameter_sensitivities(linear, own, perturbed_variants(own, linear.variant))
+
+    return study.stack([columns_of(linear) for linear in linearised])
 
 
 def all_candidate_sensitivities(

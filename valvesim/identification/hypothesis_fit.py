@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +49,7 @@ def fit_hypothesis(
     fit = _fit_from_start(nominal, near, start, linearisations)
     if near is tried[0] or (
         fit is not None
-        and fit.predicted_reduction < nominal.study.options.fit.unconverged
+        and fit.predicted_reduction < unconverged(nominal, fit)
         and fit.chi_square < _worthwhile(nominal)
     ):
         return fit
@@ -81,9 +81,7 @@ def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandida
     )
     if fit.chi_square > nominal.study.options.fit.inadequate_ratio * fit.rows:
         return _fit_robustly(nominal, fit, linearisations)
-    return _iterate(
-        nominal.study, fit, jacobian, nominal.study.options.fit.hypothesis_ftol, linearisations, _worthwhile(nominal)
-    )
+    return _iterate(nominal.study, fit, jacobian, _ending(nominal), linearisations, _worthwhile(nominal))
 
 
 def fit_from_prior(
@@ -124,7 +122,7 @@ def continue_from(nominal: NominalFit, fit: Fit) -> Fit | None:
         study,
         fit,
         jacobian,
-        nominal.study.options.fit.hypothesis_ftol,
+        _ending(nominal),
         nominal.study.options.fit.most_linearisations,
         _worthwhile(nominal),
     )
@@ -171,7 +169,7 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int) -> Fit:
             between,
             start,
             jacobian_of(between, fit, linearised, columns),
-            nominal.study.options.fit.preliminary_ftol,
+            lambda fit: nominal.study.options.fit.preliminary_ftol,
             linearisations,
             np.inf,
         )
@@ -181,7 +179,7 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int) -> Fit:
         study,
         fit,
         jacobian_of(study, fit, linearised, columns),
-        nominal.study.options.fit.hypothesis_ftol,
+        _ending(nominal),
         linearisations,
         _worthwhile(nominal),
     )
@@ -192,9 +190,28 @@ def _worthwhile(nominal: NominalFit) -> float:
     return max(nominal.fit.chi_square, nominal.study.options.fit.inadequate_ratio * nominal.fit.rows)
 
 
-def _iterate(study: Study, fit: Fit, jacobian: np.ndarray, enough: float, linearisations: int, good: float) -> Fit:
+def unconverged(nominal: NominalFit, fit: Fit) -> float:
+    """The predicted reduction from which the fit of a hypothesis has not converged."""
+    return 2.0 * _ending(nominal)(fit)
+
+
+def _ending(nominal: NominalFit) -> Callable[[Fit], float]:
+    """The reduction of the chi-square that ends a fit: of much that is explained a share tells no hypotheses apart."""
+    options = nominal.study.options.fit
+
+    def enough(fit: Fit) -> float:
+        explained = min(nominal.fit.chi_square - fit.chi_square, options.most_explained * fit.rows)
+        return max(options.hypothesis_ftol, options.relative_ftol * explained)
+
+    return enough
+
+
+def _iterate(
+    study: Study, fit: Fit, jacobian: np.ndarray, ending: Callable[[Fit], float], linearisations: int, good: float
+) -> Fit:
     """Levenberg-Marquardt with the Jacobian taken anew where it no longer holds; with the Occam factor in the end."""
     for iteration in range(1, linearisations + 1):
+        enough = ending(fit)
         new, jacobian = levenberg_marquardt(study, fit, jacobian, enough)
         stuck, fit = iteration > 1 and new.chi_square > fit.chi_square - enough, new
         if (

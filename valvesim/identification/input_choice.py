@@ -21,14 +21,14 @@ from valvesim.identification.between_samples import (
     command_corners,
     edges_of,
 )
-from valvesim.identification.fit import Fit, evaluate_fit, predict_readings
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, predict_readings
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.session import UNITS, Record, Session, value_text
 from valvesim.identification.study import PreparedSession, Study
-from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.effects.sensors import SENSOR_DELAY
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +82,10 @@ def choose_inputs(
     linearised: Sequence[LinearisedRecord],
     columns: Sequence[dict[str, np.ndarray]],
     now: InputChoice = STRAIGHT,
+    fitted: tuple[FittedCandidate, ...] = (),
 ) -> InputChoice:
-    """The way of the commands that the readings ask for, by a point (p,) near the best fit of a study without any.
+    """The way of the commands that the readings ask for, by a point (p,) near the best fit of a study without any, and
+    the candidates that are `fitted` beside it.
 
     `columns` are the sensitivities there, first of all those of the study's own parameters. Another way than `now` must
     be better by more than chance.
@@ -100,7 +102,7 @@ def choose_inputs(
         if choice.parameters:
             more = np.column_stack([J, added_columns(study, linearised, nominal, choice.parameters)])
         added = np.zeros(len(choice.parameters))
-        tried = [_evaluated(study.with_nominal(nominal), np.append(start, added)) for start in starts]
+        tried = [_evaluated(study.with_nominal(nominal), np.append(start, added), fitted) for start in starts]
         predicted = [(_predicted(fit, more, nominal), fit.rows) for fit in tried if fit is not None]
         if not predicted:
             continue
@@ -114,14 +116,13 @@ def choose_inputs(
 
 def are_delays(nominal: NominalModel) -> np.ndarray:
     """(p,) True for the parameters that are a sensor's delay."""
-    delay = CATALOGUE["sensor_delay"].name
-    return np.array([p.sensor is not None and p.sensor.name == delay for p in nominal.parameters])
+    return np.array([p.sensor is not None and p.sensor.name == SENSOR_DELAY.name for p in nominal.parameters])
 
 
-def _evaluated(study: Study, point: np.ndarray) -> Fit | None:
-    """The fit at a point (p,); None where it cannot be simulated."""
+def _evaluated(study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...]) -> Fit | None:
+    """The fit at a point (p,) with candidates; None where it cannot be simulated."""
     try:
-        return evaluate_fit(study, point, ())
+        return evaluate_fit(study, point, fitted)
     except (SolveError, InputError):
         return None
 

@@ -73,8 +73,10 @@ def fitted_waves(model: NominalModel) -> dict[str, tuple[NuisanceParameter, ...]
     return found
 
 
-def outstanding_frequencies(study: PreparedSession, readings: Readings) -> list[float]:
-    """The few frequencies (Hz) at which what is left stands furthest above what is left beside them."""
+def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: float) -> list[float]:
+    """The few frequencies (Hz) at which what is left stands furthest above what is left beside them, by a ratio of at
+    least `peak`.
+    """
     wave = study.options.wave
     longest = max(predictor.record.duration for predictor in study.predictors)
     highest = min(predictor.record.rate for predictor in study.predictors) / 2.0
@@ -87,7 +89,7 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings) -> list[
     over = power / np.maximum(median_filter(power, wave.beside_bins), 1e-300)
     found: list[float] = []
     for k in np.argsort(-over, kind="stable"):
-        if over[k] < wave.peak or len(found) == wave.frequencies:
+        if over[k] < peak or len(found) == wave.frequencies:
             break
         if all(abs(grid[k] - other) > 3.0 / longest for other in found):
             best = float(grid[k])
@@ -131,7 +133,7 @@ def dominant_wave(
     records, taken = study.session.training, fitted_waves(study.nominal)
     waves = [
         wave_parameters(records, column, frequency, wave_size(study.nominal, records, column))
-        for frequency in outstanding_frequencies(study, fit.readings)
+        for frequency in outstanding_frequencies(study, fit.readings, options.wave.peak)
         for column in wave_columns(records)
         if wave_name(column, frequency) not in taken
     ]
@@ -140,7 +142,7 @@ def dominant_wave(
     together = [p for wave in waves for p in wave]
     added = added_columns(study, linearised, study.nominal.extended(together), together)
     parts = np.split(added, np.cumsum([len(wave) for wave in waves])[:-1], axis=1)
-    before = linear_reduction(J, fit, np.empty((len(J), 0)))
+    before = linear_reduction(J, fit, J[:, :0])
     gains = [linear_reduction(J, fit, part) - before for part in parts]
     best, left = int(np.argmax(gains)), fit.chi_square - fit.rows - before
     return waves[best] if gains[best] > max(options.wave.minimum_gain, options.wave.dominant_share * left) else ()
@@ -157,3 +159,10 @@ def linear_reduction(J: np.ndarray, fit: Fit, added: np.ndarray, without_prior: 
     gradient = A.T @ fit.residual
     gradient[:p] -= fit.point
     return float(gradient @ inverse_of(A.T @ A + np.diag(prior)) @ gradient)
+
+
+def linear_gain(J: np.ndarray, fit: Fit, S: np.ndarray, beside: np.ndarray | None = None) -> float:
+    """The reduction of the chi-square by columns S (rows, k), with their priors, beyond that by those `beside`."""
+    beside = J[:, :0] if beside is None else beside
+    together = linear_reduction(J, fit, np.column_stack([beside, S]), beside.shape[1])
+    return together - linear_reduction(J, fit, beside, beside.shape[1])

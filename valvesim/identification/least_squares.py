@@ -83,13 +83,31 @@ def _linearisation_expired(start: Fit, fit: Fit, *, options: IdentificationOptio
 
 
 def bounded_step(H: np.ndarray, gradient: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """The step that lowers the chi-square most inside the box: active limits are held, the rest solved again."""
+    """The step that lowers the chi-square most inside the box, by block principal pivoting (Judice and Pires 1994).
+
+    All components beyond their limits are held there, and all those let go again whose gradient leads back inside; one
+    at a time where that goes round in circles.
+    """
+    low, high = limits
     step, held = solve_normal(H, gradient), np.zeros(len(gradient), dtype=bool)
-    while (beyond := ~held & ((step < limits[0]) | (step > limits[1]))).any():
-        held |= beyond
-        step = np.where(held, np.clip(step, *limits), 0.0)
+    fewest, patience = len(gradient) + 1, 3
+    for _ in range(4 * len(gradient)):  # far more than it needs
+        beyond = ~held & ((step < low) | (step > high))
+        pull = gradient - H @ step
+        inwards = held & np.where(step <= low, pull > 0.0, pull < 0.0)
+        wrong = np.flatnonzero(beyond | inwards)
+        if not len(wrong):
+            break
+        if len(wrong) < fewest:
+            fewest, patience = len(wrong), 3
+        elif patience:
+            patience -= 1
+        else:
+            wrong = wrong[-1:]
+        held[wrong] ^= True
+        step = np.where(held, np.clip(step, low, high), 0.0)
         step[~held] = solve_normal(H[np.ix_(~held, ~held)], (gradient - H @ step)[~held])
-    return step
+    return np.clip(step, low, high)
 
 
 def solve_normal(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from valvesim.identification.tangent_linear import TangentLinear, first_order_re
 from valvesim.units import quantities
 from valvesim.valve.effect import ActiveEffect
 from valvesim.valve.parameters import Valve
+from valvesim.valve.thermal_network import TemperaturePath, joint_path
 from valvesim.valve.valve_model import ValveModel
 
 SIGNAL_NAMES = Signals._fields
@@ -98,17 +99,12 @@ class LinearisedRecord:
     def _forcings(self, variants: Sequence[ModelVariant]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """`forcing` of several variants, (n, s, k) and (n, k) by signal; those of other valves go together."""
         n, k = len(self.predictor.times), len(variants)
-        alike = [j for j, variant in enumerate(variants) if replace(variant, valve=self.variant.valve) == self.variant]
         g = np.empty((n, len(self.tangent.scale), k))
         direct = {name: np.empty((n, k)) for name in self.trajectory.at_valve if name in SIGNAL_NAMES}
-        size = max(self.predictor.options.sensitivity.batch_values // n, 1)
-        for group in [
-            *(alike[start : start + size] for start in range(0, len(alike), size)),
-            *([j] for j in range(k) if j not in alike),
-        ]:
-            first = variants[group[0]]
-            batch = first if len(group) == 1 else replace(first, valve=_batch([variants[j].valve for j in group]))
-            rates, signals = self.forcing(batch)
+        for group in self._batches(variants):
+            batch = variants[group[0]] if len(group) == 1 else _batch([variants[j] for j in group])
+            path = None if len(group) == 1 else self._joint_path([variants[j] for j in group])
+            rates, signals = self.forcing(batch, path)
             together = group[-1] - group[0] == len(group) - 1
             at = slice(group[0], group[-1] + 1) if together else group  # a list takes six times as long
             g[:, :, at] = rates.reshape(n, len(self.tangent.scale), -1)  # one where none of them acts
@@ -116,10 +112,33 @@ class LinearisedRecord:
                 direct[name][:, at] = part.reshape(n, -1)
         return g, direct
 
-    def forcing(self, variant: ModelVariant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _batches(self, variants: Sequence[ModelVariant]) -> list[list[int]]:
+        """The indices of variants that are worked out together: of valves or of networks that differ alone."""
+        own, batches = self.variant, list[list[int]]()
+        own_knots = any(active.effect.temperatures is not None for active in own.effects)
+        size = max(self.predictor.options.sensitivity.batch_values // len(self.predictor.times), 1)
+        alone = set(range(len(variants)))
+        for alike in (
+            [j for j, one in enumerate(variants) if replace(one, valve=own.valve) == own],
+            [j for j, one in enumerate(variants) if not own_knots and replace(one, network=own.network) == own != one],
+        ):
+            alone -= set(alike)
+            batches += [alike[start : start + size] for start in range(0, len(alike), size)]
+        return [*batches, *([j] for j in sorted(alone))]
+
+    def _joint_path(self, variants: Sequence[ModelVariant]) -> TemperaturePath | None:
+        """The temperatures (batch, m) of variants whose networks differ; None where these are the trajectory's."""
+        if all(one.network == self.variant.network for one in variants):
+            return None
+        return joint_path([self.predictor.temperatures(one) for one in variants])
+
+    def forcing(
+        self, variant: ModelVariant, path: TemperaturePath | None = None
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """(scaled rates (n, s), direct parts (n,) by signal) that a variant adds along this trajectory.
 
-        A variant whose valve is a batch (batch, 1) adds (n, s, batch) and (n, batch).
+        A variant whose valve is a batch (batch, 1), or with a `path` of temperatures (batch, m), adds (n, s, batch) and
+        (n, batch).
         """
         if self._has_other_inputs_alone(variant):
             return self._forcing_of_inputs(variant)
@@ -129,7 +148,8 @@ class LinearisedRecord:
         own = {effect.name for effect in self.model.effects}
         more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
         model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
-        path = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
+        if path is None and self.predictor.same_temperatures(variant, self.variant):
+            path = self.trajectory.path
         along = self.predictor.coefficients_along(variant, model, path=path)
         states = [self.trajectory.states[:, k] for k in self.tangent.active]
         for active in more:
@@ -211,14 +231,14 @@ def _at(values: Any, rows: np.ndarray) -> Any:
     return values[rows] if np.ndim(values) and len(values) > 1 else values
 
 
-def _batch(valves: Sequence[Valve]) -> Valve:
-    """One valve whose quantities are (k, 1) where those of the valves differ."""
-    first, differing = valves[0], dict[str, Any]()
+def _batch(variants: Sequence[ModelVariant]) -> ModelVariant:
+    """The first of variants with a valve whose quantities are (k, 1) where those of the valves differ."""
+    first, differing = variants[0].valve, dict[str, Any]()
     for name in quantities(Valve):
-        values = [getattr(valve, name) for valve in valves]
+        values = [getattr(variant.valve, name) for variant in variants]
         if any(value != values[0] for value in values):
             differing[name] = np.array(values)[:, None]
-    return replace(first, **differing)
+    return replace(variants[0], valve=replace(first, **differing))
 
 
 def linearise_record(

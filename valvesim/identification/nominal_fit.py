@@ -9,7 +9,7 @@ import numpy as np
 
 from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
-from valvesim.identification.fit import Fit, evaluate_fit, rescored
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, rescored
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
 from valvesim.identification.input_choice import (
     HELD_NAME,
@@ -170,9 +170,11 @@ def _with_inputs(prepared: PreparedSession, choice: InputChoice) -> PreparedSess
     return replace(found, spread=input_spread(found))
 
 
-def _reviewed_choice(nominal: NominalFit) -> tuple[Study, InputChoice, InputChoice]:
+def _reviewed_choice(
+    nominal: NominalFit, fitted: tuple[FittedCandidate, ...] = ()
+) -> tuple[Study, InputChoice, InputChoice]:
     """The session of a fit without what it took of the commands between their samples; what that was; and the same or
-    a better one by the figures of the fit.
+    a better one by the figures of the fit, with candidates that are `fitted` beside it.
     """
     study, model = nominal.study, nominal.study.nominal
     edges = {p.name for p in model.parameters if isinstance(p.input, EdgeTime)}
@@ -188,7 +190,9 @@ def _reviewed_choice(nominal: NominalFit) -> tuple[Study, InputChoice, InputChoi
     session = replace(study.session, notes=tuple(note for note in study.session.notes if note not in taken))
     without = replace(study, nominal=plain, session=session, spread={})
     columns = [{name: each[:, own] for name, each in one.items()} for one in nominal.columns]
-    return without, now, choose_inputs(without, nominal.fit.point[own], nominal.linearised, columns, now)
+    return without, now, choose_inputs(
+        without, nominal.fit.point[own], nominal.linearised, columns, now, fitted
+    )
 
 
 def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
@@ -210,6 +214,13 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
     tried = _near_under(without, held, nominal, punctual=True)
     gain = (nominal.fit.chi_square - nominal.fit.rows) - (tried.fit.chi_square - tried.fit.rows)
     return tried if gain > nominal.study.options.input.minimum_gain else nominal
+
+
+def with_inputs_beside(nominal: NominalFit, beside: NominalFit) -> NominalFit:
+    """A nominal fit, or the one near it under the way of its commands that a fit `beside` it asks for, with candidates.
+    """
+    without, now, better = _reviewed_choice(beside, beside.fit.fitted)
+    return nominal if better.name == now.name else _near_under(without, better, nominal, punctual=False)
 
 
 def _near_under(without: Study, choice: InputChoice, nominal: NominalFit, *, punctual: bool) -> NominalFit:
@@ -263,7 +274,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     """A preliminary fit continued at full weight; with peaks down-weighted where the model cannot follow them."""
     study = study.with_noise(nominal.study.noise)
     near = linearise_nominal(study, rescored(study, nominal.fit))
-    full = _converge(near, study.options.fit.nominal_ftol, progress, to_adequate=True)
+    full = _converge(near, study.options.fit.nominal_ftol, progress)
     left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
     follows = left <= study.options.fit.peak_ratio * max(left_between, 0.0) + 0.1 * full.fit.rows
     if follows and full.fit.chi_square < study.options.fit.inadequate_ratio * full.fit.rows:
@@ -326,14 +337,12 @@ def _converge(
     nominal: NominalFit,
     enough: float,
     progress: Callable[[float], None] = lambda share: None,
-    *,
-    to_adequate: bool = False,
 ) -> NominalFit:
     """The nominal model fitted under its study's noise until a fresh linearisation predicts no more than `enough`, or
     than is worth it of the excess chi-square.
 
     What steps have gained is kept and linearised again, unless it is next to nothing: a first step that brings less
-    than `enough` may stand before as much again. `to_adequate` ends it where an adequate fit is no longer in sight.
+    than `enough` may stand before as much again. It ends as well where an adequate fit is no longer in sight.
     """
     options = nominal.study.options.fit
     for iteration in range(options.nominal_linearisations):
@@ -342,7 +351,7 @@ def _converge(
         fit, _ = levenberg_marquardt(nominal.study, nominal.fit, nominal.J, max(enough, least))
         gained = nominal.fit.chi_square - fit.chi_square
         beyond = fit.chi_square - options.inadequate_ratio * fit.rows
-        if gained < max(0.1 * enough, least) or (to_adequate and gained < options.adequate_pace * beyond):
+        if gained < max(0.1 * enough, least, options.adequate_pace * beyond):
             break
         nominal = linearise_nominal(nominal.study, fit)
     return nominal

@@ -1,32 +1,14 @@
 """The options of identification: every threshold with its unit, meaning and where its value comes from.
 
-Options are passed on: a `Study` carries its own. `option_table` lists them. A value whose source is `JUDGEMENT` follows
-from no data sheet or theorem; those of the diagnosis are held against `benchmarks/hidden_effects.py` as a whole.
+Options are passed on: a `Study` carries its own. Those that follow from judgement are held as a whole, with those of
+the diagnosis, against `benchmarks/hidden_effects.py`.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
-JUDGEMENT = "judgement"
-
-
-def option(value: Any, unit: str, doc: str, source: str) -> Any:
-    """A dataclass field that declares an option once: value, unit ("1" for a number), meaning, source of the value."""
-    return dataclasses.field(default=value, metadata={"unit": unit, "doc": doc, "source": source})
-
-
-def option_table(options: Any) -> Iterator[tuple[str, Any, str, str, str]]:
-    """(name, value, unit, doc, source) of each option, those of stages inside as `stage.name`."""
-    for declared in dataclasses.fields(options):
-        value = getattr(options, declared.name)
-        if dataclasses.is_dataclass(value):
-            yield from ((f"{declared.name}.{name}", *rest) for name, *rest in option_table(value))
-        else:
-            yield declared.name, value, *(declared.metadata[key] for key in ("unit", "doc", "source"))
+from valvesim.options import JUDGEMENT, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +33,12 @@ class AuditOptions:
     top_samples: int = option(3, "1", "equal readings in a row at the extreme that a step may leave there", JUDGEMENT)
     flat_reach: float = option(
         0.05, "1", "share of the output's span that the command must ask for beyond a flat top", JUDGEMENT
+    )
+    crowd_width: float = option(
+        5e-4, "1", "share of the output's span next to its extreme in which readings are counted", JUDGEMENT
+    )
+    crowd_ratio: float = option(
+        5.0, "1", "times as many readings at the extreme as at any value next to it: saturated", "a sine has 2.4"
     )
     finest_grid: float = option(
         1e-4,
@@ -173,6 +161,16 @@ class WaveOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class InstrumentOptions:
+    """Errors of a bench's instruments that no record tells; the sizes are prior deviations."""
+
+    oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
+    supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
+    clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
+    meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
+
+
+@dataclass(frozen=True, kw_only=True)
 class PriorOptions:
     """Priors of the nuisance parameters, and candidates."""
 
@@ -183,6 +181,9 @@ class PriorOptions:
     )
     least_share: float = option(
         0.01, "1", "share of its nominal value that a positive quantity keeps: the equations divide by some", JUDGEMENT
+    )
+    reach: float = option(
+        10.0, "1", "prior deviations that no nuisance parameter goes beyond", "five tolerances: another part"
     )
     network_reach: float = option(
         100.0, "1", "factor within which a figure of the thermal network is sought either way", JUDGEMENT
@@ -264,7 +265,7 @@ class FitOptions:
         JUDGEMENT,
     )
     adequate_pace: float = option(
-        0.1, "1", "share of what is beyond adequate that a linearisation must bring, or an adequate fit is given up",
+        0.05, "1", "share of what is beyond adequate that a linearisation must bring, or an adequate fit is given up",
         JUDGEMENT,
     )
     shape_stride: float = option(4.5, "1", "ratio by which one step may change a shape parameter", JUDGEMENT)
@@ -322,8 +323,8 @@ class FitOptions:
         "reduction of the chi-square that ends the fit of a hypothesis",
         "the answer set goes by several, and the rest is predicted",
     )
-    unconverged: float = option(
-        4.0, "1", "predicted reduction from which a fit has not converged", "twice `hypothesis_ftol`"
+    most_explained: float = option(
+        10.0, "1", "multiple of the rows up to which what is explained counts for `relative_ftol`", JUDGEMENT
     )
 
 
@@ -335,6 +336,7 @@ class IdentificationOptions:
     predictor: PredictorOptions = PredictorOptions()
     input: InputOptions = InputOptions()
     wave: WaveOptions = WaveOptions()
+    instrument: InstrumentOptions = InstrumentOptions()
     prior: PriorOptions = PriorOptions()
     sensitivity: SensitivityOptions = SensitivityOptions()
     noise: NoiseOptions = NoiseOptions()

@@ -18,10 +18,8 @@ from valvesim.errors import InputError
 from valvesim.identification.between_samples import (
     Deviations,
     acting_on,
-    added_on_grid,
-    command_of,
-    deviating,
-    points_of,
+    added_input,
+    deviating_command,
 )
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
@@ -30,10 +28,10 @@ from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
-from valvesim.simulation.temperature_knots import between, brackets, on_lines, temperature_knots
+from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
-from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
+from valvesim.valve.effects.sensors import sensor_lag
 from valvesim.valve.equations import Model
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath, ThermalNetwork, temperature_path
@@ -114,17 +112,11 @@ class RecordPredictor:
         )
 
     def under(self, deviations: Deviations) -> RecordPredictor:
-        """The same predictor where its command and pressures deviate so; a temperature is left to `_path`."""
-        own = acting_on(deviations, self.record.name)
-        columns = {deviation.column for deviation, _ in own} - {"oil_temperature"}
+        """The same predictor where its command and pressures deviate so; a temperature is left to `temperatures`."""
+        columns = {one.column for one, _ in acting_on(deviations, self.record.name)} - {"oil_temperature"}
         if not columns:
             return self
-        commands = []
-        for column, command in self._commands():
-            if column in columns:
-                points = deviating(column, points_of(command, self.scenario.duration), own)
-                command = command_of(points, f"{self.record.name}, {column}")
-            commands.append(command)
+        commands = [self._deviating(column, command, deviations) for column, command in self._commands()]
         starts, intervals = merge(commands, self.scenario.duration)
         return replace(
             self,
@@ -133,6 +125,11 @@ class RecordPredictor:
             inputs=_inputs(commands, self.times),
             fine_inputs=_inputs(commands, self.fine_times),
         )
+
+    def _deviating(self, column: str, command: Command, deviations: Deviations) -> Command:
+        """An input with what deviates of its column."""
+        own = acting_on(deviations, self.record.name, column)
+        return deviating_command(command, self.scenario.duration, own, f"{self.record.name}, {column}")
 
     def _commands(self) -> list[tuple[str, Command]]:
         """The inputs of the equations by their columns, in the order of `Inputs` without the rate."""
@@ -146,11 +143,10 @@ class RecordPredictor:
             return None
         added = np.zeros_like(self.inputs)
         for k, (column, command) in enumerate(self._commands()):
-            mine, others = (tuple(each for each in one if each[0].column == column) for one in (new, old))
+            mine, others = (acting_on(one, self.record.name, column) for one in (new, old))
             if mine == others:
                 continue
-            samples = points_of(command, self.scenario.duration)
-            by = added_on_grid(deviating(column, samples, mine), deviating(column, samples, others), self.times)
+            by = added_input(command, self.scenario.duration, mine, others, self.times)
             added[:, k + (k > 0)] = by
             if k == 0:
                 added[1:, 1] = np.gradient(by, self.times)[1:]
@@ -205,7 +201,7 @@ class RecordPredictor:
         self, variant: ModelVariant, model: ValveModel, path: TemperaturePath | None = None
     ) -> tuple[TemperaturePath, tuple]:
         """Temperature path, and flat coefficients of a model at its knots, (), (m,) or (batch, m) each."""
-        path = self._path(variant) if path is None else path
+        path = self.temperatures(variant) if path is None else path
         with _naming_record(self.record):
             c = variant.valve.at(path.parts, oil=self.scenario.oil, routes=self.scenario.thermal.routes)
         return path, model.flat_coefficients(c, _with_neutral(model, variant.effects), path.parts)
@@ -220,10 +216,9 @@ class RecordPredictor:
         return of(variant) == of(other)
 
     def _oil_deviations(self, variant: ModelVariant) -> Deviations:
-        own = acting_on(variant.deviations, self.record.name)
-        return tuple(each for each in own if each[0].column == "oil_temperature")
+        return acting_on(variant.deviations, self.record.name, "oil_temperature")
 
-    def _path(self, variant: ModelVariant) -> TemperaturePath:
+    def temperatures(self, variant: ModelVariant) -> TemperaturePath:
         """The temperatures of a variant: on knots of their own where an effect acts on them."""
         deviations, network = self._oil_deviations(variant), variant.network or self.scenario.thermal.network
         acts = any(active.effect.temperatures is not None for active in variant.effects)
@@ -231,8 +226,7 @@ class RecordPredictor:
             return self.path
         oil = self.scenario.oil_temperature
         if deviations:
-            points = deviating("oil_temperature", points_of(oil, self.scenario.duration), deviations)
-            oil = command_of(points, f"{self.record.name}, oil_temperature")
+            oil = self._deviating("oil_temperature", oil, deviations)
         if acts or (len(self.path.times) == 1 and not isinstance(oil, Constant)):
             thermal = replace(self.scenario.thermal, network=network)
             return temperature_knots(
@@ -264,7 +258,9 @@ class RecordPredictor:
             return tuple(columns)
         k, share = brackets(self.times if times is None else times, path.times)
         share = share.reshape(-1, *(1,) * (columns[0].ndim - 1))
-        return tuple(column[:1] if np.all(column == column[0]) else on_lines(column, k, share) for column in columns)
+        return tuple(
+            column[:1] if np.all(column == column[0]) else linear_interpolation(column, k, share) for column in columns
+        )
 
     def switched_off(self, model: ValveModel, active: Sequence[ActiveEffect]) -> np.ndarray:
         """True for each state of the model that is the memory of an effect which is not active."""
@@ -313,7 +309,7 @@ class RecordPredictor:
         )
         acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
         if self.lags.get(name, 0.0) > 0.0:
-            acting.append(CATALOGUE["sensor_lag"].on(name)(time_constant=self.lags[name]))
+            acting.append(sensor_lag(name, self.lags[name]))
         for active in acting:
             column = _apply_reading(active, times, column, oil)
         return column
@@ -337,7 +333,7 @@ class RecordPredictor:
 def _apply_reading(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.ndarray) -> np.ndarray:
     reading = active.effect.reading
     assert reading is not None  # noqa: S101 - the caller has chosen effects with one
-    if columns.ndim == 1 or active.effect.name == "sensor_lag":
+    if columns.ndim == 1 or active.effect.reads_columns:
         return reading(Reading(times, columns, oil), active.values)
     return np.column_stack([reading(Reading(times, column, oil), active.values) for column in columns.T])
 

@@ -18,8 +18,8 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.session import PART_TEMPERATURES, Record, Session
 from valvesim.units import quantities
-from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import Effect
+from valvesim.valve.effects.sensors import SENSOR_BIAS, SENSOR_DELAY, SENSOR_GAIN
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import ThermalNetwork
 
@@ -129,13 +129,13 @@ class NominalModel:
 
     @property
     def limits(self) -> np.ndarray:
-        """(2, p): how far down and up each parameter may go, in prior deviations."""
+        """(2, p): how far down and up each parameter may go, in prior deviations: a part further off is another one."""
         ends = [
             (np.log(np.maximum(p.bounds, 1e-300) / p.nominal) if p.logarithmic else np.subtract(p.bounds, p.nominal))
             / p.deviation
             for p in self.parameters
         ]
-        return np.transpose(ends)
+        return np.clip(np.transpose(ends), -self.options.prior.reach, self.options.prior.reach)
 
     def extended(self, parameters: Sequence[NuisanceParameter], deviations: Deviations = ()) -> NominalModel:
         """The same with more nuisance parameters, after its own, and with what inputs do beside their samples."""
@@ -164,15 +164,17 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
             )
     for channel in measured_channels(session):
         span = _span(session, channel)
-        for name, tolerance in (
-            ("sensor_bias", options.prior.sensor_bias * span),
-            ("sensor_gain", options.prior.sensor_gain),
-            ("sensor_delay", options.prior.sensor_delay),
+        for error, tolerance in (
+            (SENSOR_BIAS, options.prior.sensor_bias * span),
+            (SENSOR_GAIN, options.prior.sensor_gain),
+            (SENSOR_DELAY, options.prior.sensor_delay),
         ):
-            effect = _either_way(CATALOGUE[name].on(channel))
+            effect = _either_way(error.on(channel))
             amplitude = effect.amplitude
             parameters.append(
-                NuisanceParameter(f"{name}@{channel}", amplitude.unit, 0.0, tolerance / 2.0, amplitude.bounds, effect)
+                NuisanceParameter(
+                    f"{error.name}@{channel}", amplitude.unit, 0.0, tolerance / 2.0, amplitude.bounds, effect
+                )
             )
     network = session.thermal.network if _warms(session) else None
     if network is not None:

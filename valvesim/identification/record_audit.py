@@ -159,7 +159,8 @@ def _range_of(
     for side in (-1.0, 1.0):
         tops = [float(np.max(side * r.values[sensor.channel][r.usable[sensor.channel]])) for r in own]
         flat = [top for record, top in zip(own, tops, strict=True) if _flat_top(record, sensor, side, options=options)]
-        flat += [max(tops)] if _common_top(own, sensor, side, max(tops), options=options) else []
+        if any(piled(own, sensor, side, max(tops), options=options) for piled in (_common_top, _crowded_top)):
+            flat.append(max(tops))
         if flat:
             low, high = (max(low, -min(flat)), high) if side < 0.0 else (low, min(high, *flat))
     return low, high
@@ -236,6 +237,28 @@ def _common_top(
     span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
     apart = float(np.ptp(begins)) * span / asked  # what the command asks for, as an output
     return apart > max(3.0 * sensor.resolution, options.audit.flat_reach * span)
+
+
+def _crowded_top(
+    records: Sequence[Record], sensor: Sensor, side: float, top: float, *, options: IdentificationOptions
+) -> bool:
+    """Whether far more readings stand at the very top than at any value next to it, while the command moves.
+
+    The crests of a sine come to two and a half times as many.
+    """
+    span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
+    asked = max(float(np.ptp(record.values[record.command])) for record in records)
+    width = max(sensor.resolution, options.audit.crowd_width * span)
+    below = np.empty(0)
+    for record in records:
+        command = record.values[record.command]
+        reach = np.abs(command[4:] - command[:-4]) > options.audit.flat_reach * asked
+        moving = np.convolve(np.pad(reach, 2), np.ones(5), "same") > 0.0
+        values = side * record.values[sensor.channel][record.usable[sensor.channel] & moving]
+        below = np.append(below, np.round((top - values) / width, 6))
+    count = np.count_nonzero(below == 0.0)
+    beside, _ = np.histogram(below[below > 0.0], np.arange(6) + 1e-3)
+    return bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
 
 
 def _runs_at(values: np.ndarray, top: float, usable: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from valvesim.measurement.headings import UNITS as MEASURED_UNITS
+from valvesim.measurement.headings import MEASURED_UNITS
 from valvesim.measurement.recording import no_line
 from valvesim.simulation.scenario import Thermal
 from valvesim.units import DISPLAY, symbol
@@ -16,9 +16,9 @@ from valvesim.valve.effect import ActiveEffect, Effect
 from valvesim.valve.equations import DRIVES, Drive
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 
-PART_TEMPERATURES = {f"{part}_temperature": part for part in NODES}
+PART_TEMPERATURES = {f"{part}_temperature": part for part in THERMAL_NODES}
 """Columns of measured parts, which these follow."""
 INPUTS = (
     "current", "voltage", "oil_temperature", "supply_pressure", "return_pressure", "load_pressure", *PART_TEMPERATURES,

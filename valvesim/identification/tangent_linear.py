@@ -29,18 +29,27 @@ ENDLESS = 1e100  # scaled: squares of what is larger overflow
 FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0])
 
 
+TOGETHER = 8  # steps whose matrices are worked out at once: one of a processor's vectors, or two
+
+
 def propagators(A, h, E, early, late):
-    """Fill E, early and late (n-1, s, s) of the steps between the matrices A (n, s, s); compiled as it stands."""
+    """Fill E, early and late (n-1, s, s) of the steps between the matrices A (n, s, s); compiled as it stands.
+
+    Some steps at a time, side by side in the last place: what the one of largest norm needs, all of them get.
+    """
     n, s = A.shape[0], A.shape[1]
-    S, P, phi, late_phi, T = np.empty((s, s)), np.empty((s, s)), np.empty((s, s)), np.empty((s, s)), np.empty((s, s))
-    for k in range(n - 1):
+    shape = (s, s, TOGETHER)
+    S, P, phi, late_phi, T = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
+    for first in range(0, n - 1, TOGETHER):
         norm = 0.0
-        for i in range(s):
-            row = 0.0
-            for j in range(s):
-                S[i, j] = 0.5 * h * (A[k, i, j] + A[k + 1, i, j])
-                row += abs(S[i, j])
-            norm = max(norm, row)
+        for side in range(TOGETHER):
+            k = min(first + side, n - 2)
+            for i in range(s):
+                row = 0.0
+                for j in range(s):
+                    S[i, j, side] = 0.5 * h * (A[k, i, j] + A[k + 1, i, j])
+                    row += abs(S[i, j, side])
+                norm = max(norm, row)
         halvings = 0
         while norm > 0.25:
             norm *= 0.5
@@ -48,9 +57,9 @@ def propagators(A, h, E, early, late):
         shrink = 0.5**halvings
         for i in range(s):
             for j in range(s):
-                S[i, j] *= shrink
-                late_phi[i, j] = 0.0
-            late_phi[i, i] = 1.0 / 5040.0
+                for side in range(TOGETHER):
+                    S[i, j, side] *= shrink
+                    late_phi[i, j, side] = 1.0 / 5040.0 if i == j else 0.0
         for power in range(6, 1, -1):  # Horner's scheme of phi2 = sum S^k/(k+2)!
             product(S, late_phi, T, 1.0 / FACTORIALS[power])
             late_phi, T = T, late_phi
@@ -60,32 +69,34 @@ def propagators(A, h, E, early, late):
             product(phi, phi, T, 0.0)
             for i in range(s):
                 for j in range(s):
-                    late_phi[i, j] = 0.25 * (T[i, j] + 2.0 * late_phi[i, j])
+                    for side in range(TOGETHER):
+                        late_phi[i, j, side] = 0.25 * (T[i, j, side] + 2.0 * late_phi[i, j, side])
             product(P, phi, T, 0.0)
             for i in range(s):
                 for j in range(s):
-                    phi[i, j] = 0.5 * (T[i, j] + phi[i, j])
+                    for side in range(TOGETHER):
+                        phi[i, j, side] = 0.5 * (T[i, j, side] + phi[i, j, side])
             product(P, P, T, 0.0)
             P, T = T, P
-        for i in range(s):
-            for j in range(s):
-                E[k, i, j] = P[i, j]
-                early[k, i, j] = h * (phi[i, j] - late_phi[i, j])
-                late[k, i, j] = h * late_phi[i, j]
+        for side in range(min(TOGETHER, n - 1 - first)):
+            k = first + side
+            for i in range(s):
+                for j in range(s):
+                    E[k, i, j] = P[i, j, side]
+                    early[k, i, j] = h * (phi[i, j, side] - late_phi[i, j, side])
+                    late[k, i, j] = h * late_phi[i, j, side]
 
 
 def product(X, Y, out, diagonal):
-    """Fill out = X Y + diagonal I: for so few states a loop is faster than a library's call."""
+    """Fill out = X Y + diagonal I, `TOGETHER` times: for so few states loops are faster than a library's calls."""
     s = X.shape[0]
     for i in range(s):
         for j in range(s):
-            out[i, j] = 0.0
-        for k in range(s):
-            x = X[i, k]
-            if x != 0.0:
-                for j in range(s):
-                    out[i, j] += x * Y[k, j]
-        out[i, i] += diagonal
+            for side in range(TOGETHER):
+                out[i, j, side] = diagonal if i == j else 0.0
+            for k in range(s):
+                for side in range(TOGETHER):
+                    out[i, j, side] += X[i, k, side] * Y[k, j, side]
 
 
 def propagate_steps(E, early, late, g, d):

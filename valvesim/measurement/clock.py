@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from valvesim.errors import InputError
-from valvesim.measurement.table import MOST_SAMPLES
+from valvesim.measurement.table import MOST_MEASURED_SAMPLES
 
 JITTER = 0.02  # share of the step by which times may be off the clock and still be it
 GAP = 1.5  # times the step from which a longer step is a gap: a lost sample makes one of 2
@@ -182,7 +182,7 @@ def _laid(
         places = np.round(exact)
     off = exact - places
     count = int(places[-1] - places[0]) + 1
-    if count > min(FILLED * len(t) + 1000, MOST_SAMPLES):
+    if count > min(FILLED * len(t) + 1000, MOST_MEASURED_SAMPLES):
         k = int(np.argmax(steps))
         told = f"a gap of {steps[k]:.4g} s, where samples come every {usual:.4g} s: make it two records"
         raise InputError(told, file=path, line=line_of(int(rows[k + 1])))

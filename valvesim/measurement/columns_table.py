@@ -20,7 +20,7 @@ from typing import Any
 from valvesim.errors import InputError, unknown_name
 from valvesim.io import located, read_toml
 from valvesim.measurement.dialect import SEPARATORS, Dialect
-from valvesim.measurement.headings import UNITS
+from valvesim.measurement.headings import MEASURED_UNITS
 from valvesim.units import parse
 
 
@@ -68,8 +68,8 @@ def statements_of(columns: Any, csv: Any) -> Statements:
         if not isinstance(table, dict):
             raise InputError(f"expected a table, got {table!r}", key=name)
     for channel in columns:
-        if channel not in UNITS:
-            raise unknown_name("channel", channel, UNITS, "columns")
+        if channel not in MEASURED_UNITS:
+            raise unknown_name("channel", channel, MEASURED_UNITS, "columns")
     return Statements(
         columns={channel: _statement(channel, given) for channel, given in columns.items()}, dialect=_dialect(csv)
     )
@@ -104,7 +104,7 @@ def _statement(channel: str, given: Any) -> ColumnStatement:
     if isinstance(column, int) and column < 1:
         raise InputError(f"columns count from 1, got {column}", key=f"{where}.column")
     if unit is not None:
-        parse(f"1 {unit}", UNITS[channel], f"{where}.unit")
+        parse(f"1 {unit}", MEASURED_UNITS[channel], f"{where}.unit")
     rate = parse(given["rate"], "Hz", f"{where}.rate") if "rate" in given else None
     if rate is not None and rate <= 0.0:
         raise InputError(f"{given['rate']!r} must be positive", key=f"{where}.rate")

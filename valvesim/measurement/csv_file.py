@@ -27,10 +27,17 @@ from valvesim.measurement.dialect import (
     encoding_of,
     is_begun,
     is_missing,
-    is_number,
+    is_numeric,
     layout_of,
 )
-from valvesim.measurement.table import MOST_BYTES, MOST_COLUMNS, MOST_SAMPLES, Choice, Column, MeasuredTable
+from valvesim.measurement.table import (
+    MOST_COLUMNS,
+    MOST_MEASURED_BYTES,
+    MOST_MEASURED_SAMPLES,
+    Choice,
+    Column,
+    MeasuredTable,
+)
 
 _CHUNK_ROWS = 500_000
 _CHUNK_BYTES = 1 << 23
@@ -42,7 +49,7 @@ _NEWLINE, _RETURN, _QUOTE = (ord(c) for c in '\n\r"')
 
 def read_csv(path: Path, choice: Choice, stated: Dialect) -> tuple[MeasuredTable, ...]:
     """The one table of a text file. Raises InputError with the line of what makes no sense."""
-    check_file(path, MOST_BYTES)
+    check_file(path, MOST_MEASURED_BYTES)
     try:
         raw, encoding = _bytes_of(path, stated)
         layout = layout_of(path, _sample(path, raw, encoding), encoding, stated)
@@ -174,8 +181,8 @@ def _count_rows(path: Path, raw: FileBytes, layout: Layout) -> tuple[int, int, t
             raise InputError(told + ("; is a comma a point?" if layout.separator == "," else ""), file=path,
                              line=int(numbers[k]))  # fmt: skip
         rows, line = rows + int(np.count_nonzero(data)), line + len(stops)
-        if rows > MOST_SAMPLES:
-            raise InputError(f"more than {MOST_SAMPLES} rows", file=path)
+        if rows > MOST_MEASURED_SAMPLES:
+            raise InputError(f"more than {MOST_MEASURED_SAMPLES} rows", file=path)
     if rows == 0:
         raise InputError("holds no data (a header line and rows of numbers are expected)", file=path)
     return rows, used, tuple(notes)
@@ -253,12 +260,12 @@ def _check_count(path: Path, found: int, rows: int, *, whole: bool) -> None:
 
 
 def _number(path: Path, raw: FileBytes, layout: Layout, cell: str, k: int, row: int) -> float:
-    if is_number(cell, layout.decimal):
+    if is_numeric(cell, layout.decimal):
         return float(cell.strip().replace(",", "."))
     if is_missing(cell):
         return np.nan
     told = f"{cell!r} in column {layout.headings[k].name!r} is not a number"
-    if layout.decimal == "." and is_number(cell, ","):
+    if layout.decimal == "." and is_numeric(cell, ","):
         told += " (a decimal comma? then all of the column must have it)"
     raise InputError(told, file=path, line=_line_of(raw, layout, row))
 

@@ -71,14 +71,14 @@ class Layout:
         return f"separator {separator}, decimal {decimal}, {self.encoding}, {names}, data from line {self.data_line}"
 
 
-def is_number(cell: str, decimal: str) -> bool:
+def is_numeric(cell: str, decimal: str) -> bool:
     """Whether a cell is a number with this decimal sign."""
     return (_COMMA if decimal == "," else _POINT).fullmatch(cell.strip()) is not None
 
 
 def is_begun(cell: str, decimal: str) -> bool:
     """Whether a cell may be the beginning of a number or of a time."""
-    return is_number(cell, decimal) or is_missing(cell) or _CLOCK.fullmatch(cell.strip()) is not None
+    return is_numeric(cell, decimal) or is_missing(cell) or _CLOCK.fullmatch(cell.strip()) is not None
 
 
 def is_missing(cell: str) -> bool:
@@ -143,7 +143,7 @@ class _Reading:
         cells that are none."""
         numbers = self.kinds.count("number") + self.kinds.count("clock")
         places = [j for j, kind in enumerate(self.kinds) if kind == "number"]
-        clean = [is_missing(row[j]) or is_number(row[j], self.decimal) for row in self.rows for j in places]
+        clean = [is_missing(row[j]) or is_numeric(row[j], self.decimal) for row in self.rows for j in places]
         return bool(self.header), numbers / len(self.kinds), numbers, float(sum(clean)) / max(len(clean), 1)
 
 
@@ -209,7 +209,7 @@ def _reading(
 ) -> _Reading | None:
     """The lines read with a separator and a decimal sign; None where that gives no columns of numbers."""
     split = [cells_of(line, separator) for _, line in lines]
-    numeric = [[is_number(cell, decimal) for cell in row] for row in split]
+    numeric = [[is_numeric(cell, decimal) for cell in row] for row in split]
     counts = [len(row) for row, numbers in zip(split, numeric, strict=True) if any(numbers)]
     if not counts:
         return None

@@ -15,7 +15,7 @@ from valvesim.measurement.mdf_file import read_mdf
 from valvesim.measurement.netcdf_file import read_netcdf
 from valvesim.measurement.parquet_file import read_parquet
 from valvesim.measurement.reader_process import read_apart
-from valvesim.measurement.table import MOST_BYTES, Choice, MeasuredTable
+from valvesim.measurement.table import MOST_MEASURED_BYTES, Choice, MeasuredTable
 from valvesim.measurement.tdms_file import read_tdms
 from valvesim.measurement.xlsx_file import read_xlsx
 
@@ -52,14 +52,14 @@ LISTED = (".csv", ".tsv", *FORMATS)
 """Extensions that are taken for measurements where none is named."""
 
 
-def read_tables(path: Path, choice: Choice, stated: Dialect = NO_DIALECT) -> tuple[MeasuredTable, ...]:
+def read_measured_tables(path: Path, choice: Choice, stated: Dialect = NO_DIALECT) -> tuple[MeasuredTable, ...]:
     """The tables of a measurement file of any format, with the columns that `choice` picks of each.
 
     Raises InputError for a file that is missing, broken, of no known format, or whose format's extra is not installed.
     """
     path = Path(path)
     suffix = path.suffix.casefold()
-    check_file(path, MOST_BYTES)
+    check_file(path, MOST_MEASURED_BYTES)
     if suffix in TEXT or suffix not in FORMATS:
         return read_csv(path, choice, stated)
     form = FORMATS[suffix]

@@ -14,7 +14,7 @@ from valvesim.errors import InputError
 from valvesim.measurement.table import Heading
 from valvesim.units import convert
 
-UNITS = {
+MEASURED_UNITS = {
     "time": "s", "voltage": "V", "pressure_drop": "Pa",
     **{
         f"{part}_temperature": "degC"
@@ -59,7 +59,7 @@ def plain(name: str) -> str:
     return re.sub(r"[\W_]+", "", unicodedata.normalize("NFKC", name).casefold())
 
 
-_CHANNELS = {plain(name): name for name in UNITS}
+_CHANNELS = {plain(name): name for name in MEASURED_UNITS}
 _ALIASED = {plain(alias): name for name, aliases in ALIASES.items() for alias in aliases}
 
 
@@ -102,7 +102,7 @@ def is_own_name(name: str, channel: str) -> bool:
 def fits(unit: str, channel: str) -> bool:
     """Whether a unit is of a channel's dimension."""
     try:
-        convert(1.0, unit, UNITS[channel])
+        convert(1.0, unit, MEASURED_UNITS[channel])
     except InputError:
         return False
     return True

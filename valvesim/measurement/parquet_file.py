@@ -8,7 +8,7 @@ from typing import Any
 from valvesim.errors import InputError
 from valvesim.measurement.headings import heading_of, spelled
 from valvesim.measurement.numbers import as_numbers, from_stamps
-from valvesim.measurement.table import MOST_SAMPLES, Choice, Column, Heading, MeasuredTable
+from valvesim.measurement.table import MOST_MEASURED_SAMPLES, Choice, Column, Heading, MeasuredTable
 
 
 def read_parquet(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
@@ -17,8 +17,8 @@ def read_parquet(path: Path, choice: Choice) -> tuple[MeasuredTable, ...]:
     import pyarrow.parquet
 
     file = pyarrow.parquet.ParquetFile(path)
-    if file.metadata.num_rows > MOST_SAMPLES:
-        raise InputError(f"{file.metadata.num_rows} rows are more than {MOST_SAMPLES}")
+    if file.metadata.num_rows > MOST_MEASURED_SAMPLES:
+        raise InputError(f"{file.metadata.num_rows} rows are more than {MOST_MEASURED_SAMPLES}")
     schema = file.schema_arrow
     headings = tuple(_heading(field) for field in schema)
     columns, start = [], None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvesim.measurement.headings import UNITS
+from valvesim.measurement.headings import MEASURED_UNITS
 from valvesim.measurement.recording import Recording
 
 FINEST_GRID = 1e-4  # share of a channel's span: a finer grid is the writing of the file, not the sensor
@@ -16,7 +16,7 @@ FLAT = 10  # equal readings in a row at an extreme that make a flat top
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelQuality:
-    """What was understood of a channel, in its unit of `headings.UNITS`.
+    """What was understood of a channel, in its unit of `headings.MEASURED_UNITS`.
 
     `rate` Hz as it was measured, `readings` how many there are, `missing` how many the rate lets one expect beside
     them, `longest_gap` s, `low` and `high` the extremes, `noise` the standard deviation of what neighbours do not share
@@ -53,7 +53,7 @@ def _quality(recording: Recording, name: str) -> ChannelQuality:
     step = grid_step([own]) if len(own) else 0.0
     return ChannelQuality(
         channel=name,
-        unit=UNITS[name],
+        unit=MEASURED_UNITS[name],
         column=str(source.statement.column),
         rate=source.rate,
         readings=len(own),
@@ -63,7 +63,7 @@ def _quality(recording: Recording, name: str) -> ChannelQuality:
         high=float(np.max(own)) if len(own) else np.nan,
         noise=noise_of(own),
         resolution=step,
-        saturated=flat_share(own),
+        saturated=saturated_share(own),
     )
 
 
@@ -88,7 +88,7 @@ def grid_step(readings: Sequence[np.ndarray], finest: float = FINEST_GRID) -> fl
     return step if np.max(np.abs(turns - np.round(turns))) < 0.02 else 0.0
 
 
-def flat_share(values: np.ndarray) -> float:
+def saturated_share(values: np.ndarray) -> float:
     """The share of readings (n,) that stand still at an extreme of the channel, `FLAT` in a row or more."""
     if len(values) < FLAT or np.ptp(values) == 0.0:
         return 0.0

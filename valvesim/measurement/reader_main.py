@@ -22,10 +22,10 @@ import numpy as np
 
 from valvesim.errors import InputError
 from valvesim.measurement.formats import FORMATS, Format
-from valvesim.measurement.table import MOST_COLUMNS, MOST_MEMORY, MOST_SAMPLES, Choice, Heading, MeasuredTable
+from valvesim.measurement.table import MOST_COLUMNS, MOST_MEASURED_SAMPLES, MOST_MEMORY, Choice, Heading, MeasuredTable
 
 
-def main() -> None:
+def serve() -> None:
     """Answer requests until there is nobody to ask."""
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
@@ -89,8 +89,8 @@ def _parts(tables: tuple[MeasuredTable, ...]) -> tuple[list[dict[str, Any]], lis
     ]  # fmt: skip
     columns = [np.ascontiguousarray(column.values, dtype=float) for table in tables for column in table.columns]
     for column in columns:
-        if len(column) > MOST_SAMPLES:
-            raise InputError(f"{len(column)} samples are more than {MOST_SAMPLES}")
+        if len(column) > MOST_MEASURED_SAMPLES:
+            raise InputError(f"{len(column)} samples are more than {MOST_MEASURED_SAMPLES}")
     return told, columns
 
 

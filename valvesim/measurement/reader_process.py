@@ -22,12 +22,12 @@ import numpy as np
 
 from valvesim.errors import InputError
 from valvesim.io import reason
-from valvesim.measurement.table import MOST_SAMPLES, Choice, Column, Heading, MeasuredTable
+from valvesim.measurement.table import MOST_MEASURED_SAMPLES, Choice, Column, Heading, MeasuredTable
 
 MOST_SECONDS, MOST_SECONDS_A_MB = 2.0, 20.0  # of processor time; the slowest, xlsx, takes some 1.7 a MB
 LONGEST_WAIT, PATIENCE = 60.0, 10.0  # s by the clock, and for each s of processor time: slow discs, busy machines
 
-_PROGRAM = "import sys; sys.path[:] = sys.argv[1:]; from valvesim.measurement.reader_main import main; main()"
+_PROGRAM = "import sys; sys.path[:] = sys.argv[1:]; from valvesim.measurement.reader_main import serve; serve()"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 _idle: list[Reader] = []
@@ -146,7 +146,7 @@ class Reader:
         )  # fmt: skip
 
     def _values(self, count: int) -> np.ndarray:
-        if count > MOST_SAMPLES:
+        if count > MOST_MEASURED_SAMPLES:
             raise ValueError(count)
         values = np.empty(count)
         if self.process.stdout.readinto(values.view(np.uint8).data) < values.nbytes:

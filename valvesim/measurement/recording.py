@@ -16,9 +16,9 @@ import numpy as np
 from valvesim.errors import InputError, nearest
 from valvesim.measurement.clock import FARTHEST, SHORTEST, EvenClock, even_clock
 from valvesim.measurement.columns_table import NOTHING_STATED, ColumnStatement, Statements
-from valvesim.measurement.formats import read_tables
-from valvesim.measurement.headings import UNITS, channel_of, fits, is_own_name, spelled
-from valvesim.measurement.table import MOST_SAMPLES, Column, Heading, MeasuredTable
+from valvesim.measurement.formats import read_measured_tables
+from valvesim.measurement.headings import MEASURED_UNITS, channel_of, fits, is_own_name, spelled
+from valvesim.measurement.table import MOST_MEASURED_SAMPLES, Column, Heading, MeasuredTable
 from valvesim.units import convert
 
 
@@ -43,7 +43,7 @@ class ChannelSource:
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Channels on one even clock: `time` (n,) s from the first sample, `values[channel]` (n,) in the unit of
-    `headings.UNITS`, NaN where nothing was measured.
+    `headings.MEASURED_UNITS`, NaN where nothing was measured.
 
     `sources` say where each channel comes from, `left_out` which columns were not understood, and `notes`, in words,
     what was done to times and rows. `line_of(sample)` is the line of a sample in the one text file that there is,
@@ -123,7 +123,7 @@ def _tables(
     def choice(headings: Sequence[Heading]) -> list[int]:
         return [_place(headings, s) for s in understood(path, headings, wanted, stated, line=None).values()]
 
-    tables = read_tables(path, choice, stated.dialect)
+    tables = read_measured_tables(path, choice, stated.dialect)
     return [(table, understood(path, table.headings, wanted, stated, line=table.header_line)) for table in tables]
 
 
@@ -207,7 +207,7 @@ def _check_spelling(
     for file, table, chosen in tables:
         used = {statement.column for statement in chosen.values()}
         for heading in table.headings:
-            if heading.name in used or heading.name in UNITS or channel_of(heading.name):
+            if heading.name in used or heading.name in MEASURED_UNITS or channel_of(heading.name):
                 continue
             missing = [name for name in wanted if name not in sources]
             close = difflib.get_close_matches(heading.name.casefold(), missing, n=1, cutoff=_MISSPELLED)
@@ -228,7 +228,8 @@ def _si(path: Path, table: MeasuredTable, channel: str, statement: ColumnStateme
     if column is None:
         raise InputError(f"{where} ({channel}) holds no numbers", file=path, line=table.header_line)
     if not statement.unit:
-        told = f"{where} needs a name and a unit, such as '{channel} [{UNITS[channel]}]', or its unit in [columns]"
+        example = f"{channel} [{MEASURED_UNITS[channel]}]"
+        told = f"{where} needs a name and a unit, such as '{example}', or its unit in [columns]"
         raise InputError(told, file=path, line=table.header_line)
     values = np.empty(len(column.values))
     scaled = (statement.scale, statement.offset, statement.sign) != (1.0, 0.0, 1.0)
@@ -236,7 +237,7 @@ def _si(path: Path, table: MeasuredTable, channel: str, statement: ColumnStateme
         for k in range(0, len(values), _PART):  # of many readings a part at once
             part = column.values[k : k + _PART]
             part = statement.sign * (statement.scale * part + statement.offset) if scaled else part
-            values[k : k + _PART] = convert(part, spelled(statement.unit), UNITS[channel], where)
+            values[k : k + _PART] = convert(part, spelled(statement.unit), MEASURED_UNITS[channel], where)
     except InputError as error:
         raise error.at(file=path, line=table.header_line) from None
     return values
@@ -273,8 +274,8 @@ def _joined(
         raise InputError("some tables have times of day and others do not: what was when is not known", file=path)
     zero = min((start for _, start, _ in laid if start is not None), default=0.0)
     fastest, begun, _ = min(laid, key=lambda one: one[0].step)
-    if fastest.count > MOST_SAMPLES:
-        raise InputError(f"{fastest.count} samples are more than {MOST_SAMPLES}", file=path)
+    if fastest.count > MOST_MEASURED_SAMPLES:
+        raise InputError(f"{fastest.count} samples are more than {MOST_MEASURED_SAMPLES}", file=path)
     first = fastest.start + ((begun or 0.0) - zero)
     values: dict[str, np.ndarray] = {}
     for clock, start, columns in laid:

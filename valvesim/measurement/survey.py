@@ -15,8 +15,8 @@ from valvesim.measurement.columns_table import (
     read_statements,
     statements_text,
 )
-from valvesim.measurement.formats import read_tables
-from valvesim.measurement.headings import UNITS
+from valvesim.measurement.formats import read_measured_tables
+from valvesim.measurement.headings import MEASURED_UNITS
 from valvesim.measurement.recording import Recording, read_recording
 from valvesim.measurement.table import Heading
 from valvesim.units import parse
@@ -54,10 +54,10 @@ def all_channels(paths: Sequence[Path], stated: Statements = NOTHING_STATED) -> 
     headings = tuple(
         heading
         for path in paths
-        for table in read_tables(path, lambda headings: (), stated.dialect)
+        for table in read_measured_tables(path, lambda headings: (), stated.dialect)
         for heading in table.headings
     )
-    wanted = tuple(name for name in UNITS if name != "time")
+    wanted = tuple(name for name in MEASURED_UNITS if name != "time")
     try:
         recording = read_recording(paths, wanted, stated=stated, strict=False)
     except InputError as error:
@@ -81,7 +81,7 @@ def columns_text(surveys: Sequence[Survey]) -> str:
         unknown |= {h.name: h for h in survey.headings if h.name not in used}
     comments = [
         "What each channel is: sign * (scale * reading + offset), in the unit.",
-        *textwrap.wrap("Channels: " + ", ".join(UNITS) + ".", 110),
+        *textwrap.wrap("Channels: " + ", ".join(MEASURED_UNITS) + ".", 110),
         *(f"No channel yet: {h.name!r}" + (f" [{h.unit}]" if h.unit else "") for h in unknown.values()),
     ]
     return statements_text(understood, comments)

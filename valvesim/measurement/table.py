@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MOST_BYTES = 2_000_000_000  # of a measurement file
-MOST_SAMPLES = 20_000_000  # rows of a table
+MOST_MEASURED_BYTES = 2_000_000_000  # of a measurement file
+MOST_MEASURED_SAMPLES = 20_000_000  # rows of a table
 MOST_COLUMNS = 4_000
 MOST_MEMORY = 8_000_000_000  # bytes of address space of the process that reads a binary format
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from valvesim.paper.identification import ALL_FREE, ALL_ROWS, PaperIdentification, least_squares, residuals
 from valvesim.paper.published import PUBLISHED_DRIFTS, TOLERANCE, Progress
-from valvesim.paper.unknowns import LOG_SPANS, UNKNOWNS
+from valvesim.paper.unknowns import LOG_SPANS, LOST_VALUES
 
 PROFILE_SHARES = np.linspace(0.0, 1.0, 9)
 
@@ -34,7 +34,7 @@ def determine(found: PaperIdentification, *, progress: Progress | None = None) -
 
     The linear estimate takes the drifts as good to `TOLERANCE` and the bounds as a prior of the same spread.
     """
-    n, width = len(UNKNOWNS), 1e-5
+    n, width = len(LOST_VALUES), 1e-5
     step = np.where(found.shares + width > 1.0, -width, width)
     r = residuals(np.vstack([found.shares, found.shares + np.diag(step)]), found.interpretation)[
         :, : len(PUBLISHED_DRIFTS)

@@ -16,7 +16,7 @@ from valvesim.paper.route_drift import (
     drift_values,
     drifts,
 )
-from valvesim.paper.unknowns import UNKNOWNS, valves
+from valvesim.paper.unknowns import LOST_VALUES, valves
 from valvesim.valve.parameters import Valve
 
 
@@ -73,7 +73,7 @@ def least_squares(
 
 
 ALL_ROWS = np.arange(len(PUBLISHED_DRIFTS) + 3)
-ALL_FREE = np.arange(len(UNKNOWNS))
+ALL_FREE = np.arange(len(LOST_VALUES))
 STARTS = 24
 SCREENED = 4000  # random valves, of which the best are refined
 
@@ -97,7 +97,7 @@ class PaperIdentification:
         return np.abs(self.misses) <= TOLERANCE
 
 
-def identify(
+def identify_lost_values(
     interpretation: Interpretation, *, seed: int = 0, starts: int = STARTS, progress: Progress | None = None
 ) -> PaperIdentification:
     """Screen random valves, refine the best `starts` of them by bounded least squares, keep the best.
@@ -107,7 +107,7 @@ def identify(
     """
     if starts < 1:
         raise InputError(f"identification: {starts} starts; at least 1 is needed")
-    shares = np.random.default_rng(seed).random((SCREENED, len(UNKNOWNS)))
+    shares = np.random.default_rng(seed).random((SCREENED, len(LOST_VALUES)))
     senses = [replace(interpretation, sense=sense) for sense in ((1, -1) if interpretation.directions else (1,))]
     begin = []
     for each in senses:
@@ -139,7 +139,7 @@ def identify(
 def _one_valve(shares: np.ndarray, interpretation: Interpretation) -> Valve:
     """The valve of shares (18,), every field a float."""
     batch = valves(shares[None], flow_coefficients=interpretation.flow_coefficients)
-    values: dict[str, Any] = {u.name: float(getattr(batch, u.name)[0, 0]) for u in UNKNOWNS}
+    values: dict[str, Any] = {u.name: float(getattr(batch, u.name)[0, 0]) for u in LOST_VALUES}
     return replace(batch, **values)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from valvesim.paper.route_drift import drifts
-from valvesim.paper.unknowns import UNKNOWNS, valves
+from valvesim.paper.unknowns import LOST_VALUES, valves
 from valvesim.valve.coefficients import ROUTES
 from valvesim.valve.parameters import reference_valve
 
@@ -34,10 +34,10 @@ DRAWN = 20000  # random valves for the inequality
 def check_magnet(*, seed: int = 0, drawn: int | None = None) -> MagnetCheck:
     """theta ~ M0/(K - k M0^2): a stable valve loses at least the share of angle that M0 loses. Checked, not assumed.
 
-    Random valves inside the bounds of `UNKNOWNS`; those that are unstable, or leave their null gap, are left out.
+    Random valves inside the bounds of `LOST_VALUES`; those that are unstable, or leave their null gap, are left out.
     """
     drawn = DRAWN if drawn is None else drawn
-    shares = np.random.default_rng(seed).random((drawn, len(UNKNOWNS)))
+    shares = np.random.default_rng(seed).random((drawn, len(LOST_VALUES)))
     row = ROUTES.index("mmf")
     losses, stiffness = [], []
     for part in np.array_split(shares, max(1, drawn // 2000)):

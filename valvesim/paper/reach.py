@@ -16,7 +16,7 @@ from valvesim.paper.identification import (
     turned_values,
 )
 from valvesim.paper.published import PUBLISHED_DRIFTS, TOLERANCE, Progress
-from valvesim.paper.unknowns import UNKNOWNS
+from valvesim.paper.unknowns import LOST_VALUES
 from valvesim.valve.coefficients import ROUTES
 
 GROUPS: dict[str, tuple[str, ...]] = {drift.key: (drift.key,) for drift in PUBLISHED_DRIFTS} | {
@@ -46,7 +46,7 @@ def reach(found: PaperIdentification, *, seed: int = 0, progress: Progress | Non
     """For each of `GROUPS`, least squares on that group alone, from the identified valve and from random ones."""
     order = [drift.key for drift in PUBLISHED_DRIFTS]
     rng = np.random.default_rng(seed)
-    pool = rng.random((SCREENED // 4, len(UNKNOWNS)))
+    pool = rng.random((SCREENED // 4, len(LOST_VALUES)))
     screened = residuals(pool, found.interpretation)
     result = {}
     for number, (name, keys) in enumerate(GROUPS.items()):

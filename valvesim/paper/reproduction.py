@@ -11,7 +11,7 @@ import numpy as np
 
 from valvesim.paper.determination import Determination, determine
 from valvesim.paper.flow_fits import FlowFits, flow_fits
-from valvesim.paper.identification import SCREENED, STARTS, PaperIdentification, identify
+from valvesim.paper.identification import SCREENED, STARTS, PaperIdentification, identify_lost_values
 from valvesim.paper.interpretations import INTERPRETATIONS
 from valvesim.paper.magnet import ARM_GROWTH, MagnetCheck, check_magnet, mmf_drift_implied_by_arm
 from valvesim.paper.published import CURRENTS, EXPERIMENT_RANGE, OIL, PUBLISHED_DRIFTS, RANGE, Progress
@@ -65,7 +65,7 @@ def compute(*, seed: int = 0, starts: int = STARTS, progress: Progress | None = 
         return lambda text, share: tell(text, low + (high - low) * share)
 
     identified = {
-        interpretation.key: identify(
+        interpretation.key: identify_lost_values(
             interpretation, seed=seed, starts=starts, progress=within(0.1 + 0.14 * k, 0.24 + 0.14 * k)
         )
         for k, interpretation in enumerate(INTERPRETATIONS)

@@ -146,7 +146,7 @@ def _mechanical_share(valve: Valve, t: np.ndarray, k: int) -> np.ndarray:
     return np.min(np.atleast_2d(1.0 - jets / springs), axis=1) * np.ones(k)
 
 
-def largest(percent: np.ndarray) -> np.ndarray:
+def largest_drift(percent: np.ndarray) -> np.ndarray:
     """The value of largest size along the last axis, with its sign."""
     at = np.argmax(np.abs(percent), axis=-1)[..., None]
     return np.take_along_axis(percent, at, axis=-1)[..., 0]
@@ -159,5 +159,5 @@ FIT_CURRENTS = (1e-3, 5e-3)
 def drift_values(d: Drifts, temperatures) -> np.ndarray:
     """The drifts of `PUBLISHED_DRIFTS` in percent, signed, (k, 11), from drifts at the currents of `FIT_CURRENTS`."""
     knee = int(np.flatnonzero(np.asarray(temperatures) == 40.0)[0])
-    rows = [*largest(d.by_route), largest(d.total[0]), d.total[0][:, knee], largest(d.total[1])]
+    rows = [*largest_drift(d.by_route), largest_drift(d.total[0]), d.total[0][:, knee], largest_drift(d.total[1])]
     return np.stack(rows, axis=-1)

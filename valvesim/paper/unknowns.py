@@ -21,7 +21,7 @@ class LostValue:
     why: str
 
 
-UNKNOWNS = (
+LOST_VALUES = (
     LostValue(name="air_gap_area", low=4e-6, high=30e-6, why="a pole face of 2 x 2 mm to 5 x 6 mm"),
     LostValue(
         name="magnet_reluctance", low=3.9e7, high=4.7e8,
@@ -47,14 +47,14 @@ UNKNOWNS = (
 """All else is in the paper (Tables 1, 2, gamma, M0). The pilot metal's expansion is held at 11e-6 1/K: it only ever
 appears as a product with one of the three lengths."""
 
-_LOW, _HIGH = (np.log([getattr(u, side) for u in UNKNOWNS]) for side in ("low", "high"))
+_LOW, _HIGH = (np.log([getattr(u, side) for u in LOST_VALUES]) for side in ("low", "high"))
 LOG_SPANS = _HIGH - _LOW  # of the logarithmic ranges
 
 
 def valves(shares: np.ndarray, *, flow_coefficients: Callable = flow_coefficients_yan_2019) -> Valve:
-    """A batch of valves from shares (k, 18) of the logarithmic ranges of `UNKNOWNS`; fields are (k, 1)."""
+    """A batch of valves from shares (k, 18) of the logarithmic ranges of `LOST_VALUES`; fields are (k, 1)."""
     values = np.exp(_LOW + LOG_SPANS * np.clip(shares, 0.0, 1.0))
     # at the ends the logarithm must not carry a value past its bound
-    values = np.clip(values, [u.low for u in UNKNOWNS], [u.high for u in UNKNOWNS])
-    fields: dict[str, Any] = {u.name: values[:, k : k + 1] for k, u in enumerate(UNKNOWNS)}
+    values = np.clip(values, [u.low for u in LOST_VALUES], [u.high for u in LOST_VALUES])
+    fields: dict[str, Any] = {u.name: values[:, k : k + 1] for k, u in enumerate(LOST_VALUES)}
     return replace(reference_valve(), flow_coefficients=flow_coefficients, **fields)

@@ -35,7 +35,7 @@ class BenchPlan:
 
     `sensors` are those that the bench has, `added` those that it may get, `experiments` its tests, of which one takes
     `setup` s before it runs; `command` drives the valve, "current" or "voltage". `thermometers` are the parts (names of
-    `NODES`) whose temperature is measured.
+    `THERMAL_NODES`) whose temperature is measured.
     """
 
     session: Session

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
+from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.power import (
     NINETEEN_IN_TWENTY,
     asked_difference,
@@ -25,16 +25,11 @@ from valvesim.diagnosis.power import (
     separated_share,
     separation_power,
 )
-from valvesim.identification.candidates import WHOLE, Candidate
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.projection import GramMatrix, ProjectedScores, alarm_level, inverse_of, project
 from valvesim.planning.bench import Aim
+from valvesim.planning.options import DEFAULT_PLANNING, OutlookOptions, PlanningOptions
 from valvesim.planning.sensitivities import PlannedSensitivities
-
-UNSEEN = 1e-4  # share of a column's size that others leave of it, from which it is taken to be their combination
-UNSEEN_DISTANCE = 1e-3  # noise deviations in all by which a prior deviation moves the readings: less is none
-HARDLY = 0.9  # share of its prior deviation that a parameter keeps: the tests have told next to nothing
-KNOWN = 0.5  # share of it from which a parameter is known
-PARTNER = 0.8  # correlation from which two parameters are told together alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,13 +94,13 @@ def outlook(
     repeats: Sequence[int],
     channels: Sequence[str],
     *,
-    options: DiagnosisOptions = DEFAULT_DIAGNOSIS,
+    options: PlanningOptions = DEFAULT_PLANNING,
     seed: int = 0,
 ) -> Outlook:
     """What so many repeats of each test, read on these channels, would show."""
     gram = planned.gram(repeats, channels)
     scores = project(gram, 0, len(planned.candidates))
-    level = level_of(planned, scores, options=options, seed=seed)
+    level = level_of(planned, scores, options=options.diagnosis, seed=seed)
     groups = cause_groups(planned.candidates)
     sought = sought_causes(planned, aim)
     judged = CandidateScores(planned, scores, level, options)
@@ -118,7 +113,8 @@ def outlook(
     causes = tuple(
         _cause(judged, groups, sought, label, k, size) for label, k, size in zip(sought, members, sizes, strict=True)
     )
-    return Outlook(causes=causes, powers=powers, parameters=parameter_outlooks(planned, gram), level=level)
+    parameters = parameter_outlooks(planned, gram, options=options.outlook)
+    return Outlook(causes=causes, powers=powers, parameters=parameters, level=level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +124,13 @@ class CandidateScores:
     planned: PlannedSensitivities
     scores: ProjectedScores
     level: float
-    options: DiagnosisOptions
+    options: PlanningOptions
 
     def limit(self, k: int) -> float:
         """The amplitude of a candidate that is detected nine times in ten, SI; infinite beyond its reach."""
         candidate = self.planned.candidates[k]
         limit = detected_amplitude(float(self.scores.distance[k]), float(self.planned.sizes[k]), self.level)
-        reach = min(self.options.detection.reach * candidate.typical, max(map(abs, candidate.limits)))
+        reach = min(self.options.diagnosis.detection.reach * candidate.typical, max(map(abs, candidate.limits)))
         return limit if limit <= reach else np.inf
 
     def power(self, k: int, size: float) -> float:
@@ -146,21 +142,20 @@ class CandidateScores:
         if self._same(k, rivals):
             return np.nan
         distance, left = self._distance(k, size), self._left(k, rivals) * size / abs(float(self.planned.sizes[k]))
-        asked = asked_difference(distance**2, self._law_error(k), options=self.options.selection)
+        asked = asked_difference(distance**2, self._law_error(k), options=self.options.diagnosis.selection)
         return separation_power(left, asked)
 
     def named(self, k: int) -> float:
         """The amplitude of a candidate from which noise alone does not explain it nineteen times in twenty, SI."""
-        level = naming_level(self.level, options=self.options.selection)
+        level = naming_level(self.level, options=self.options.diagnosis.selection)
         size, distance = float(self.planned.sizes[k]), float(self.scores.distance[k])
         return detected_amplitude(distance, size, level, NINETEEN_IN_TWENTY)
 
     def isolated(self, k: int, rivals: Sequence[int]) -> float:
         """The amplitude from which candidate k is told from a rival nineteen times in twenty, SI."""
         whole, left = float(self.scores.distance[k]), self._left(k, rivals)
-        share = separated_share(
-            whole, left, self._law_error(k), NINETEEN_IN_TWENTY, options=self.options.selection
-        )  # fmt: skip
+        selection = self.options.diagnosis.selection
+        share = separated_share(whole, left, self._law_error(k), NINETEEN_IN_TWENTY, options=selection)
         return share * abs(float(self.planned.sizes[k]))
 
     def _same(self, k: int, rivals: Sequence[int]) -> bool:
@@ -178,7 +173,7 @@ class CandidateScores:
             return float(self.scores.distance[k])
         inverse = np.linalg.pinv(S[np.ix_(J, J)], rcond=1e-9, hermitian=True)
         left = float(S[k, k] - S[k, J] @ inverse @ S[J, k])
-        return float(np.sqrt(left)) if left > UNSEEN**2 * S[k, k] else 0.0
+        return float(np.sqrt(left)) if left > self.options.outlook.combination_share**2 * S[k, k] else 0.0
 
     def _law_error(self, k: int) -> float:
         effect = self.planned.candidates[k].effect
@@ -237,8 +232,9 @@ def _cause(
         return value if value <= reach else None
 
     assert candidate.effect is not None  # noqa: S101 - causes of an aim are effects
+    fitted = {p.name for p in candidate.shapes()}
     return CauseOutlook(
-        label=label, shape=tuple((name, value) for name, value in candidate.fixed if name not in WHOLE),
+        label=label, shape=tuple((name, value) for name, value in candidate.fixed if name in fitted),
         location=candidate.location(), parameter=candidate.effect.amplitude.name, unit=candidate.unit,
         size=size, limit=limit if np.isfinite(limit) else None, power=judged.power(k, size),
         isolated=within(max(aimed[rival], named)) if rival else within(named), rival=rival, nearest=nearest,
@@ -246,7 +242,9 @@ def _cause(
     )  # fmt: skip
 
 
-def parameter_outlooks(planned: PlannedSensitivities, gram: GramMatrix) -> tuple[ParameterOutlook, ...]:
+def parameter_outlooks(
+    planned: PlannedSensitivities, gram: GramMatrix, *, options: OutlookOptions
+) -> tuple[ParameterOutlook, ...]:
     """How well each parameter of the valve would be known, by the Fisher information with the priors."""
     p = gram.parameters
     G = gram.total[1 : 1 + p, 1 : 1 + p]
@@ -254,22 +252,22 @@ def parameter_outlooks(planned: PlannedSensitivities, gram: GramMatrix) -> tuple
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     correlation = covariance / np.outer(deviation, deviation)
     names = [parameter.name for parameter in planned.nominal.parameters]
-    alone = _left_alone(G)
+    alone = _left_alone(G, options.combination_share)
     found = []
     for k, parameter in enumerate(planned.nominal.parameters):
         if parameter.sensor is not None:
             continue
         partners = tuple(
-            names[j] for j in np.argsort(-np.abs(correlation[k])) if j != k and abs(correlation[k, j]) > PARTNER
+            names[j] for j in np.argsort(-np.abs(correlation[k])) if j != k and abs(correlation[k, j]) > options.partner
         )
         verdict = "known"
-        if G[k, k] < UNSEEN_DISTANCE**2:
+        if G[k, k] < options.unseen_distance**2:
             verdict = "unseen"
-        elif alone[k] <= UNSEEN:
+        elif alone[k] <= options.combination_share:
             verdict = "combination"
-        elif deviation[k] > HARDLY:
+        elif deviation[k] > options.hardly:
             verdict = "hardly"
-        elif deviation[k] > KNOWN:
+        elif deviation[k] > options.known:
             verdict = "together" if partners else "partly"
         found.append(
             ParameterOutlook(
@@ -280,12 +278,12 @@ def parameter_outlooks(planned: PlannedSensitivities, gram: GramMatrix) -> tuple
     return tuple(found)
 
 
-def _left_alone(G: np.ndarray) -> np.ndarray:
+def _left_alone(G: np.ndarray, combination_share: float) -> np.ndarray:
     """The share of each column's size that all others leave of it, without priors (p,); 0 for a column of zeros."""
     size = np.sqrt(np.maximum(np.diag(G), 0.0))
     seen = size > 0.0
     left = np.zeros(len(G))
     C = G[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
-    least = 0.01 * UNSEEN**2  # so that columns that are combinations of others leave next to nothing
+    least = 0.01 * combination_share**2  # so that columns that are combinations of others leave next to nothing
     left[seen] = np.sqrt(1.0 / np.diag(np.linalg.inv(C + least * np.eye(len(C)))))
     return left

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from valvesim.diagnosis.experiments import Experiment
-from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.errors import InputError
 from valvesim.io import write_atomically
 from valvesim.planning.bench import BenchPlan
+from valvesim.planning.options import DEFAULT_PLANNING, PlanningOptions
 from valvesim.planning.outlook import Outlook, cause_groups, outlook, sought_causes
 from valvesim.planning.plan_toml import load_plan
 from valvesim.planning.selection import Goal, Selection, SensorAdvice, select_tests
@@ -61,7 +61,7 @@ def plan_tests(
     bench: BenchPlan | str | Path,
     *,
     progress: Callable[[str, float], None] | None = None,
-    options: DiagnosisOptions = DEFAULT_DIAGNOSIS,
+    options: PlanningOptions = DEFAULT_PLANNING,
 ) -> Plan:
     """Plan the tests of a bench, or of a plan file. `progress(stage, share)` is called with what is being done.
 
@@ -70,7 +70,7 @@ def plan_tests(
     tell = progress or (lambda stage, share: None)
     bench = bench if isinstance(bench, BenchPlan) else load_plan(bench, options=options)
     planned = planned_sensitivities(
-        bench, lambda share: tell("linearising the tests", 0.5 * share), options=options
+        bench, lambda share: tell("linearising the tests", 0.5 * share), options=options.diagnosis
     )  # fmt: skip
     if not sought_causes(planned, bench.aim):
         raise InputError("none of these causes shows on the bench's drive and sensors", key="aim.causes")
@@ -83,7 +83,7 @@ def plan_tests(
     chosen = outlook(planned, bench.aim, selection.repeats, channels, options=options, seed=seed)
     with_added = None
     if selection.added is not None:
-        every = [options.design.replicates[-1]] * len(planned.experiments)
+        every = [options.diagnosis.design.replicates[-1]] * len(planned.experiments)
         more = (*channels, *selection.added.channels)
         with_added = outlook(planned, bench.aim, every, more, options=options, seed=seed)
     tests = tuple(
@@ -93,19 +93,22 @@ def plan_tests(
     others = [one for one, n in zip(planned.experiments, selection.repeats, strict=True) if not n]
     return Plan(
         bench=bench, planned=planned, selection=selection, tests=tests, outlook=chosen, with_added=with_added,
-        structural=_structural(bench, planned, channels, tuple(cause.label for cause in chosen.causes)),
+        structural=_structural(bench, planned, channels, tuple(cause.label for cause in chosen.causes),
+                               options=options),
         validation=min(others, key=lambda one: float(one.time[-1]), default=None),
         notes=tuple(f"left out, for it cannot be run: {one}" for one in planned.left_out),
     )  # fmt: skip
 
 
 def _structural(
-    bench: BenchPlan, planned: PlannedSensitivities, channels: tuple[str, ...], labels: tuple[str, ...]
+    bench: BenchPlan, planned: PlannedSensitivities, channels: tuple[str, ...], labels: tuple[str, ...], *,
+    options: PlanningOptions,
 ) -> np.ndarray:
     """Structural detectability (diagonal) and isolability (k, k) of the causes."""
     groups = cause_groups(planned.candidates)
     effects = {label: planned.candidates[groups[label][0]].effect for label in labels}
-    model = structural_model(bench.session.valve, channels, {k: e for k, e in effects.items() if e is not None})
+    known = {label: effect for label, effect in effects.items() if effect is not None}
+    model = structural_model(bench.session.valve, channels, known, options=options.structure)
     names, found = isolability(model)
     place = {name: k for k, name in enumerate(names)}
     return np.array([

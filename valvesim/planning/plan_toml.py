@@ -31,28 +31,26 @@ from typing import Any
 import numpy as np
 
 from valvesim.diagnosis.experiments import Experiment, library
-from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.errors import InputError, unknown_name
 from valvesim.identification.session import OUTPUTS, Record, Sensor, Session
 from valvesim.identification.session_toml import session_settings, stated_sensors
 from valvesim.inputs import evaluate
 from valvesim.io import check_known, check_printable, check_tables, located, read_toml
 from valvesim.planning.bench import AddedSensor, Aim, BenchPlan
+from valvesim.planning.options import DEFAULT_PLANNING, PlanFileOptions, PlanningOptions
 from valvesim.simulation.command_toml import read_command
 from valvesim.simulation.scenario_toml import read_names
 from valvesim.units import parse, quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import Effect
 from valvesim.valve.equations import DRIVES
-from valvesim.valve.thermal_network import NODES
+from valvesim.valve.thermal_network import THERMAL_NODES
 from valvesim.valve.valve_toml import read_tolerance
 
 _OWN = ("bench", "tests", "aim", "added_sensors", "sensors")
-LEAST_SAMPLES, MOST_SAMPLES = 100, 2_000_000  # of a test
-HIGHEST_RATE = 100e3  # Hz
 
 
-def load_plan(path: str | Path, *, options: DiagnosisOptions = DEFAULT_DIAGNOSIS) -> BenchPlan:
+def load_plan(path: str | Path, *, options: PlanningOptions = DEFAULT_PLANNING) -> BenchPlan:
     """The plan of a file. Raises InputError with file, line and key of what makes no sense."""
     path = Path(path)
     text, table = read_toml(path, "a plan is a TOML file with [sensors], see `valvesim plan --help`")
@@ -60,7 +58,7 @@ def load_plan(path: str | Path, *, options: DiagnosisOptions = DEFAULT_DIAGNOSIS
         return read_plan(path.parent, table, options=options)
 
 
-def read_plan(folder: Path, table: dict[str, Any], *, options: DiagnosisOptions = DEFAULT_DIAGNOSIS) -> BenchPlan:
+def read_plan(folder: Path, table: dict[str, Any], *, options: PlanningOptions = DEFAULT_PLANNING) -> BenchPlan:
     """The plan of a table; files that it names stand in `folder`."""
     for key in ("records", "columns", "csv"):
         if key in table:
@@ -72,20 +70,21 @@ def read_plan(folder: Path, table: dict[str, Any], *, options: DiagnosisOptions 
     check_known(bench, ("rate", "oil_temperature", "setup", "tests", "command", "thermometers"), "bench")
     thermometers = read_names(bench.get("thermometers", []), "bench.thermometers", "part")
     for part in thermometers:
-        if part not in NODES:
-            raise unknown_name("part", part, NODES, "bench.thermometers")
+        if part not in THERMAL_NODES:
+            raise unknown_name("part", part, THERMAL_NODES, "bench.thermometers")
     sensors = _with_noise(stated_sensors(table.get("sensors", {})), "sensors")
     command = bench.get("command", "current")
     if not isinstance(command, str) or command not in DRIVES:
         raise unknown_name("command", str(command), DRIVES, "bench.command")
     if not sensors:
         raise InputError(f"a bench needs sensors: [sensors.NAME] with a noise, of {', '.join(OUTPUTS)}", key="sensors")
-    rate = parse(bench["rate"], "Hz", "bench.rate") if "rate" in bench else options.design.rate
-    if _positive(rate, bench.get("rate"), "bench.rate") > HIGHEST_RATE:
-        raise InputError(f"{rate:g} Hz is above {HIGHEST_RATE:g} Hz", key="bench.rate", joint=" = ")
-    options = replace(options, design=replace(options.design, rate=rate))
+    rate = parse(bench["rate"], "Hz", "bench.rate") if "rate" in bench else options.diagnosis.design.rate
+    if _positive(rate, bench.get("rate"), "bench.rate") > options.file.highest_rate:
+        raise InputError(f"{rate:g} Hz is above {options.file.highest_rate:g} Hz", key="bench.rate", joint=" = ")
+    diagnosis = replace(options.diagnosis, design=replace(options.diagnosis.design, rate=rate))
     session = _with_oil(session, bench, command)
-    every = (*library(session, options=options), *_own_tests(folder, table.get("tests", []), session, rate))
+    own = _own_tests(folder, table.get("tests", []), session, rate, options=options.file)
+    every = (*library(session, options=diagnosis), *own)
     return BenchPlan(
         session=session,
         sensors=tuple(sensors.values()),
@@ -153,7 +152,9 @@ def _chosen(every: Sequence[Experiment], bench: dict[str, Any], own: Any) -> tup
     return tuple(one for one in every if not wanted or one.description in wanted or one.description in mine)
 
 
-def _own_tests(folder: Path, listed: Any, session: Session, rate: float) -> list[Experiment]:
+def _own_tests(
+    folder: Path, listed: Any, session: Session, rate: float, *, options: PlanFileOptions
+) -> list[Experiment]:
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
         raise InputError("expected [[tests]], one for each test", key="tests")
     found = []
@@ -168,9 +169,9 @@ def _own_tests(folder: Path, listed: Any, session: Session, rate: float) -> list
         if "duration" not in given or "command" not in given:
             raise InputError("a test needs a duration and a command", key=where)
         duration = _positive(parse(given["duration"], "s", f"{where}.duration"), given["duration"], f"{where}.duration")
-        if not LEAST_SAMPLES <= duration * rate <= MOST_SAMPLES:
-            problem = f"{duration * rate:.0f} samples are outside [{LEAST_SAMPLES}, {MOST_SAMPLES}]"
-            raise InputError(problem, key=f"{where}.duration")
+        low, high = options.least_samples, options.most_samples
+        if not low <= duration * rate <= high:
+            raise InputError(f"{duration * rate:.0f} samples are outside [{low}, {high}]", key=f"{where}.duration")
         command = given["command"]
         if not isinstance(command, dict) or list(command) != [drive.command_name]:
             raise InputError(f"give command.{drive.command_name}, as the bench drives", key=f"{where}.command")

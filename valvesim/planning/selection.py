@@ -8,14 +8,11 @@ from itertools import combinations, product
 
 import numpy as np
 
-from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.identification.projection import inverse_of, project
 from valvesim.planning.bench import AddedSensor, BenchPlan
+from valvesim.planning.options import DEFAULT_PLANNING, PlanningOptions
 from valvesim.planning.outlook import CandidateScores, cause_groups, cause_size, level_of, sought_causes
 from valvesim.planning.sensitivities import PlannedSensitivities
-
-ASKED = 0.9  # power with which a goal counts as reached
-EXHAUSTIVE = 12  # tests whose subsets are all tried; of more, one is added after the other
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,14 +53,14 @@ class Selection:
 class Chooser:
     """Which goals a choice of repeats and channels reaches, by the formulas of `outlook`."""
 
-    def __init__(self, plan: BenchPlan, planned: PlannedSensitivities, options: DiagnosisOptions):
+    def __init__(self, plan: BenchPlan, planned: PlannedSensitivities, options: PlanningOptions):
         self.plan, self.planned, self.options = plan, planned, options
         self.groups = cause_groups(planned.candidates)
         self.sought = sought_causes(planned, plan.aim)
         self.durations = np.array([float(e.time[-1]) + plan.setup for e in planned.experiments])
         everything = [1] * len(planned.experiments)
         scores = project(planned.gram(everything, self.channels()), 0, len(planned.candidates))
-        self.level = level_of(planned, scores, options=options, seed=plan.session.seed)
+        self.level = level_of(planned, scores, options=options.diagnosis, seed=plan.session.seed)
         self.names = [p.name for p in planned.nominal.parameters]
 
     def channels(self, *more: str) -> tuple[str, ...]:
@@ -87,11 +84,11 @@ class Chooser:
         for label in self.sought:
             k = min(self.groups[label], key=judged.limit)
             size = cause_size(self.planned.candidates[k], self.plan.aim)
-            if judged.power(k, size) < ASKED:
+            if judged.power(k, size) < self.options.choice.power:
                 continue
             found.add(Goal(kind="detect", of=label))
             for other in self.sought if self.plan.aim.isolate else ():
-                if other != label and not judged.separation(k, self.groups[other], size) < ASKED:
+                if other != label and not judged.separation(k, self.groups[other], size) < self.options.choice.power:
                     found.add(Goal(kind="isolate", of=label, rival=other))
         if self.plan.aim.parameters:
             p = gram.parameters
@@ -107,12 +104,12 @@ class Chooser:
     def shortest(self, channels: Sequence[str], progress: Callable[[float], None]) -> tuple[int, ...]:
         """The repeats of each test that reach all that can be reached in the shortest time."""
         count = len(self.durations)
-        most = self.options.design.replicates
+        most = self.options.diagnosis.design.replicates
         attainable = self.reached([most[-1]] * count, channels)
         times = next(n for n in most if n == most[-1] or self.reached([n] * count, channels) >= attainable)
         if not attainable:
             return (0,) * count
-        if count <= EXHAUSTIVE:
+        if count <= self.options.choice.exhaustive:
             repeats = self._shortest_subset(times, attainable, channels, progress)
         else:
             repeats = [times] * count
@@ -136,7 +133,7 @@ class Chooser:
     def _trimmed(self, repeats: list[int], attainable: frozenset[Goal], channels: Sequence[str]) -> list[int]:
         """The repeats without what is not needed, longest tests first."""
         for k in np.argsort(-self.durations * np.array(repeats)):
-            for fewer in (0, *(n for n in self.options.design.replicates if n < repeats[k])):
+            for fewer in (0, *(n for n in self.options.diagnosis.design.replicates if n < repeats[k])):
                 less = [fewer if j == k else n for j, n in enumerate(repeats)]
                 if fewer < repeats[k] and any(less) and self.reached(less, channels) >= attainable:
                     repeats = less
@@ -149,7 +146,7 @@ def select_tests(
     planned: PlannedSensitivities,
     progress: Callable[[float], None] = lambda share: None,
     *,
-    options: DiagnosisOptions = DEFAULT_DIAGNOSIS,
+    options: PlanningOptions = DEFAULT_PLANNING,
 ) -> Selection:
     """The shortest list of tests, and what added sensors would bring."""
     chooser = Chooser(plan, planned, options)
@@ -160,7 +157,7 @@ def select_tests(
     missed = [goal for goal in goals if goal not in reached]
     advice = []
     if missed:
-        every = [options.design.replicates[-1]] * len(repeats)
+        every = [options.diagnosis.design.replicates[-1]] * len(repeats)
 
         def brings(sensors: Sequence[AddedSensor]) -> SensorAdvice:
             names = tuple(one.sensor.channel for one in sensors)

@@ -18,12 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from valvesim.channels import SIGNAL_CHANNELS
+from valvesim.planning.options import DEFAULT_PLANNING, StructureOptions
 from valvesim.valve.coefficients import PartTemperatures
 from valvesim.valve.effect import Effect
 from valvesim.valve.equations import AT_20, Model
 from valvesim.valve.parameters import Valve
-
-_PROBES = 5  # random states
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,10 @@ class StructuralModel:
     faults: Mapping[str, str]
 
 
-def structural_model(valve: Valve, channels: Sequence[str], effects: Mapping[str, Effect]) -> StructuralModel:
+def structural_model(
+    valve: Valve, channels: Sequence[str], effects: Mapping[str, Effect], *,
+    options: StructureOptions = DEFAULT_PLANNING.structure,
+) -> StructuralModel:
     """The structure of a valve with sensors on these channels; `effects` are the faults by name.
 
     A fault that enters several equations is an unknown of all of them, with an equation of its own.
@@ -45,7 +47,7 @@ def structural_model(valve: Valve, channels: Sequence[str], effects: Mapping[str
     scales = np.array([channel.scale for channel in model.state_channels])
     level = np.array([valve.supply_pressure / 2.0 if channel.unit == "Pa" else 0.0 for channel in model.state_channels])
     inputs = (0.3 * valve.rated_current, 0.0, valve.supply_pressure, valve.return_pressure, 0.1 * valve.supply_pressure)
-    points = [tuple(level + 0.3 * scales * rng.uniform(-1.0, 1.0, len(scales))) for _ in range(_PROBES)]
+    points = [tuple(level + 0.3 * scales * rng.uniform(-1.0, 1.0, len(scales))) for _ in range(options.probes)]
     flat = model.flat_coefficients(valve.at(AT_20), ())
     signals = [channel.name for channel in SIGNAL_CHANNELS if channel.name in channels]
 

@@ -19,7 +19,7 @@ from valvesim.characterisation.acceptance.flow import LINE
 from valvesim.characterisation.acceptance.leakage import branch_curves
 from valvesim.characterisation.acceptance.metrics import NULL_SHARE
 from valvesim.characterisation.acceptance.record import AcceptanceRecord
-from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit, table
+from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit, merit_rows
 from valvesim.characterisation.judgement_table import FIGURE_HEADINGS
 from valvesim.reports.chart import Chart, Charts, Series, on_one_axis
 from valvesim.reports.html_page import Picture, Table, section, write_html
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests, MeasuredTest
     from valvesim.characterisation.acceptance.null_shift import NullShiftCurve
 
-RISING, FALLING, MIDDLE, LINES = COLOURS[0], COLOURS[1], "0.25", COLOURS[3]
+RISING_COLOUR, FALLING_COLOUR, MIDDLE_COLOUR, LINE_COLOUR = COLOURS[0], COLOURS[1], "0.25", COLOURS[3]
 
 
 def acceptance_report(result: AcceptanceTests, path: Path, *, date: datetime.date) -> tuple[Path, Path]:
@@ -57,7 +57,7 @@ def _write(
     picture = write_bytes(data, path)
     sections = (
         section("Curves", Charts(charts, beside=True)),
-        section("Figures of merit", Table(FIGURE_HEADINGS, table(merits), (1, 2))),
+        section("Figures of merit", Table(FIGURE_HEADINGS, merit_rows(merits), (1, 2))),
         section("Picture", Picture(data, caption)),
     )
     return picture, write_html(path.with_suffix(".html"), block, sections)
@@ -162,7 +162,7 @@ def draw_measured(measured: MeasuredTest) -> Figure:
     draw_test(axis, record, test, merits)
     sheet.axis("off")
     lines = []
-    for name, value, error, unit, meaning in table(measured.figures):
+    for name, value, error, unit, meaning in merit_rows(measured.figures):
         words = [f"{value} ± {error} {unit}"] if error else wrap(f"absent: {meaning}", 36)
         lines += [f"{name if k == 0 else '':21s} {text}" for k, text in enumerate(words)]
     sheet.text(0.02, 1.0, "\n".join(lines), va="top", family="monospace", fontsize=8, linespacing=1.7)
@@ -200,7 +200,7 @@ def _labels(axis: Any, title: str, x: str, y: str) -> None:
 
 def _branches(axis: Any, c: Cycle, factor: float) -> None:
     """Both branches over current in mA, the output in its own sign."""
-    for (current, y), colour, label in ((c.rising, RISING, "rising"), (c.falling, FALLING, "falling")):
+    for (current, y), colour, label in ((c.rising, RISING_COLOUR, "rising"), (c.falling, FALLING_COLOUR, "falling")):
         order = np.argsort(current, kind="stable")  # of several cycles the branches lie upon each other
         axis.plot(current[order] * 1e3, c.polarity * y[order] * factor, color=colour, lw=0.8, alpha=0.8, label=label)
 
@@ -212,7 +212,7 @@ def _flow(axis: Any, c: Cycle, merits: dict[str, Any]) -> None:
     rated = c.amplitude
     for each in (null, window):
         _branches(each, c, 6e4)
-        each.plot(bend.middle * 1e3, c.polarity * bend.output * 6e4, color=MIDDLE, lw=0.9, label="mid-line")
+        each.plot(bend.middle * 1e3, c.polarity * bend.output * 6e4, color=MIDDLE_COLOUR, lw=0.9, label="mid-line")
     for sign, name in ((-1.0, "flow_gain_negative"), (1.0, "flow_gain_positive")):
         part = (sign * bend.middle > LINE[0] * rated) & (sign * bend.middle < LINE[1] * rated)
         slope = _value(merits, name)
@@ -221,7 +221,7 @@ def _flow(axis: Any, c: Cycle, merits: dict[str, Any]) -> None:
         at = np.array([0.0, sign * rated])
         weights = np.gradient(bend.output)[part]
         y = np.average(bend.output[part] - slope * bend.middle[part], weights=weights) + slope * at
-        axis.plot(at * 1e3, c.polarity * y * 6e4, "--", color=LINES, lw=1.2, label="gain" if sign > 0 else None)
+        axis.plot(at * 1e3, c.polarity * y * 6e4, "--", color=LINE_COLOUR, lw=1.2, label="gain" if sign > 0 else None)
     reach = max(0.08 * rated, 2.0 * float(np.max(np.abs(bend.width))))
     height = 1.2 * abs(np.nanmean([_value(merits, f"flow_gain_{k}") for k in ("negative", "positive")])) * reach
     if np.isfinite(height):
@@ -238,7 +238,7 @@ def _pressure_gain(axis: Any, c: Cycle, merits: dict[str, Any]) -> None:
     null = (_value(merits, "zero_rising") + _value(merits, "zero_falling")) / 2.0
     if np.isfinite(gain):
         y = np.array([-NULL_SHARE, NULL_SHARE]) * supply
-        axis.plot((null + y / gain) * 1e3, c.polarity * y / 1e5, "--", color=LINES, lw=1.8, label="pressure gain")
+        axis.plot((null + y / gain) * 1e3, c.polarity * y / 1e5, "--", color=LINE_COLOUR, lw=1.8, label="pressure gain")
         for level in y:
             axis.axhline(level / 1e5, color="0.7", lw=0.7)
         reach = 5.0 * supply / gain + abs(_value(merits, "zero_rising") - null)
@@ -252,10 +252,10 @@ def _leakage(axis: Any, c: Cycle, merits: dict[str, Any]) -> None:
     grid, up, down = branch_curves(c)
     _branches(axis, c, 6e4)
     for y, label in ((up, "averaged"), (down, None)):
-        axis.plot(grid * 1e3, y * 6e4, color=MIDDLE, lw=0.9, label=label)
+        axis.plot(grid * 1e3, y * 6e4, color=MIDDLE_COLOUR, lw=0.9, label=label)
     tare, split, middle = (_value(merits, name) for name in ("tare", "half_split", "peak_current"))
     if np.isfinite(tare):
-        axis.axhline(tare * 6e4, color=LINES, ls="--", lw=1.2, label="tare")
+        axis.axhline(tare * 6e4, color=LINE_COLOUR, ls="--", lw=1.2, label="tare")
     if split > 0.01 * np.ptp(grid):
         for side in (middle - split, middle + split):
             axis.axvline(side * 1e3, color="0.6", lw=0.8, ls=":")
@@ -266,11 +266,11 @@ def _leakage(axis: Any, c: Cycle, merits: dict[str, Any]) -> None:
 def _flow_load(axis: Any, record: AcceptanceRecord, merits: dict[str, Any]) -> None:
     """Flow over valve pressure drop at full current, with the power law."""
     p, q = record.values["pressure_drop"], record.values["load_flow"]
-    axis.plot(p / 1e5, q * 6e4, ".", ms=1.5, color=RISING, label="record")
+    axis.plot(p / 1e5, q * 6e4, ".", ms=1.5, color=RISING_COLOUR, label="record")
     n, rated = _value(merits, "flow_exponent"), _value(merits, "rated_flow")
     if np.isfinite(n) and np.isfinite(rated):
         x = np.linspace(max(np.min(p), 1e4), np.max(p), 200)
-        axis.plot(x / 1e5, rated * (x / 7e6) ** n * 6e4, color=FALLING, label=f"power law, exponent {n:.3f}")
-        axis.plot(70.0, rated * 6e4, "o", color=LINES, label="rated flow, 70 bar")
+        axis.plot(x / 1e5, rated * (x / 7e6) ** n * 6e4, color=FALLING_COLOUR, label=f"power law, exponent {n:.3f}")
+        axis.plot(70.0, rated * 6e4, "o", color=LINE_COLOUR, label="rated flow, 70 bar")
     axis.legend(loc="lower right")
     _labels(axis, "flow over valve pressure drop", "valve pressure drop [bar]", "flow [L/min]")

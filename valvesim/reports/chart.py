@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-MOST_POINTS = 100_000  # of a line: beyond it the extremes of each stretch are kept, as they follow each other
+MOST_CHART_POINTS = 100_000  # of a line: beyond it the extremes of each stretch are kept, as they follow each other
 LARGEST = 1e38  # that a page shows: single precision ends there
 RESOLVED = 1e-6  # of its size, what is told of a value at most: it travels in single precision
 EVEN = 1e-6  # of its step, by which a clock may be off and still is told by start and step
@@ -120,9 +120,9 @@ def packed(values: np.ndarray) -> str:
 
 def thinned(x: np.ndarray, columns: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
     """A long chart with two points a stretch: the extremes of each line, in their order; a short one as it is."""
-    if len(x) <= MOST_POINTS:
+    if len(x) <= MOST_CHART_POINTS:
         return x, list(columns)
-    stretch = int(np.ceil(2 * len(x) / MOST_POINTS))
+    stretch = int(np.ceil(2 * len(x) / MOST_CHART_POINTS))
     whole = len(x) // stretch * stretch
     kept = []
     for y in columns:

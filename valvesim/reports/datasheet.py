@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
-from valvesim.characterisation.judgement_table import HEADINGS, judgement_rows
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, merit_cells
+from valvesim.characterisation.judgement_table import VERDICT_HEADINGS, judgement_rows
 from valvesim.io import check_folder, write_atomically
 from valvesim.reports.acceptance import acceptance_charts, draw_acceptance
 from valvesim.reports.chart import Chart, Charts
 from valvesim.reports.html_page import Picture, Section, Table, Text, section, write_html
 from valvesim.reports.plotting import png
-from valvesim.reports.response import CAPTIONS, draw_responses, response_charts
+from valvesim.reports.response import RESPONSE_CAPTIONS, draw_responses, response_charts
 from valvesim.reports.title_block import TitleBlock, valve_name
 from valvesim.units import quantities, range_text, symbol
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from valvesim.characterisation.datasheet import Datasheet
     from valvesim.characterisation.specification import Judgement
 
-TITLE, ORIGIN = "Servo valve datasheet", "Computed by valvesim from the model; no valve was measured."
+DATASHEET_TITLE, ORIGIN = "Servo valve datasheet", "Computed by valvesim from the model; no valve was measured."
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ def datasheet_report(
     """
     check_folder(folder)
     facts = (("Oil", sheet.oil.name),)
-    block = TitleBlock(title=TITLE, valve=valve_name(sheet.valve), date=date, facts=facts)
+    block = TitleBlock(title=DATASHEET_TITLE, valve=valve_name(sheet.valve), date=date, facts=facts)
     parts = _parts(sheet, block)
     if judged:
-        verdicts = (HEADINGS, *judgement_rows(judged))
+        verdicts = (VERDICT_HEADINGS, *judgement_rows(judged))
         told = "Each figure against its specification, told with its uncertainty."
         parts = (_Part("Verdicts", told, verdicts), *parts)
     page = write_html(
@@ -79,7 +79,7 @@ def _parts(sheet: Datasheet, block: TitleBlock) -> tuple[_Part, ...]:
         for one in sheet.benches
     )
     dynamic = tuple(
-        Picture(png(figure, block), CAPTIONS[name]) for name, figure in draw_responses(sheet.responses).items()
+        Picture(png(figure, block), RESPONSE_CAPTIONS[name]) for name, figure in draw_responses(sheet.responses).items()
     )  # fmt: skip
     curves = []
     for one in sheet.benches:
@@ -130,9 +130,9 @@ def _class_rows(sheet: Datasheet) -> list[tuple[str, str, str, str]]:
     rows = []
     for published, own in sheet.beside_class:
         limits = [FigureOfMerit(published.name, value, published.unit, "") for value in (published.low, published.high)]
-        low, high = (shown(limit)[0] for limit in limits)
-        text = f"{low} {shown(limits[0])[2]}" if low == high else f"{low} to {high} {shown(limits[0])[2]}"
-        mine = own.reason if isinstance(own, Absent) else " ".join((shown(own)[0], shown(own)[2]))
+        low, high = (merit_cells(limit)[0] for limit in limits)
+        text = f"{low} {merit_cells(limits[0])[2]}" if low == high else f"{low} to {high} {merit_cells(limits[0])[2]}"
+        mine = own.reason if isinstance(own, Absent) else " ".join((merit_cells(own)[0], merit_cells(own)[2]))
         rows.append((published.name.replace("_", " "), text, mine, published.source))
     return rows
 
@@ -153,8 +153,8 @@ def _rows(columns: Sequence[dict[str, FigureOfMerit | Absent]]) -> list[tuple[st
     rows = []
     for name in dict.fromkeys(name for column in columns for name in column):
         found = [column.get(name) for column in columns]
-        unit = next((shown(f)[2] for f in found if isinstance(f, FigureOfMerit)), "")
-        cells = [shown(f)[0] if isinstance(f, FigureOfMerit) else "-" for f in found]
+        unit = next((merit_cells(f)[2] for f in found if isinstance(f, FigureOfMerit)), "")
+        cells = [merit_cells(f)[0] if isinstance(f, FigureOfMerit) else "-" for f in found]
         rows.append((name.replace("_", " "), unit, *cells))
     return rows
 

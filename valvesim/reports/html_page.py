@@ -189,14 +189,14 @@ def _environment() -> Any:
     )  # fmt: skip
 
 
-STATIC = ("style.css", "uplot/uPlot.min.css", "uplot/LICENSE", "uplot/uPlot.iife.min.js", "charts.js")
+STATIC_FILES = ("style.css", "uplot/uPlot.min.css", "uplot/LICENSE", "uplot/uPlot.iife.min.js", "charts.js")
 
 
 @functools.cache
 def _static() -> dict[str, Markup]:
     """What pages hold as it stands: the style sheet; of charts uPlot with its licence, and the script that draws."""
     folder = files("valvesim.reports") / "templates"
-    return {name: Markup((folder / name).read_text(encoding="utf-8")) for name in STATIC}
+    return {name: Markup((folder / name).read_text(encoding="utf-8")) for name in STATIC_FILES}
 
 
 def page(block: TitleBlock, sections: Sequence[Section], *, banner: Banner | None = None) -> str:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from valvesim.characterisation.acceptance.record import AcceptanceRecord
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, shown
-from valvesim.characterisation.judgement_table import HEADINGS, condition_text, judgement_rows, value_text
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, merit_cells
+from valvesim.characterisation.judgement_table import VERDICT_HEADINGS, condition_text, judgement_rows, value_cells
 from valvesim.characterisation.specification import COMMON, Judgement, Verdict
 from valvesim.reports.acceptance import draw_test
 from valvesim.reports.html_page import Banner, Picture, Section, Table, Terms, Text, section, write_html
@@ -21,7 +21,7 @@ from valvesim.reports.title_block import TitleBlock
 if TYPE_CHECKING:
     from valvesim.characterisation.measured_valve import MeasuredResult, MeasuredValve
 
-TITLE = "Acceptance test"
+ACCEPTANCE_TITLE = "Acceptance test"
 _COLUMNS = ("figure", "value", "±", "unit", "model", "meaning")
 _OUTCOMES = {
     Verdict.FAIL: ("Fails", "#d1495b", "#fbe9ec"), Verdict.UNDECIDED: ("Undecided", "#e09f3e", "#fdf4e5"),
@@ -42,18 +42,18 @@ def measured_valve_report(
     `model` has what a model, called `model_name`, has of each figure, by title of the test and figure.
     """
     number = f", serial number {measured.serial_number}" if measured.serial_number else ""
-    block = TitleBlock(title=TITLE, valve=f"{measured.title or 'measured valve'}{number}", date=date)
+    block = TitleBlock(title=ACCEPTANCE_TITLE, valve=f"{measured.title or 'measured valve'}{number}", date=date)
     sections = [
         section("Identification", Terms([
             ("valve", measured.title), ("serial number", measured.serial_number),
-            ("rated current", " ".join(filter(None, value_text(measured.rated_current, "A")))),
+            ("rated current", " ".join(filter(None, value_cells(measured.rated_current, "A")))),
             ("specification", specification), ("model beside it", model_name),
         ])),
         section("Conditions", Text(_sentence(condition_text(measured.conditions)) or "None stated.")),
         section("Instruments", Table(("instrument", "within, of the reading"), [
             (name, f"±{100.0 * share:g} %") for name, share in measured.instruments.items()
         ], (1,))),
-        section("Verdicts", Table(HEADINGS, judgement_rows(judged, COMMON), (4,))),
+        section("Verdicts", Table(VERDICT_HEADINGS, judgement_rows(judged, COMMON), (4,))),
         *(_test_section(test, model, block) for test in measured.tests),
     ]  # fmt: skip
     return write_html(folder / "acceptance.html", block, sections, banner=_banner(judged))
@@ -79,8 +79,8 @@ def _test_section(test: MeasuredResult, model: Mapping[tuple[str, str], float], 
             rows.append((name, "absent", "", "", "", figure.reason))
             continue
         own = model.get((test.title, figure.name))
-        beside = "" if own is None else shown(FigureOfMerit(figure.name, own, figure.unit, ""))[0]
-        value, error, unit = shown(figure)
+        beside = "" if own is None else merit_cells(FigureOfMerit(figure.name, own, figure.unit, ""))[0]
+        value, error, unit = merit_cells(figure)
         rows.append((name, value, error, unit, beside, figure.doc))
     words = condition_text(test.conditions)
     notes = [Text(note) for note in test.notes]

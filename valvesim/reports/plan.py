@@ -18,14 +18,13 @@ if TYPE_CHECKING:
     from valvesim.planning.outlook import CauseOutlook, Outlook, ParameterOutlook
     from valvesim.planning.plan import Plan
 
-ASKED = 0.9  # power, nine times in ten
-VERDICTS = {
+PARAMETER_VERDICTS = {
     "known": "known", "partly": "partly", "together": "together with others", "hardly": "by its prior alone",
     "combination": "as a combination alone", "unseen": "not seen",
 }  # fmt: skip
 """How well a parameter would be known, in words; the last two are structural."""
 MOST_RIVALS = 6  # of a cause that are named
-CAPTIONS = {
+PLAN_CAPTIONS = {
     "isolability": (
         "How surely the cause of a row, at the size of the aim, is told from that of a column. Grey: two names of one "
         "thing. Crossed: the structure of the equations with these sensors does not tell them apart whatever they do "
@@ -57,11 +56,11 @@ def _sections(plan: Plan, pictures: dict[str, bytes]) -> list[Section]:
     missed = missed_words(plan)
     parts = [
         section("Tests to run", tests, *told, Bullets(plan.notes)),
-        section("What would be detected", Picture(pictures["detection"], CAPTIONS["detection"]),
+        section("What would be detected", Picture(pictures["detection"], PLAN_CAPTIONS["detection"]),
                 Table(CAUSE_HEADINGS, [cause_row(one) for one in plan.outlook.causes], (1, 2, 3, 4))),
-        section("What could be told apart", Picture(pictures["isolability"], CAPTIONS["isolability"]),
+        section("What could be told apart", Picture(pictures["isolability"], PLAN_CAPTIONS["isolability"]),
                 *((Bullets(missed),) if missed else ())),
-        section("How well parameters would be known", Picture(pictures["parameters"], CAPTIONS["parameters"]),
+        section("How well parameters would be known", Picture(pictures["parameters"], PLAN_CAPTIONS["parameters"]),
                 Table(PARAMETER_HEADINGS, [parameter_row(one) for one in plan.outlook.parameters], (1, 2, 3))),
     ]  # fmt: skip
     if chosen.advice:
@@ -98,7 +97,7 @@ def cause_row(one: CauseOutlook) -> tuple[str, ...]:
 
 def parameter_row(one: ParameterOutlook) -> tuple[str, ...]:
     """A parameter with its deviations before and after."""
-    how = VERDICTS[one.verdict] + (f": {', '.join(one.partners)}" if one.partners else "")
+    how = PARAMETER_VERDICTS[one.verdict] + (f": {', '.join(one.partners)}" if one.partners else "")
     figures = (_amount(value, one.unit) for value in (one.nominal, one.prior, one.posterior))
     return one.name, *figures, how
 
@@ -194,9 +193,9 @@ def draw_parameters(parameters: Sequence[ParameterOutlook]) -> Figure:
     figure = Figure(figsize=(8.0, max(2.2, 1.0 + 0.2 * len(ranked))), layout="constrained")
     axis = figure.subplots()
     shades = (COLOURS[2], "#9acd7a", COLOURS[3], COLOURS[1], COLOURS[4], "0.6")
-    colours: dict[str, Any] = dict(zip(VERDICTS, shades, strict=True))
+    colours: dict[str, Any] = dict(zip(PARAMETER_VERDICTS, shades, strict=True))
     places = np.arange(len(ranked))[::-1]
-    for verdict, words in VERDICTS.items():
+    for verdict, words in PARAMETER_VERDICTS.items():
         own = [k for k, one in enumerate(ranked) if one.verdict == verdict]
         shares = [ranked[k].posterior / ranked[k].prior for k in own]
         axis.barh(places[own], shares, color=colours[verdict], label=words, height=0.7)

@@ -31,7 +31,7 @@ STYLE: Any = {
 }  # fmt: skip
 """Names are shown as they stand: a title may hold any sign, so no text is read as a formula."""
 COLOURS = ("#1f5fa8", "#d1495b", "#2e8b57", "#e09f3e", "#7a5195", "#5c677d", "#17a2b8", "#8d5524")
-MEASURED, NOMINAL, EXTENDED = "0.35", COLOURS[1], COLOURS[0]  # records and models, the same in every picture
+MEASURED_COLOUR, NOMINAL_COLOUR, EXTENDED_COLOUR = "0.35", COLOURS[1], COLOURS[0]  # of records and models everywhere
 DPI = 100
 MOST_POINTS = 1200  # of a line: beyond it the extremes of each stretch are drawn, which looks the same
 BLOCK_HEIGHT = 0.24  # inch, of the title block under a picture

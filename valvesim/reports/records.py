@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from valvesim.measurement.headings import UNITS
+from valvesim.measurement.headings import MEASURED_UNITS
 from valvesim.reports.chart import Chart, Charts, Series
 from valvesim.reports.html_page import Bullets, section, write_html
-from valvesim.reports.plotting import COLOURS, MEASURED, Figure, draw_line, styled, time_unit, write_picture
+from valvesim.reports.plotting import COLOURS, MEASURED_COLOUR, Figure, draw_line, styled, time_unit, write_picture
 from valvesim.reports.title_block import TitleBlock
 from valvesim.units import DISPLAY, symbol
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from valvesim.measurement.recording import Recording
 
 ROW_HEIGHT = 1.25  # inch
-LARGEST = 1e30  # of a reading that an axis can show
+LARGEST_READING = 1e30  # of a reading that an axis can show
 MOST_GAPS = 200  # that are shaded one by one
 
 
@@ -42,7 +42,7 @@ def page_recordings(recordings: Sequence[Recording], date: datetime.date, path: 
         charts = []
         for name, recording in zip(names, recordings, strict=True):
             if channel in recording.values:
-                unit, factor = DISPLAY.get(UNITS[channel], (UNITS[channel], 1.0))
+                unit, factor = DISPLAY.get(MEASURED_UNITS[channel], (MEASURED_UNITS[channel], 1.0))
                 text, values = channel.replace("_", " "), recording.values[channel] * factor
                 apart = np.diff(np.flatnonzero(np.isfinite(values)))  # more than one: a slower channel, not a gap
                 line = Series(text, symbol(unit), values, joined=len(apart) > 0 and float(np.median(apart)) > 1.0)
@@ -76,14 +76,14 @@ def _draw_channel(axis: Any, recording: Recording, one: ChannelQuality, factor: 
     time = recording.time * factor
     step = max(round((len(time) - 1) / float(recording.time[-1]) / one.rate), 1)
     apart = np.flatnonzero(np.diff(there) > 1.5 * step)[:MOST_GAPS]
-    drawable = len(there) and float(np.max(np.abs(values[there]))) < LARGEST
+    drawable = len(there) and float(np.max(np.abs(values[there]))) < LARGEST_READING
     if not drawable:
         axis.text(0.5, 0.5, "no reading that can be drawn", transform=axis.transAxes, ha="center", va="center")
     for piece in np.split(there, apart + 1) if drawable else ():
         if len(piece):
             draw_line(axis, time[piece], values[piece], colour=colour, label=one.channel)
     for k in apart:
-        axis.axvspan(time[there[k]], time[there[k + 1]], color=MEASURED, alpha=0.25, lw=0)
+        axis.axvspan(time[there[k]], time[there[k + 1]], color=MEASURED_COLOUR, alpha=0.25, lw=0)
     told = [f"{one.rate:.4g} Hz", f"noise {one.noise * by:.2g}"]
     told += [f"resolution {one.resolution * by:.2g}"] if one.resolution else []
     told += [f"{one.missing} missing (shaded)"] if one.missing else []

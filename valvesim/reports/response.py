@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from valvesim.characterisation.class_figures import ClassFigure, class_figures
-from valvesim.characterisation.figure_of_merit import Absent, table
+from valvesim.characterisation.figure_of_merit import Absent, merit_rows
+from valvesim.characterisation.judgement_table import FIGURE_HEADINGS
 from valvesim.io import check_folder
 from valvesim.reports.chart import Chart, Charts, Series, on_one_axis
 from valvesim.reports.html_page import Picture, Section, Table, section, write_html
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
     from valvesim.characterisation.response_set import ResponseSet
     from valvesim.characterisation.step_response import StepResponse
 
-HEADINGS = ("figure of merit", "value", "± (1 sigma)", "unit", "meaning")
-CAPTIONS = {
+RESPONSE_CAPTIONS = {
     "bode": "Frequency response at each amplitude; rings: -3 dB and -90 degrees.",
     "distortion": "Harmonics 2 to 5 of the response over the fundamental.",
     "step": "Step responses, each as a share of its own change.",
@@ -47,7 +47,7 @@ def response_report(
     pictures = {name: png(figure, block) for name, figure in draw_responses(sets).items()}
     paths = [write_bytes(data, folder / f"{name}.png") for name, data in pictures.items()]
     charts = section("Responses", Charts(response_charts(sets), beside=True))
-    shown = section("Pictures", *(Picture(data, CAPTIONS[name]) for name, data in pictures.items()))
+    shown = section("Pictures", *(Picture(data, RESPONSE_CAPTIONS[name]) for name, data in pictures.items()))
     return *paths, write_html(folder / "response.html", block, (charts, *_tables(sets), shown))
 
 
@@ -107,7 +107,7 @@ def _tables(sets: Sequence[ResponseSet]) -> list[Section]:
         for test in tests:
             kind = "Step" if test in one.steps else "Sines"
             heading = f"{kind} of {_amplitude(test)} of rated, oil at {one.oil_temperature:g} °C"
-            sections.append(section(heading, Table(HEADINGS, table(test.figures), (1, 2))))
+            sections.append(section(heading, Table(FIGURE_HEADINGS, merit_rows(test.figures), (1, 2))))
     return sections
 
 

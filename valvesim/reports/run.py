@@ -36,14 +36,14 @@ if TYPE_CHECKING:
     from valvesim.simulation.result import Result
     from valvesim.simulation.scenario import Scenario
 
-CAPTIONS = {
+RUN_CAPTIONS = {
     "run": "The whole run, and its end or last jump enlarged.",
     "characteristic": "Armature angle, spool, flow and leakage over current; dashed: the valve at rest, 20 °C.",
     "drift": "Drift against the same valve at 20 °C, in all and by route of the temperature.",
     "sweep": "Frequency response from the run's own sweep (faint where not coherent); power over time and frequency.",
 }
 LEAST_SHIFT = 1e-3  # share by which a valve must differ from itself at 20 °C for its start to be told apart
-TEMPERATURES = tuple(f"{name}_temperature" for name in PART_NAMES)
+TEMPERATURE_CHANNELS = tuple(f"{name}_temperature" for name in PART_NAMES)
 
 
 def title_block(scenario: Scenario, date: datetime.date) -> TitleBlock:
@@ -87,7 +87,7 @@ def page_run(
     scenario = result.scenario
     words = Text("Simulated by valvesim; no valve was measured.")
     shown = [
-        Picture(one.read_bytes(), CAPTIONS.get(one.stem, one.stem)) for one in pictures if one.stem not in ("run",)
+        Picture(one.read_bytes(), RUN_CAPTIONS.get(one.stem, one.stem)) for one in pictures if one.stem not in ("run",)
     ]
     parts = (
         section("Figures", words, Table(RUN_HEADINGS, run_rows(result), (2, 3, 4))),
@@ -140,7 +140,7 @@ def run_panels(scenario: Scenario) -> list[tuple[str, tuple[str, ...]]]:
     """(label, channels) of each panel of a run."""
     return [
         ("command", (scenario.drive.command_name,)),
-        ("temperature", TEMPERATURES),
+        ("temperature", TEMPERATURE_CHANNELS),
         ("armature angle", ("armature_angle",)),
         ("nozzle pressures", ("nozzle_pressure_1", "nozzle_pressure_2")),
         ("spool position", ("spool_position",)),

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 RUN_HEADINGS = ("channel", "unit", "least", "greatest", "at the end")
 RUN_RECORD = ("channel", "unit", "least", "greatest", "end")
-CHANNELS = (
+TABLE_CHANNELS = (
     "current", "oil_temperature", "body_temperature", "torque_motor_temperature", "armature_angle", "nozzle_pressure_1",
     "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage",
 )  # fmt: skip
@@ -22,7 +22,7 @@ ROUNDING = 1e-9  # share of a channel's usual size below which a value is nothin
 STILL = 1e-3  # share of its size by which a channel must move for the tolerance to tell its digits
 
 
-def run_rows(result: Result, names: Sequence[str] = CHANNELS) -> list[tuple[str, ...]]:
+def run_rows(result: Result, names: Sequence[str] = TABLE_CHANNELS) -> list[tuple[str, ...]]:
     """Rows of `RUN_HEADINGS`, a channel each, to the digits that the tolerance of the integration leaves."""
     rows = []
     for name in names:

@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 MOST_HISTOGRAMS = 9
 MOST_BARS = 10  # quantities of a picture of sensitivities
-LIMIT, NOMINAL = COLOURS[1], "0.2"
-FIGURES = ("figure of merit", "unit", "nominal", "mean", "deviation", "1 %", "50 %", "99 %", "least", "member",
+LIMIT_COLOUR, UNVARIED_COLOUR = COLOURS[1], "0.2"
+FIGURE_COLUMNS = ("figure of merit", "unit", "nominal", "mean", "deviation", "1 %", "50 %", "99 %", "least", "member",
            "greatest", "member")  # fmt: skip
-LIMITS = ("limit", "asked for", "yield", "interval (95 %)", "Cpk", "interval (95 %)", "worst members")
-INDICES = ("quantity", "first order", "total", "local")
-HALVED = ("quantity", "yield with half the tolerance", "gain", "by weights ± 1 sigma")
-STEPS = ("step", "tolerances", "yield", "by weights ± 1 sigma")
-FAILURES = ("members", "first", "reason")
-VARIABLES = ("quantity", "unit", "nominal", "distribution", "meaning")
+LIMIT_COLUMNS = ("limit", "asked for", "yield", "interval (95 %)", "Cpk", "interval (95 %)", "worst members")
+INDEX_COLUMNS = ("quantity", "first order", "total", "local")
+HALVED_COLUMNS = ("quantity", "yield with half the tolerance", "gain", "by weights ± 1 sigma")
+STEP_COLUMNS = ("step", "tolerances", "yield", "by weights ± 1 sigma")
+FAILURE_COLUMNS = ("members", "first", "reason")
+VARIABLE_COLUMNS = ("quantity", "unit", "nominal", "distribution", "meaning")
 
 HOW_TIGHTENED = (
     "Told from the members that have run, each moved towards the median of the tolerance along the regression plane of "
@@ -66,19 +66,20 @@ def study_report(findings: Findings, folder: Path, *, valve: str, date: datetime
         section("", Terms([("members", f"{int(result.ran.sum())} of {len(result.ran)}"),
                            ("design", f"{study.design.kind.replace('_', ' ')}, seed {study.design.seed}"),
                            ("quantities that vary", str(len(study.variables)))])),
-        section("Limits", Table(LIMITS, summary.limit_rows(result), (2, 4)),
+        section("Limits", Table(LIMIT_COLUMNS, summary.limit_rows(result), (2, 4)),
                 Text(_unjudged(result.unjudged))),
-        section("Figures of merit", drawn["figures"], Table(FIGURES, summary.figure_rows(result), tuple(range(2, 12))),
+        section("Figures of merit", drawn["figures"],
+                Table(FIGURE_COLUMNS, summary.figure_rows(result), tuple(range(2, 12))),
                 Text("valvesim study STUDY --member NUMBER prints a member's scenario, which runs as any other.")),
         section("Over time", Charts(percentile_charts(findings)), drawn.get("percentiles", nothing)),
         section("Sensitivity", drawn.get("sensitivity", nothing), *_index_blocks(findings)),
         section("Which tolerance to tighten", drawn.get("tightening", nothing),
                 Text(summary.plan_words(findings), strong=True),
-                Table(HALVED, summary.halved_rows(findings), (1, 2, 3)),
-                Table(STEPS, summary.step_rows(findings), (2, 3)),
+                Table(HALVED_COLUMNS, summary.halved_rows(findings), (1, 2, 3)),
+                Table(STEP_COLUMNS, summary.step_rows(findings), (2, 3)),
                 Text(HOW_TIGHTENED if findings.tightening else "")),
-        section("Members that lack a figure", Table(FAILURES, failures, (0, 1))),
-        section("What varies", Table(VARIABLES, summary.variable_rows(result), (2,))),
+        section("Members that lack a figure", Table(FAILURE_COLUMNS, failures, (0, 1))),
+        section("What varies", Table(VARIABLE_COLUMNS, summary.variable_rows(result), (2,))),
     )  # fmt: skip
     return [*written, write_html(folder / "study.html", block, sections, banner=_banner(findings))]
 
@@ -88,10 +89,10 @@ def _banner(findings: Findings) -> Banner | None:
     if not result.criteria:
         return None
     own = result.yield_
-    told = f"{own.passed} of {own.members} members keep every limit; 95 % interval {summary.interval_text(own)}"
+    told = f"{own.passed} of {own.members} members keep every limit; 95 % interval {summary.yield_interval_text(own)}"
     good = own.share >= 0.9
     return Banner(
-        f"Yield {summary.percent(own.share)}",
+        f"Yield {summary.percent_text(own.share)}",
         told,
         COLOURS[2] if good else COLOURS[1],
         "#eef6f0" if good else "#fbf0f1",
@@ -111,7 +112,7 @@ def _index_blocks(findings: Findings) -> list[Any]:
             else f"shares by linear regression, which explains {100 * one.explained:.3g} %"
         )
         blocks.append(Text(f"{one.figure}: {kind}, of {one.used} members"))
-        blocks.append(Table(INDICES, summary.index_rows(findings, one.figure), (1, 2, 3)))
+        blocks.append(Table(INDEX_COLUMNS, summary.index_rows(findings, one.figure), (1, 2, 3)))
     return blocks
 
 
@@ -139,10 +140,10 @@ def draw_figures(findings: Findings) -> Figure:
         ends = [low - reach, high + reach]
         axis.hist(np.clip(own, *ends), bins=min(60, max(8, int(np.sqrt(len(own))))), color=COLOURS[0], alpha=0.75)
         if np.isfinite(nominal):
-            axis.axvline(nominal * factor, color=NOMINAL, lw=1.2)
+            axis.axvline(nominal * factor, color=UNVARIED_COLOUR, lw=1.2)
         for end in (criterion.low, criterion.high) if criterion is not None else ():
             if np.isfinite(end) and ends[0] - 4 * (high - low) < end * factor < ends[1] + 4 * (high - low):
-                axis.axvline(end * factor, color=LIMIT, ls="--", lw=1.2)
+                axis.axvline(end * factor, color=LIMIT_COLOUR, ls="--", lw=1.2)
         axis.set_title(one.name, loc="left", fontsize=8)
         axis.set_xlabel(f"[{unit}]" if unit else "")
         axis.set_yticks([])
@@ -190,7 +191,8 @@ def draw_percentiles(findings: Findings) -> Figure:
             shade = 0.18 + 0.5 * (k + 1) / (pairs + 1)
             axis.fill_between(time, values[k], values[-1 - k], color=COLOURS[0], alpha=shade, lw=0,
                               label=f"{low:g} to {high:g} %")  # fmt: skip
-        axis.plot(time, data["nominal_run"].sel(channel=name).values * factor, color=NOMINAL, lw=0.9, label="nominal")
+        nominal = data["nominal_run"].sel(channel=name).values * factor
+        axis.plot(time, nominal, color=UNVARIED_COLOUR, lw=0.9, label="nominal")
         axis.set_ylabel(f"{name.replace('_', ' ')}\n[{unit}]" if unit else name)
     axes[0].legend(ncols=pairs + 1, loc="upper center", bbox_to_anchor=(0.5, 1.22))
     axes[-1].set_xlabel("time [s]")
@@ -225,7 +227,7 @@ def _index_bars(axis: Any, one: SensitivityIndices, local: np.ndarray) -> None:
         axis.barh(place, 100 * np.maximum(values[shown], 0.0), height, color=colour, label=label,
                   xerr=100 * np.array([low, errors[shown]]), error_kw={"lw": 0.8, "ecolor": "0.4"})  # fmt: skip
     if np.isfinite(local[shown]).any():
-        axis.plot(100 * local[shown], at, "D", ms=3.5, color=NOMINAL, label="local", ls="")
+        axis.plot(100 * local[shown], at, "D", ms=3.5, color=UNVARIED_COLOUR, label="local", ls="")
     axis.set_yticks(at, [one.keys[k].removeprefix("valve.").replace("_", " ") for k in shown], fontsize=7)
     axis.set_title(one.figure, loc="left", fontsize=8)
     axis.set_axisbelow(True)
@@ -242,8 +244,8 @@ def draw_tightening(findings: Findings) -> Figure:
     axis = figure.subplots()
     at = np.arange(len(shown))
     axis.barh(at, [100 * one.share for one in shown], 0.7, color=COLOURS[0])
-    axis.axvline(100 * plan.now.share, color=NOMINAL, lw=1.2)
-    axis.axvline(100 * plan.wanted, color=LIMIT, lw=1.2, ls="--")
+    axis.axvline(100 * plan.now.share, color=UNVARIED_COLOUR, lw=1.2)
+    axis.axvline(100 * plan.wanted, color=LIMIT_COLOUR, lw=1.2, ls="--")
     names = [next(iter(one.factors)).removeprefix("valve.").replace("_", " ") for one in shown]
     axis.set_yticks(at, names, fontsize=8)
     axis.set_xlabel("yield [%]; dashed: wanted")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from valvesim.errors import SolveError
-from valvesim.simulation.run import Problem, integrate_members, prepare
+from valvesim.simulation.run import Problem, integrate_batch, prepare
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.temperature_knots import array_quantities
 from valvesim.solver.codegen import LANES
@@ -58,7 +58,7 @@ def _problems(scenario: Scenario) -> Iterator[Problem]:
 
 def _states(problem: Problem, members: np.ndarray) -> list[np.ndarray]:
     """States (n_t, states) of each of some members. Raises SolveError where one fails."""
-    answers = list(integrate_members(problem, members.tolist()))
+    answers = list(integrate_batch(problem, members.tolist()))
     for answer in answers:
         if isinstance(answer, SolveError):
             raise answer

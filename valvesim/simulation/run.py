@@ -64,7 +64,7 @@ def simulate(
         raise InputError("is an array, a batch of valves: use simulate_batch", key=f"valve.{arrays[0]}", joint=" ")
     problem = prepare(scenario)
     begin = time.perf_counter()
-    states, count = integrate(problem, 0, progress)
+    states, count = integrate_member(problem, 0, progress)
     seconds = time.perf_counter() - begin
     statistics = {"accepted_steps": float(count[0]), "rejected_steps": float(count[1]), "solver_seconds": seconds}
     if signals:
@@ -126,7 +126,7 @@ def _soften_jumps(starts: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.
     return np.array(new_starts), np.array(new_rows)
 
 
-def integrate(problem: Problem, member: int, progress: Callable[[float], None] | None) -> tuple[np.ndarray, Any]:
+def integrate_member(problem: Problem, member: int, progress: Callable[[float], None] | None) -> tuple[np.ndarray, Any]:
     """States (n_t, states) in SI of one member, and the counts of accepted and rejected steps."""
     number = problem.first_member + member
     batch = f" of member {number}" if number or len(problem.knots) > 1 else ""
@@ -139,13 +139,13 @@ def integrate(problem: Problem, member: int, progress: Callable[[float], None] |
     )
 
 
-def integrate_members(problem: Problem, members: Sequence[int]) -> Iterator[np.ndarray | SolveError]:
+def integrate_batch(problem: Problem, members: Sequence[int]) -> Iterator[np.ndarray | SolveError]:
     """States (n_t, states) in SI of some members, in order, or why one fails.
 
     They take their steps together, see `driver.integrate_members`.
     """
     return driver.integrate_members(
-        lambda member: _of_member(problem, member), lambda member: integrate(problem, member, None)[0],
+        lambda member: _of_member(problem, member), lambda member: integrate_member(problem, member, None)[0],
         problem.initial, problem.knots, members,
     )  # fmt: skip
 

@@ -22,7 +22,13 @@ from valvesim.valve.effect import ActiveEffect, check_listed_once
 from valvesim.valve.equations import CurrentDrive, Drive, Model
 from valvesim.valve.fluid import COMPUTED_RANGE, MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
-from valvesim.valve.thermal_network import NODES, TemperaturePath, ThermalNetwork, temperature_path, throttling_rise
+from valvesim.valve.thermal_network import (
+    THERMAL_NODES,
+    TemperaturePath,
+    ThermalNetwork,
+    temperature_path,
+    throttling_rise,
+)
 from valvesim.valve.valve_name import valve_name
 
 MOST_SAMPLES = 2e7  # of a result: 5 GB
@@ -33,8 +39,8 @@ MOST_OIL_PIECES, MOST_OIL_TURNS = 100_000, 2_000  # of the oil temperature: each
 class Thermal:
     """How the parts follow the oil. `network` None is isothermal; `routes` are the temperature routes that act.
 
-    `initial_temperature` is where the parts start, °C: one for all, or by part (names of `NODES`); a part that is left
-    out, or all of them with None, starts with the oil.
+    `initial_temperature` is where the parts start, °C: one for all, or by part (names of `THERMAL_NODES`); a part
+    that is left out, or all of them with None, starts with the oil.
     """
 
     network: ThermalNetwork | None = ThermalNetwork()
@@ -50,10 +56,10 @@ class Thermal:
         self._read_initial_temperature()
         given = self.initial_temperature
         for name, value in given.items() if isinstance(given, Mapping) else (("every part", given),):
-            if name not in NODES and name != "every part":
-                raise unknown_name("part", name, NODES, "thermal.initial_temperature")
+            if name not in THERMAL_NODES and name != "every part":
+                raise unknown_name("part", name, THERMAL_NODES, "thermal.initial_temperature")
             if value is not None and not low <= value <= high:
-                key = f".{name}" if name in NODES else ""
+                key = f".{name}" if name in THERMAL_NODES else ""
                 raise InputError(
                     f"{value:.6g} °C is outside [{low:g}, {high:g}] °C ({name.replace('_', ' ')} at the start)",
                     key=f"thermal.initial_temperature{key}", joint=" = ",
@@ -74,7 +80,8 @@ class Thermal:
 class Scenario(Shown):
     """Everything that a run needs, in SI; temperatures in °C. Pressures default to the valve's own.
 
-    `part_temperatures` has, by part (names of `NODES`), those that are prescribed, as measured say; the others follow.
+    `part_temperatures` has, by part (names of `THERMAL_NODES`), those that are prescribed, as measured say; the others
+    follow.
     A number, text with a unit ("5 mA") or a quantity of pint in place of a command is a constant one.
     """
 
@@ -120,8 +127,8 @@ class Scenario(Shown):
             if not optional and (read := as_command(given, unit, where)) is not given:
                 object.__setattr__(self, name, read)
         for part in self.part_temperatures:
-            if part not in NODES:
-                raise unknown_name("part", part, NODES, "thermal.part_temperatures")
+            if part not in THERMAL_NODES:
+                raise unknown_name("part", part, THERMAL_NODES, "thermal.part_temperatures")
         parts = {
             part: as_command(given, "degC", f"thermal.part_temperatures.{part}")
             for part, given in self.part_temperatures.items()

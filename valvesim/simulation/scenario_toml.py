@@ -26,7 +26,7 @@ from valvesim.valve.effect import Effect, check_listed_once
 from valvesim.valve.effect_files import load_effects_files
 from valvesim.valve.equations import DRIVES
 from valvesim.valve.permission import permitting
-from valvesim.valve.thermal_network import NODES, ThermalNetwork
+from valvesim.valve.thermal_network import THERMAL_NODES, ThermalNetwork
 from valvesim.valve.valve_file import PRESETS, ValveFile, read_valve_entry
 from valvesim.valve.valve_toml import (
     add_effects,
@@ -161,7 +161,7 @@ class ScenarioReader:
             options["oil_temperature"] = self.command(oil_temperature, "degC", where, "oil_temperature")
         if not isinstance(parts, dict):
             raise InputError(f"expected a table, got {parts!r}", key=f"thermal.{_PARTS}")
-        check_known(parts, NODES, f"thermal.{_PARTS}")
+        check_known(parts, THERMAL_NODES, f"thermal.{_PARTS}")
         options["part_temperatures"] = {
             part: self.command(given, "degC", f"thermal.{_PARTS}.{part}", f"{part}_temperature")
             for part, given in parts.items()
@@ -230,7 +230,7 @@ class ScenarioReader:
     def _initial(given: Any, where: str) -> float | dict[str, float] | None:
         """Where the parts start, °C: one figure for all, a table by part, or none."""
         if isinstance(given, dict):
-            check_known(given, NODES, where)
+            check_known(given, THERMAL_NODES, where)
             return {name: parse(text, "degC", f"{where}.{name}") for name, text in given.items()}
         return None if given is None else parse(given, "degC", where)
 

@@ -91,10 +91,10 @@ def between(times: np.ndarray, at: np.ndarray, columns: np.ndarray) -> np.ndarra
     if len(at) == 1:
         return np.repeat(columns.T, len(times), axis=1)
     k, share = brackets(times, at)
-    return np.array([on_lines(column, k, share) for column in columns.T])
+    return np.array([linear_interpolation(column, k, share) for column in columns.T])
 
 
-def on_lines(column: np.ndarray, k: np.ndarray, share: np.ndarray) -> np.ndarray:
+def linear_interpolation(column: np.ndarray, k: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Values (n_t, ...) of a column (m, ...) at a share of the way from knot k to the next, see `brackets`."""
     return column.take(k, 0) + share * np.diff(column, axis=0).take(k, 0)
 

@@ -30,9 +30,9 @@ from valvesim.temporary_files import temporary_folder, temporary_path
 
 SOURCE = "model.py"
 MACHINE_CODE = "__pycache__"  # where numba keeps what it compiles of a file
-LIST = "hashes.json"
+HASH_LIST = "hashes.json"
 NEW = ".new-"  # begins the name of an entry that is being filled
-ABANDONED = 3600.0  # s; a process that fills an entry for longer was killed
+LONGEST_FILL = 3600.0  # s; a process that fills an entry for longer was killed
 
 
 def load(
@@ -83,10 +83,10 @@ def _kept(folder: Path, short_name, printed, surroundings: bytes, call_once) -> 
 def _fits(entry: Path) -> bool:
     """Whether an entry is whole. UnsafeFile where somebody else can write to it."""
     try:
-        listed = json.loads(_read(entry / LIST))
+        listed = json.loads(_read(entry / HASH_LIST))
         check_own(entry)
         check_own(entry / MACHINE_CODE)
-        present = {str(path.relative_to(entry)) for path in entry.rglob("*") if path.is_file()} - {LIST}
+        present = {str(path.relative_to(entry)) for path in entry.rglob("*") if path.is_file()} - {HASH_LIST}
         return present == set(listed) and all(_hash(_read(entry / name)) == listed[name] for name in present)
     except (FileNotFoundError, NotADirectoryError, ValueError, TypeError):
         return False
@@ -94,7 +94,7 @@ def _fits(entry: Path) -> bool:
 
 def _fill(folder: Path, name: str, text: str, call_once) -> ModuleType:
     """Compile a source into a new entry, in place of one that does not fit."""
-    with temporary_folder(folder, NEW, abandoned=ABANDONED) as new:
+    with temporary_folder(folder, NEW, abandoned=LONGEST_FILL) as new:
         (new / MACHINE_CODE).mkdir(mode=0o700)
         _write(new / SOURCE, text.encode())
         module = _import(new, name, call_once)
@@ -102,7 +102,7 @@ def _fill(folder: Path, name: str, text: str, call_once) -> ModuleType:
         for path in sorted(path for path in new.rglob("*") if path.is_file()):
             path.chmod(0o600)
             hashes[str(path.relative_to(new))] = _hash(path.read_bytes())
-        _write(new / LIST, json.dumps(hashes, indent=1).encode())
+        _write(new / HASH_LIST, json.dumps(hashes, indent=1).encode())
         if not _fits(folder / name):
             _remove(folder / name)
         with contextlib.suppress(OSError):  # another process was first: the same code
@@ -112,7 +112,7 @@ def _fill(folder: Path, name: str, text: str, call_once) -> ModuleType:
 
 def _remove(entry: Path) -> None:
     """Remove an entry, which others see whole or not at all."""
-    with temporary_folder(entry.parent, NEW, abandoned=ABANDONED) as away, contextlib.suppress(FileNotFoundError):
+    with temporary_folder(entry.parent, NEW, abandoned=LONGEST_FILL) as away, contextlib.suppress(FileNotFoundError):
         os.rename(entry, away / entry.name)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 BINS = 1024
 SMALLEST_SHARE = 1e-5  # of the span, within which bins are even
-REACH = float(np.arcsinh(1e9))  # ten thousand spans
+HALF_RANGE = float(np.arcsinh(1e9))  # ten thousand spans
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def count(counts: np.ndarray, reference: Reference, values: np.ndarray) -> None:
     """Add one member's values (channels, n_t) to `counts` (channels, n_t, BINS); what is no number counts nowhere."""
     scaled = (values - reference.values) / (SMALLEST_SHARE * reference.spans[:, None])
     finite = np.isfinite(scaled)
-    places = (np.arcsinh(np.where(finite, scaled, 0.0)) + REACH) / (2.0 * REACH) * BINS
+    places = (np.arcsinh(np.where(finite, scaled, 0.0)) + HALF_RANGE) / (2.0 * HALF_RANGE) * BINS
     bins = np.clip(places.astype(int), 0, BINS - 1)
     channel, time = np.nonzero(finite)
     counts[channel, time, bins[channel, time]] += 1
@@ -50,7 +50,7 @@ def percentiles(
 
     `lowest` and `highest` (channels, n_t) are those of all members, which none leaves. NaN where nothing was counted.
     """
-    edges = np.sinh((np.arange(BINS + 1) / BINS * 2.0 - 1.0) * REACH) * SMALLEST_SHARE
+    edges = np.sinh((np.arange(BINS + 1) / BINS * 2.0 - 1.0) * HALF_RANGE) * SMALLEST_SHARE
     out = np.full((counts.shape[0], len(levels), counts.shape[1]), np.nan)
     below = np.concatenate([np.zeros((*counts.shape[:2], 1)), np.cumsum(counts, axis=2)], axis=2)
     for c in range(counts.shape[0]):

@@ -25,7 +25,7 @@ from valvesim.characterisation.acceptance.rig import Rig
 from valvesim.characterisation.figure_of_merit import FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.frequency_response import FREQUENCIES, frequency_response
 from valvesim.characterisation.held_scenario import held, held_oil_temperature, rated_command
-from valvesim.characterisation.response_set import STEPS, SWEEPS
+from valvesim.characterisation.response_set import SINE_AMPLITUDES, STEP_AMPLITUDES
 from valvesim.characterisation.step_response import step_response
 from valvesim.characterisation.thermal_drift import QUANTITIES, reference_current
 from valvesim.errors import InputError, unknown_name
@@ -41,7 +41,7 @@ RESPONSE_FIGURES = {
     **dict.fromkeys(("frequency_minus_3_db", "frequency_minus_90_deg", "resonant_peak", "largest_distortion"), "sine"),
 }
 """The test of a response that shows a figure."""
-RESPONSE_TESTS = (*(f"step_{100 * s:g}" for s in STEPS), *(f"sine_{100 * s:g}" for s in SWEEPS))
+RESPONSE_TESTS = (*(f"step_{100 * s:g}" for s in STEP_AMPLITUDES), *(f"sine_{100 * s:g}" for s in SINE_AMPLITUDES))
 DRIFT_POINTS = 101  # of the run's temperatures, as `static_drift` takes them
 
 
@@ -168,7 +168,7 @@ def own_figures(case: Any, functions: Sequence[OwnFigures]) -> FiguresOfMerit:
     return figures
 
 
-TESTS = {"bench": RIG_TESTS, "response": RESPONSE_TESTS}
+FAMILY_TESTS = {"bench": RIG_TESTS, "response": RESPONSE_TESTS}
 
 
 def tests_of(family: str, names: Sequence[str]) -> tuple[str, ...]:
@@ -178,13 +178,13 @@ def tests_of(family: str, names: Sequence[str]) -> tuple[str, ...]:
         first, _, rest = name.partition(".")
         if first == family:
             test = rest.partition(".")[0]
-            found = [one for one in TESTS[family] if fnmatchcase(one, test)]
+            found = [one for one in FAMILY_TESTS[family] if fnmatchcase(one, test)]
             if not found and family == "response" and re.fullmatch(r"(step|sine)_\d{1,3}(\.\d+)?", test):
                 found = [test]  # of another amplitude
             if not found:
-                raise unknown_name(f"test of {family}", test, TESTS[family], "figures.keep")
+                raise unknown_name(f"test of {family}", test, FAMILY_TESTS[family], "figures.keep")
             needed += found
-    return tuple(dict.fromkeys([one for one in TESTS[family] if one in needed] + needed))
+    return tuple(dict.fromkeys([one for one in FAMILY_TESTS[family] if one in needed] + needed))
 
 
 def check_families(names: Sequence[str]) -> None:

@@ -28,7 +28,7 @@ from valvesim.studies.variables import Case, Varied, apply, scenario_of
 
 DIFFERENCE = 0.1  # standard deviations, of figures
 FORCING = 1e-3  # standard deviations, of the equations' rates
-FEWEST, MOST = 2_000, 20_000  # times of the tangent-linear equations, a whole number to each sample of the run
+FEWEST_TIMES, MOST_TIMES = 2_000, 20_000  # of the tangent-linear equations, a whole number to each sample of the run
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,8 @@ def _run_slopes(
     """Slopes (variables,) of figures of the nominal run by name."""
     case, start = study.case, study.options.start
     scenario = scenario_of(case)
-    every = max(-(-FEWEST // len(plan.times)), 1)
-    rate = min(scenario.output_rate * every, MOST / scenario.duration)
+    every = max(-(-FEWEST_TIMES // len(plan.times)), 1)
+    rate = min(scenario.output_rate * every, MOST_TIMES / scenario.duration)
     fine: Case = _at_rate(case, rate)
     runs: Any = prepared(fine, plan.knot_times)
     values = nominal_channels(study, runs)

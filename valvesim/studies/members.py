@@ -23,7 +23,8 @@ from valvesim.characterisation.position_loop import (
     prepare_loop,
 )
 from valvesim.errors import SolveError, ValidityWarning, ValvesimError, forget_warnings, one_line
-from valvesim.simulation.run import Problem, channel_values, integrate_members, prepare
+from valvesim.simulation.batch import KNOT_BYTES
+from valvesim.simulation.run import Problem, channel_values, integrate_batch, prepare
 from valvesim.studies.channel_histogram import BINS, Reference, count, reference_of
 from valvesim.studies.distributions import OptionChoice
 from valvesim.studies.figures import (
@@ -41,7 +42,6 @@ from valvesim.studies.figures import (
 from valvesim.studies.parameter_study import ChannelPercentiles, ParameterStudy
 from valvesim.studies.variables import Case, Varied, apply, scenario_of
 
-KNOT_BYTES = 20e6  # of the flat coefficients of a batch; what they are made of takes some ten times as much
 MOST_IN_BATCH = 1000
 LONGEST_REASON = 200  # characters
 FAILURES = (ValvesimError, ArithmeticError, np.linalg.LinAlgError)
@@ -81,7 +81,7 @@ class ScenarioRuns:
         scenario = self.problem.scenario
         own = {channel.name: k for k, channel in enumerate(scenario.model.state_channels)}
         read = any(active.effect.reading for active in scenario.effects)
-        for member, states in zip(members, integrate_members(self.problem, members), strict=True):
+        for member, states in zip(members, integrate_batch(self.problem, members), strict=True):
             asked = names(member)
             if isinstance(states, SolveError):
                 yield states

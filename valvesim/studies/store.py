@@ -21,11 +21,11 @@ from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.versions import difference, versions
 from valvesim.temporary_files import made_folder, temporary_path
 
-NAME = "study.zarr"  # the store in the folder of a study
+STORE_NAME = "study.zarr"  # the store in the folder of a study
 FORMAT = 1  # of what stands in it
-DRAWS, FIGURES, REASONS, DONE, COUNTS, LOWEST, HIGHEST, WHOLE, TIME = (
-    "draw", "figure", "reason", "done", "counts", "lowest", "highest", "whole", "time",
-)  # fmt: skip
+DRAWS_ARRAY, FIGURES_ARRAY, REASONS_ARRAY, DONE_ARRAY = "draw", "figure", "reason", "done"
+COUNTS_ARRAY, LOWEST_ARRAY, HIGHEST_ARRAY = "counts", "lowest", "highest"
+WHOLE_ARRAY, TIME_ARRAY = "whole", "time"
 
 
 class StudyStore:
@@ -38,14 +38,14 @@ class StudyStore:
     def pending(self) -> list[int]:
         """Numbers of the blocks that are not done."""
         try:
-            return [int(k) for k in np.flatnonzero(~np.asarray(self.group[DONE][:]))]
+            return [int(k) for k in np.flatnonzero(~np.asarray(self.group[DONE_ARRAY][:]))]
         except Exception as error:  # a codec has errors of many kinds for what it did not write
-            problem = f"array {DONE!r} cannot be read ({error}): the store is damaged; remove it and run again"
+            problem = f"array {DONE_ARRAY!r} cannot be read ({error}): the store is damaged; remove it and run again"
             raise InputError(problem) from None
 
     def draws(self, block: int) -> np.ndarray:
         """Draws (k, variables) of the members of a block."""
-        return np.asarray(self.group[DRAWS][self.region(block)])
+        return np.asarray(self.group[DRAWS_ARRAY][self.region(block)])
 
     def region(self, block: int) -> slice:
         """The members of a block."""
@@ -55,17 +55,17 @@ class StudyStore:
     def write(self, result: BlockResult) -> None:
         """Write a block, its flag last."""
         group, region = self.group, self.region(result.number)
-        group[FIGURES][region] = result.figures
-        group[REASONS][region] = np.array([_bytes(text) for text in result.reasons], dtype=f"S{LONGEST_REASON}")
+        group[FIGURES_ARRAY][region] = result.figures
+        group[REASONS_ARRAY][region] = np.array([_bytes(text) for text in result.reasons], dtype=f"S{LONGEST_REASON}")
         if self.study.percentiles is not None:
-            group[COUNTS][result.number] = result.counts
-            group[LOWEST][result.number] = result.lowest
-            group[HIGHEST][result.number] = result.highest
+            group[COUNTS_ARRAY][result.number] = result.counts
+            group[LOWEST_ARRAY][result.number] = result.lowest
+            group[HIGHEST_ARRAY][result.number] = result.highest
         if self.study.whole is not None:
             places = {number: k for k, number in enumerate(self.study.whole.members)}
             for number, values in result.whole.items():
-                group[WHOLE][places[number]] = values
-        group[DONE][result.number] = True
+                group[WHOLE_ARRAY][places[number]] = values
+        group[DONE_ARRAY][result.number] = True
 
 
 def open_store(folder: Path, study: ParameterStudy, plan: StudyPlan) -> StudyStore:
@@ -76,7 +76,7 @@ def open_store(folder: Path, study: ParameterStudy, plan: StudyPlan) -> StudySto
     """
     import zarr
 
-    path = folder / NAME
+    path = folder / STORE_NAME
     if not path.exists():
         _create(path, study, plan)
     try:
@@ -116,9 +116,9 @@ def _create(path: Path, study: ParameterStudy, plan: StudyPlan) -> None:
             _add_arrays(group, study, plan)
             draws = study.draws()
             for start in range(0, study.members, study.block_size):
-                group[DRAWS][start : start + study.block_size] = draws[start : start + study.block_size]
+                group[DRAWS_ARRAY][start : start + study.block_size] = draws[start : start + study.block_size]
             if len(plan.times):
-                group[TIME][:] = plan.times
+                group[TIME_ARRAY][:] = plan.times
             new.rename(path)
     except OSError as error:
         raise InputError(f"cannot be written ({reason(error)})", file=path) from None
@@ -132,20 +132,20 @@ def _add_arrays(group: Any, study: ParameterStudy, plan: StudyPlan) -> None:
         one.attrs["_ARRAY_DIMENSIONS"] = dimensions.split()
 
     variables, figures = len(study.variables), len(plan.figures)
-    add(DRAWS, "member parameter", (members, variables), (block, variables), "f8", nan)
-    add(FIGURES, "member figure", (members, figures), (block, figures), "f8", nan)
-    add(REASONS, "member", (members,), (block,), f"S{LONGEST_REASON}", b"")
-    add(DONE, "block", (study.blocks,), (1,), bool, False)
+    add(DRAWS_ARRAY, "member parameter", (members, variables), (block, variables), "f8", nan)
+    add(FIGURES_ARRAY, "member figure", (members, figures), (block, figures), "f8", nan)
+    add(REASONS_ARRAY, "member", (members,), (block,), f"S{LONGEST_REASON}", b"")
+    add(DONE_ARRAY, "block", (study.blocks,), (1,), bool, False)
     if len(plan.times):
-        add(TIME, "time", plan.times.shape, plan.times.shape, "f8", nan)
+        add(TIME_ARRAY, "time", plan.times.shape, plan.times.shape, "f8", nan)
     if study.percentiles is not None:
         shape = (len(study.percentiles.channels), len(plan.samples))
-        add(COUNTS, "block channel sample bin", (study.blocks, *shape, BINS), (1, *shape, BINS), "u4", 0)
-        for name, fill in ((LOWEST, np.inf), (HIGHEST, -np.inf)):
+        add(COUNTS_ARRAY, "block channel sample bin", (study.blocks, *shape, BINS), (1, *shape, BINS), "u4", 0)
+        for name, fill in ((LOWEST_ARRAY, np.inf), (HIGHEST_ARRAY, -np.inf)):
             add(name, "block channel sample", (study.blocks, *shape), (1, *shape), "f8", fill)
     if study.whole is not None:
         shape = (len(study.whole.channels), len(plan.times))
-        add(WHOLE, "kept_member whole_channel time", (len(study.whole.members), *shape), (1, *shape), "f8", nan)
+        add(WHOLE_ARRAY, "kept_member whole_channel time", (len(study.whole.members), *shape), (1, *shape), "f8", nan)
 
 
 def attributes_of(study: ParameterStudy, plan: StudyPlan) -> dict[str, Any]:

@@ -15,16 +15,16 @@ from valvesim.studies.criteria import Criterion, criteria_of
 from valvesim.studies.figures import KeptFigure
 from valvesim.studies.parameter_study import ParameterStudy
 from valvesim.studies.store import (
-    COUNTS,
-    DONE,
-    DRAWS,
-    FIGURES,
-    HIGHEST,
-    LOWEST,
-    NAME,
-    REASONS,
-    TIME,
-    WHOLE,
+    COUNTS_ARRAY,
+    DONE_ARRAY,
+    DRAWS_ARRAY,
+    FIGURES_ARRAY,
+    HIGHEST_ARRAY,
+    LOWEST_ARRAY,
+    REASONS_ARRAY,
+    STORE_NAME,
+    TIME_ARRAY,
+    WHOLE_ARRAY,
     check_identity,
 )
 from valvesim.studies.variables import Case
@@ -110,7 +110,7 @@ class StudyResult:
             return np.asarray(self.group[name][where])
         except Exception as error:  # a codec has errors of many kinds for what it did not write
             problem = f"array {name!r} cannot be read ({error}): the store is damaged; remove it and run again"
-            raise InputError(problem, file=self.folder / NAME) from None
+            raise InputError(problem, file=self.folder / STORE_NAME) from None
 
     @property
     def figures(self) -> tuple[KeptFigure, ...]:
@@ -125,7 +125,7 @@ class StudyResult:
     @functools.cached_property
     def ran(self) -> np.ndarray:
         """Whether each member has run, (members,)."""
-        done = self._read(DONE)
+        done = self._read(DONE_ARRAY)
         return np.repeat(done, self.attributes["block_size"])[: self.attributes["members"]]
 
     @property
@@ -136,12 +136,12 @@ class StudyResult:
     @functools.cached_property
     def draws(self) -> np.ndarray:
         """What each member has, (members, variables)."""
-        return self._read(DRAWS)
+        return self._read(DRAWS_ARRAY)
 
     @functools.cached_property
     def values(self) -> np.ndarray:
         """Figures of merit (members, figures), NaN where there are none."""
-        return self._read(FIGURES)
+        return self._read(FIGURES_ARRAY)
 
     @functools.cached_property
     def reasons(self) -> np.ndarray:
@@ -149,7 +149,7 @@ class StudyResult:
         told = np.full(len(self.ran), "", dtype=object)
         size = self.attributes["block_size"]
         for first in range(0, len(told), size):
-            given = self._read(REASONS, slice(first, first + size))
+            given = self._read(REASONS_ARRAY, slice(first, first + size))
             for k in np.flatnonzero(given != b""):
                 told[first + k] = given[k].decode()
         return told
@@ -256,17 +256,17 @@ class StudyResult:
             own = told["percentiles"]
             columns["percentile"] = (("channel", "level", "sample_time"), self._percentiles(own))
             columns["nominal_run"] = (("channel", "sample_time"), np.array(own["nominal"]))
-            time = self._read(TIME)[own["samples"]]
+            time = self._read(TIME_ARRAY)[own["samples"]]
             coordinates |= {
                 "channel": [c["name"] for c in own["channels"]], "level": own["levels"], "sample_time": time,
                 "channel_unit": ("channel", [c["unit"] for c in own["channels"]]),
             }  # fmt: skip
         if "whole" in told:
             own = told["whole"]
-            columns["run"] = (("kept_member", "kept_channel", "time"), self._read(WHOLE))
+            columns["run"] = (("kept_member", "kept_channel", "time"), self._read(WHOLE_ARRAY))
             coordinates |= {
                 "kept_member": own["members"], "kept_channel": [c["name"] for c in own["channels"]],
-                "time": self._read(TIME),
+                "time": self._read(TIME_ARRAY),
                 "kept_channel_unit": ("kept_channel", [c["unit"] for c in own["channels"]]),
             }  # fmt: skip
         attributes = {"title": told["title"], "source": "valvesim", "seed": told["seed"], "design": told["design"]}
@@ -274,10 +274,10 @@ class StudyResult:
 
     def _percentiles(self, own: dict[str, Any]) -> np.ndarray:
         """(channels, levels, n_t), from the counts of all blocks added up one at a time."""
-        counts = np.zeros(self.group[COUNTS].shape[1:], dtype=np.int64)
-        for block in range(self.group[COUNTS].shape[0]):
-            counts += self._read(COUNTS, block)
-        lowest, highest = np.min(self._read(LOWEST), axis=0), np.max(self._read(HIGHEST), axis=0)
+        counts = np.zeros(self.group[COUNTS_ARRAY].shape[1:], dtype=np.int64)
+        for block in range(self.group[COUNTS_ARRAY].shape[0]):
+            counts += self._read(COUNTS_ARRAY, block)
+        lowest, highest = np.min(self._read(LOWEST_ARRAY), axis=0), np.max(self._read(HIGHEST_ARRAY), axis=0)
         reference = channel_histogram.Reference(np.array(own["nominal"]), np.array(own["spans"]))
         return channel_histogram.percentiles(counts, reference, lowest, highest, np.array(own["levels"]))
 
@@ -286,7 +286,7 @@ def open_result(study: ParameterStudy, folder: Path) -> StudyResult:
     """The result of a study from its folder, whole or as far as it has run. InputError for another study's store."""
     import zarr
 
-    path = Path(folder) / NAME
+    path = Path(folder) / STORE_NAME
     try:
         group = zarr.open_group(path, mode="r", zarr_format=2)
         attributes = dict(group.attrs)

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 LEAST_EFFECTIVE = 50.0  # members: below, the weights rest on a few
 
 
-def percent(share: float) -> str:
+def percent_text(share: float) -> str:
     """A share as people read it."""
     return f"{100.0 * share:.4g} %"
 
 
-def interval_text(one: Yield) -> str:
+def yield_interval_text(one: Yield) -> str:
     """The interval of a yield."""
-    return f"{percent(one.low)} to {percent(one.high)}"
+    return f"{percent_text(one.low)} to {percent_text(one.high)}"
 
 
 def figure_rows(result: StudyResult) -> list[tuple[str, ...]]:
@@ -56,8 +56,8 @@ def limit_rows(result: StudyResult, worst: int = 3) -> list[tuple[str, ...]]:
         told = f"{capability.low:.3g} to {capability.high:.3g}" if np.isfinite(capability.index) else ""
         index = f"{capability.index:.3g}" if np.isfinite(capability.index) else "absent"
         members = ", ".join(str(number) for number in result.worst(criterion, worst))
-        name, words, share = criterion.figure.name, criterion.words, percent(own.share)
-        rows.append((name, words, share, interval_text(own), index, told, members))
+        name, words, share = criterion.figure.name, criterion.words, percent_text(own.share)
+        rows.append((name, words, share, yield_interval_text(own), index, told, members))
     return rows
 
 
@@ -84,7 +84,7 @@ def halved_rows(findings: Findings, most: int = 10) -> list[tuple[str, ...]]:
     if plan is None:
         return []
     return [
-        (next(iter(one.factors)), percent(one.share), f"{100.0 * (one.share - plan.now.share):+.3g} %",
+        (next(iter(one.factors)), percent_text(one.share), f"{100.0 * (one.share - plan.now.share):+.3g} %",
          _weighted_text(one))
         for one in plan.halved[:most]
     ]  # fmt: skip
@@ -92,7 +92,8 @@ def halved_rows(findings: Findings, most: int = 10) -> list[tuple[str, ...]]:
 
 def _weighted_text(one: Tightening) -> str:
     """The yield by weighted members, where it rests on enough of them."""
-    return f"{percent(one.weighted)} ± {100.0 * one.error:.2g} %" if one.effective >= LEAST_EFFECTIVE else "too few"
+    enough = one.effective >= LEAST_EFFECTIVE
+    return f"{percent_text(one.weighted)} ± {100.0 * one.error:.2g} %" if enough else "too few"
 
 
 def step_rows(findings: Findings) -> list[tuple[str, ...]]:
@@ -101,7 +102,7 @@ def step_rows(findings: Findings) -> list[tuple[str, ...]]:
     if plan is None:
         return []
     return [
-        (str(k), ", ".join(f"{key} x {factor:.3g}" for key, factor in one.factors.items()), percent(one.share),
+        (str(k), ", ".join(f"{key} x {factor:.3g}" for key, factor in one.factors.items()), percent_text(one.share),
          _weighted_text(one))
         for k, one in enumerate(plan.steps, start=1)
     ]  # fmt: skip
@@ -113,15 +114,15 @@ def plan_words(findings: Findings) -> str:
     if plan is None:
         return findings.note
     if plan.now.share >= plan.wanted:
-        return f"The wanted yield of {percent(plan.wanted)} is reached without tightening."
+        return f"The wanted yield of {percent_text(plan.wanted)} is reached without tightening."
     if plan.reached:
         last = plan.steps[-1]
         told = ", ".join(f"{key} to {100.0 * factor:.3g} %" for key, factor in last.factors.items())
-        return f"{percent(plan.wanted)} is reached by tightening {told} of its tolerance."
+        return f"{percent_text(plan.wanted)} is reached by tightening {told} of its tolerance."
     most = plan.steps[-1].share if plan.steps else plan.now.share
     return (
-        f"{percent(plan.wanted)} is not reached by tightening (only {percent(most)}): a limit is too near the nominal "
-        "valve, or what spreads is no tolerance."
+        f"{percent_text(plan.wanted)} is not reached by tightening (only {percent_text(most)}): a limit is too near "
+        "the nominal valve, or what spreads is no tolerance."
     )
 
 

@@ -27,8 +27,8 @@ from valvesim.studies.study_result import StudyResult
 STEP = 0.75  # factor of one step of tightening
 LEAST_FACTOR = 0.2  # a tolerance of a fifth is another process
 SMOOTHING = 0.2  # of the deviation of a figure, over which a member is spread where gains are compared
-MOST = 100_000  # members: more tell no two tolerances apart any better
-FEWEST = 4  # times as many members as quantities, for a plane
+ENOUGH_MEMBERS = 100_000  # members: more tell no two tolerances apart any better
+MEMBERS_PER_QUANTITY = 4  # times as many members as quantities, for a plane
 MOST_STEPS = 60
 
 
@@ -98,7 +98,7 @@ class TightenedYields:
             raise InputError("a table of one's own has no tolerances to tighten", key="design.table")
         if not result.criteria:
             raise InputError("no limits: a yield needs [limits] or a specification", key="limits")
-        here = np.flatnonzero(result.independent)[:MOST]
+        here = np.flatnonzero(result.independent)[:ENOUGH_MEMBERS]
         self._draws, self._passes = result.draws[here], result.passes[here]
         own = [(k, v.key, v.distribution) for k, v in enumerate(study.variables)
                if isinstance(v.distribution, Distribution)]  # fmt: skip
@@ -120,7 +120,7 @@ class TightenedYields:
         """Slopes (variables,) of the least-squares plane of a figure over what varies."""
         have = np.isfinite(values)
         x = self._draws[have]
-        if len(x) < FEWEST * x.shape[1]:
+        if len(x) < MEMBERS_PER_QUANTITY * x.shape[1]:
             raise InputError(f"{len(x)} members have the limited figures: too few to tell what tightening does")
         spread = np.std(x, axis=0)
         safe = np.where(spread > 0.0, spread, 1.0)

@@ -21,6 +21,7 @@ from valvesim.characterisation.position_loop import PositionLoop
 from valvesim.errors import InputError, nearest, unknown_name
 from valvesim.inputs import COMMANDS, Command, Constant, Sum, unit_of_figure
 from valvesim.simulation.scenario import Scenario
+from valvesim.simulation.scenario_toml import PRESSURES
 from valvesim.studies.distributions import LEAST_OUTSIDE, Distribution, OptionChoice, tolerance_distribution
 from valvesim.units import quantities
 from valvesim.valve.effect import ActiveEffect
@@ -28,8 +29,7 @@ from valvesim.valve.effect import ActiveEffect
 Case = Scenario | PositionLoop
 """What a member of a study runs."""
 
-PRESSURES = ("supply", "return", "load")
-SECTIONS = ("valve", "oil", "thermal", "effects", "pressures", "command", "loop")
+VARIED_SECTIONS = ("valve", "oil", "thermal", "effects", "pressures", "command", "loop")
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -129,7 +129,7 @@ def find_quantity(case: Case, key: str) -> Quantity:
         own = unit_of_figure(field.metadata["unit"], unit)
         bounds = field.metadata["bounds"]
         return Quantity(key, own, field.metadata["doc"] or key, float(getattr(owner, field.name)), bounds)
-    raise unknown_name("section", section, SECTIONS, "vary")
+    raise unknown_name("section", section, VARIED_SECTIONS, "vary")
 
 
 def _declared(owner: Any, name: str, key: str) -> Quantity:
@@ -221,7 +221,7 @@ def apply(case: Case, values: Mapping[str, Any]) -> Case:
     Raises InputError for a value outside its bounds, and what does not go together.
     """
     scenario = scenario_of(case)
-    figures: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
+    figures: dict[str, dict[str, Any]] = {section: {} for section in VARIED_SECTIONS}
     for key, value in values.items():
         section, _, rest = key.partition(".")
         figures[section][rest] = value

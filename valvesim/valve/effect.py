@@ -74,7 +74,9 @@ class Parameter:
     """A figure of an effect. The amplitude has a `neutral` value; a shape parameter (neutral None) has none.
 
     `typical` is an amplitude seen in service, in the same unit and within the bounds; every amplitude of the catalogue
-    has one. An amplitude nearer to neutral than `ordinary` nobody would call a fault.
+    has one. An amplitude nearer to neutral than `ordinary` nobody would call a fault. A shape parameter is looked for
+    at the values `sought` (at its default where there are none), and from there fitted, unless it is `discrete`: a
+    choice of a place, such as the side.
     """
 
     name: str
@@ -85,6 +87,8 @@ class Parameter:
     neutral: float | None = None
     typical: float | None = None
     ordinary: float = 0.0
+    sought: tuple[float, ...] = ()
+    discrete: bool = False
 
 
 @functools.cache
@@ -111,7 +115,7 @@ class Effect(Shown):
     `balance(situation, p, memory) -> (Ports, memory rates)` adds terms;
     `reading(reading, p) -> values` changes what the sensor of `channel` gives (see `on`).
     `lag(p)` is the time constant (s) where `temperatures` or `reading` is a first-order lag of what comes in, for those
-    that carry it as a state.
+    that carry it as a state; `reads_columns` says that `reading` takes many series at once, values (n_t, k).
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
@@ -130,6 +134,7 @@ class Effect(Shown):
     balance: Callable[[Situation, Any, tuple], tuple[Ports, tuple]] | None = None
     reading: Callable[[Reading, Any], Any] | None = None
     lag: Callable[[Any], Any] | None = None
+    reads_columns: bool = False
     channel: str = ""
     figure: str = ""
     plainer: str = ""
@@ -257,17 +262,18 @@ MOST_ON_A_CHANNEL = 8  # sensor effects of one name: a stated error, what a diag
 def check_listed_once(effects: Sequence[ActiveEffect]) -> None:
     """InputError for an effect that acts twice in one place, where its figures (and states) would be lost or mixed.
 
-    The place is its `side` where it has one. Effects on a sensor act one after the other, as one that a diagnosis finds
-    beside a stated one does: up to `MOST_ON_A_CHANNEL` of a name on a channel.
+    The place is told by its discrete parameters. Effects on a sensor act one after the other, as one that a diagnosis
+    finds beside a stated one does: up to `MOST_ON_A_CHANNEL` of a name on a channel.
     """
     seen: Counter[tuple[Any, ...]] = Counter()
     for active in effects:
-        one, side = active.effect, getattr(active.values, "side", None)
-        place = (one.name, one.channel, None if side is None else np.asarray(side, dtype=float).tobytes())
+        one = active.effect
+        at = [(p.name, number) for p, number in zip(one.parameters, active.numbers, strict=True) if p.discrete]
+        place = (one.name, one.channel, *(np.asarray(number, dtype=float).tobytes() for _, number in at))
         seen[place] += 1
         if one.reading is not None and seen[place] > MOST_ON_A_CHANNEL:
             problem = f"acts more than {MOST_ON_A_CHANNEL} times on {one.channel}"
             raise InputError(problem, key=f"effects.{one.name}")
         if one.reading is None and seen[place] > 1:
-            where = "" if side is None else f" on side {side:g}"
+            where = "".join(f" on {name} {number:g}" for name, number in at)
             raise InputError(f"acts twice{where}; give it once", key=f"effects.{one.name}")

@@ -18,7 +18,7 @@ from valvesim.errors import InputError
 from valvesim.io import MOST_TEXT, UnsafeFile, check_file, check_own, is_inside, reason
 from valvesim.valve.permission import given, outside_permitted
 
-LIST = "trusted_effects.txt"
+TRUST_LIST = "trusted_effects.txt"
 MOST_LISTED = 10_000_000  # bytes of the list that are read
 
 
@@ -82,4 +82,4 @@ def _list() -> Path:
     import platformdirs
 
     named = os.environ.get("VALVESIM_DATA_DIR")
-    return Path(named or platformdirs.user_data_dir("valvesim", appauthor=False)) / LIST
+    return Path(named or platformdirs.user_data_dir("valvesim", appauthor=False)) / TRUST_LIST

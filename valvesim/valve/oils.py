@@ -230,7 +230,7 @@ OILS = {
 }  # fmt: skip
 """The oils by name."""
 
-UNITS = {"temperature": "degC", "viscosity": "mm^2/s", "density": "kg/m^3", "bulk_modulus": "Pa"}
+OIL_TABLE_UNITS = {"temperature": "degC", "viscosity": "mm^2/s", "density": "kg/m^3", "bulk_modulus": "Pa"}
 """The columns of a user's own oil with their units in the package's tables."""
 
 
@@ -249,12 +249,12 @@ def read_oil(table: dict[str, Any], where: str = "oil") -> Oil:
     figures = dict(table)
     dot = f"{where}." if where else ""
     own = "temperature" in figures or "viscosity" in figures
-    columns = {name: figures.pop(name) for name in UNITS if own and name in figures}
+    columns = {name: figures.pop(name) for name in OIL_TABLE_UNITS if own and name in figures}
     name, like = figures.pop("name", None), figures.pop("like", None)
     for key, given in (("name", name), ("like", like)):
         if columns and given is not None and (not isinstance(given, str) or not given.strip()):
             raise InputError(f"expected a name as text, got {given!r}", key=f"{dot}{key}")
-    known = {*quantities(Oil), *(UNITS if own else ()), "name", "like", "file"}
+    known = {*quantities(Oil), *(OIL_TABLE_UNITS if own else ()), "name", "like", "file"}
     for key in figures:
         if key not in quantities(Oil):
             raise unknown_name("parameter of Oil", key, known, where)
@@ -287,9 +287,10 @@ def _own_oil(name: str, base: Oil, columns: dict[str, Any], dot: str) -> Oil:
     for key, given in columns.items():
         if not isinstance(given, str):
             raise InputError(
-                f"expected a list as text, such as '-40, 40, 100 {UNITS[key]}', got {given!r}", key=f"{dot}{key}"
+                f"expected a list as text, such as '-40, 40, 100 {OIL_TABLE_UNITS[key]}', got {given!r}",
+                key=f"{dot}{key}",
             )
-        rows[key] = parse_list(given, UNITS[key], f"{dot}{key}")
+        rows[key] = parse_list(given, OIL_TABLE_UNITS[key], f"{dot}{key}")
         if len(rows[key]) != len(rows["temperature"]):
             raise InputError(
                 f"{len(rows[key])} values for {len(rows['temperature'])} temperatures; each needs one",
@@ -355,7 +356,7 @@ def own_columns(oil: Oil) -> list[tuple[str, str]]:
         )
     columns = [("temperature", at), ("viscosity", [nu for _, nu in law.table])]
     columns += [(name, [value for _, value in given.table]) for name, given in others]
-    return [(key, f"{', '.join(map(repr, values))} {UNITS[key]}") for key, values in columns]
+    return [(key, f"{', '.join(map(repr, values))} {OIL_TABLE_UNITS[key]}") for key, values in columns]
 
 
 TABLE_TEMPERATURES = (-54.0, -40.0, -20.0, 0.0, 20.0, 40.0, 60.0, 100.0, 135.0, 150.0, 200.0, 270.0)  # °C

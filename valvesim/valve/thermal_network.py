@@ -25,8 +25,8 @@ from valvesim.units import POSITIVE, check_bounds, quantity
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import PART_NAMES, PartTemperatures
 
-MOST_KNOTS = 1_000_000  # of a temperature path: 0.4 GB of coefficients
-NODES = tuple(name for name in PART_NAMES if name != "oil")
+MOST_PATH_KNOTS = 1_000_000  # of a temperature path: 0.4 GB of coefficients
+THERMAL_NODES = tuple(name for name in PART_NAMES if name != "oil")
 SOURCES = ("oil", "ambient")
 
 
@@ -65,8 +65,8 @@ class ThermalNetwork:
         check_bounds(self)
 
     def matrices(self, prescribed: Sequence[str] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """(M, N) of T' = M T + N [prescribed parts, T_oil, T_ambient]; T the other `NODES` in their order, M in 1/s."""
-        free = [name for name in NODES if name not in prescribed]
+        """(M, N) of T' = M T + N [prescribed parts, T_oil, T_ambient]; T of the other `THERMAL_NODES`, M in 1/s."""
+        free = [name for name in THERMAL_NODES if name not in prescribed]
         every = (*free, *prescribed, *SOURCES)
         gains = np.zeros((len(free), len(every)))
         for here, there, gain in self.exchanges():
@@ -83,12 +83,14 @@ class ThermalNetwork:
             (here, there, getattr(self, name) / getattr(self, here + "_capacity"))
             for name, one, other in ends
             for here, there in ((one, other), (other, one))
-            if here in NODES
+            if here in THERMAL_NODES
         ]
 
     def rates(self, temperatures: Mapping[str, Any]) -> dict[str, Any]:
-        """T' of every part, K/s, from the temperatures (°C) of `NODES` and `SOURCES`: numbers, arrays or symbols."""
-        rates = dict.fromkeys(NODES, 0.0)
+        """T' of every part, K/s, from the temperatures (°C) of `THERMAL_NODES` and `SOURCES`: numbers, arrays or
+        symbols.
+        """
+        rates = dict.fromkeys(THERMAL_NODES, 0.0)
         for here, there, gain in self.exchanges():
             rates[here] = rates[here] + gain * (temperatures[there] - temperatures[here])
         return rates
@@ -140,12 +142,18 @@ def temperature_path(
     if network is None:
         return TemperaturePath(times=times, parts=replace(PartTemperatures.uniform(oil), **held))
     start = starting_temperatures(initial, float(oil[0]))
-    free = [name for name in NODES if name not in held]
+    free = [name for name in THERMAL_NODES if name not in held]
     sources = np.column_stack([*held.values(), oil, np.full(len(times), ambient)])
     first = np.array([getattr(start, name) for name in free])
     T = _followed(*network.matrices(tuple(held)), times, sources, first)
     parts = PartTemperatures(oil=oil, **{name: T[:, k] for k, name in enumerate(free)}, **held)
     return TemperaturePath(times=times, parts=parts)
+
+
+def joint_path(paths: Sequence[TemperaturePath]) -> TemperaturePath:
+    """Paths on the same knots as one, each part (k, m)."""
+    parts = {name: np.stack([getattr(path.parts, name) for path in paths]) for name in PART_NAMES}
+    return TemperaturePath(times=paths[0].times, parts=PartTemperatures(**parts))
 
 
 def _followed(M: np.ndarray, N: np.ndarray, times: np.ndarray, sources: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -166,8 +174,9 @@ def _followed(M: np.ndarray, N: np.ndarray, times: np.ndarray, sources: np.ndarr
 
 def starting_temperatures(initial: float | Mapping[str, float] | None, oil: float) -> PartTemperatures:
     """The parts at the start, °C: all at `initial`, or by part; those left out (all of them with None) with the oil."""
-    given = initial if isinstance(initial, Mapping) else dict.fromkeys(NODES, oil if initial is None else initial)
-    return PartTemperatures(oil=oil, **{name: float(given.get(name, oil)) for name in NODES})
+    same = oil if initial is None else initial
+    given = same if isinstance(same, Mapping) else dict.fromkeys(THERMAL_NODES, same)
+    return PartTemperatures(oil=oil, **{name: float(given.get(name, oil)) for name in THERMAL_NODES})
 
 
 def _propagator(M: np.ndarray, N: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -199,7 +208,7 @@ def exponential(A: np.ndarray) -> np.ndarray:
 
 def first_knots(commands: Sequence[Command], end: float, spacing: float) -> np.ndarray:
     """Times at most `spacing` s apart, two at every break of the commands, one or more between any two, 20 or more to
-    each of their periods. InputError where that makes more than `MOST_KNOTS`.
+    each of their periods. InputError where that makes more than `MOST_PATH_KNOTS`.
     """
     every = [command.pieces(end) for command in commands]
     starts = np.concatenate([rows[:, 0] for rows in every])
@@ -214,10 +223,10 @@ def first_knots(commands: Sequence[Command], end: float, spacing: float) -> np.n
             ]
             spacings = np.minimum(spacings, 0.05 / np.maximum(fastest, 1e-9))
     counts = np.maximum(np.ceil(np.diff(edges) / spacings), 2.0)
-    if counts.sum() > MOST_KNOTS:
+    if counts.sum() > MOST_PATH_KNOTS:
         raise InputError(
-            f"oil_temperature: {counts.sum():.3g} knots over {end:g} s are more than {MOST_KNOTS:g}; fewer breaks, a "
-            "lower frequency or a shorter duration will do"
+            f"oil_temperature: {counts.sum():.3g} knots over {end:g} s are more than {MOST_PATH_KNOTS:g}; fewer "
+            "breaks, a lower frequency or a shorter duration will do"
         )
     return np.concatenate(
         [np.linspace(a, b, int(n) + 1) for a, b, n in zip(edges[:-1], edges[1:], counts, strict=True)]

@@ -24,6 +24,7 @@ from valvesim.characterisation.acceptance.rig import Rig
 from valvesim.characterisation.acceptance.threshold import threshold_figure
 from valvesim.characterisation.dither import NO_DITHER, Dither
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, AcceptanceOptions
 from valvesim.errors import check_kind, unknown_name
 from valvesim.measurement.columns_table import NOTHING_STATED, Statements
 from valvesim.shown import Shown, notebook
@@ -33,8 +34,7 @@ from valvesim.valve.effect import ActiveEffect
 from valvesim.valve.fluid import MIL_PRF_5606, Oil
 from valvesim.valve.parameters import Valve
 
-DITHERED_PERIOD = 20.0  # s of a cycle with dither: the branches part by 0.05 % of i_R, which the valve trails by
-TESTS = ("flow", "pressure-gain", "leakage", "flow-load")
+CYCLE_TESTS = ("flow", "pressure-gain", "leakage", "flow-load")
 
 
 def record_figures(
@@ -60,12 +60,12 @@ def record_figures(
         return leakage_figures(cycle(record, "internal_leakage", resolution=resolution), lag=lag)
     if test == "flow-load":
         return flow_load_figures(record, resolution=resolution)
-    raise unknown_name("test", test, TESTS)
+    raise unknown_name("test", test, CYCLE_TESTS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredTest:
-    """One measured test: its record, which of `TESTS` it is, and the figures of merit reduced from it."""
+    """One measured test: its record, which of `CYCLE_TESTS` it is, and the figures of merit reduced from it."""
 
     record: AcceptanceRecord
     test: str
@@ -76,9 +76,10 @@ class MeasuredTest:
 def measured_test(
     file: Path, test: str, *, resolution: float | None = None, lag: float | None = None,
     dead_zone: float | None = None, rated_current: float | None = None, stated: Statements = NOTHING_STATED,
+    options: AcceptanceOptions = DEFAULT_CHARACTERISATION.acceptance,
 ) -> MeasuredTest:  # fmt: skip
     """Read a measured file and reduce it. Raises as `read_record` and `record_figures` do."""
-    record = read_record(file, stated=stated)
+    record = read_record(file, stated=stated, options=options)
     figures = record_figures(
         record, test, resolution=resolution, lag=lag, dead_zone=dead_zone, rated_current=rated_current
     )  # fmt: skip
@@ -134,13 +135,14 @@ def acceptance_tests(
     temperature_difference: float = TEMPERATURE_DIFFERENCE,
     dither: Dither = NO_DITHER,
     progress: Callable[[float], None] | None = None,
+    options: AcceptanceOptions = DEFAULT_CHARACTERISATION.acceptance,
 ) -> AcceptanceTests:
     """Run every static test on the model, all parts at `oil_temperature` (°C), and reduce it as a measured one.
 
     Of the reference valve unless another is given. `temperature_difference` (K) is that of the null shift.
 
     The current runs a triangle of `period` s over +-i_R, `points` samples each; the valve trails it by about 1/800 s.
-    With a `dither` the flow curve, the threshold and the blocked ports run in `DITHERED_PERIOD` s; flow over load and
+    With a `dither` the flow curve, the threshold and the blocked ports run in `dithered_period` s; flow over load and
     the shift of null are told without. Blocked ports are quasi-static: see `blocked_load_pressure`. `progress` is told
     the share that is done.
     Raises as `simulate` does, and SolveError where the blocked ports find no load pressure.
@@ -150,7 +152,7 @@ def acceptance_tests(
     rig = Rig(
         valve=valve, oil=oil, oil_temperature=oil_temperature, effects=tuple(effects), period=period, points=points
     )
-    dithered = replace(rig, dither=dither, period=DITHERED_PERIOD) if dither.amplitude else rig
+    dithered = replace(rig, dither=dither, period=options.dithered_period) if dither.amplitude else rig
     tell = progress if progress is not None else lambda share: None
     flow = record_of("flow", dithered.full_cycle(), "load_flow")
     figures = _flow_figures(dithered, flow)

@@ -10,14 +10,16 @@ import numpy as np
 
 from valvesim.characterisation.acceptance.metrics import jackknife, merit
 from valvesim.characterisation.figure_of_merit import Absent, FiguresOfMerit
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, AcceptanceOptions
 from valvesim.characterisation.record_checks import checked_record
 from valvesim.errors import InputError
 from valvesim.valve.parameters import Valve
 
-LEAST_DRIVE = 0.02  # share of the voltage that the inductance must have had for it to be told
 
-
-def coil_figures(time, voltage, current, *, temperature: float | None = None) -> FiguresOfMerit:
+def coil_figures(
+    time, voltage, current, *, temperature: float | None = None,
+    options: AcceptanceOptions = DEFAULT_CHARACTERISATION.acceptance,
+) -> FiguresOfMerit:  # fmt: skip
     """coil_resistance: as measured. coil_resistance_at_20: at 20 °C by the slope of copper, from the oil temperature
     (°C) that the coils have soaked at. coil_inductance: absent where the record is too slow to show it.
 
@@ -37,7 +39,7 @@ def coil_figures(time, voltage, current, *, temperature: float | None = None) ->
     R, L, _ = (float(value) for value in fit(np.arange(len(i))))
     R_error = jackknife(lambda keep: float(fit(keep)[0]), len(i))
     L_error = jackknife(lambda keep: float(fit(keep)[1]), len(i))
-    slow = np.std(L * rate) < LEAST_DRIVE * np.std(v)
+    slow = np.std(L * rate) < options.inductive_share * np.std(v)
     why = "the current moves too slowly for the inductance to show: record a step or a sine of the voltage"
     referred = Absent("coil_resistance_at_20", "no oil temperature is stated")
     share = 1.0 if temperature is None else 1.0 + Valve().copper_resistance_slope * (temperature - 20.0)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvesim.characterisation.acceptance.record import LEAST_POINTS, AcceptanceRecord
+from valvesim.characterisation.acceptance.record import AcceptanceRecord
 from valvesim.errors import InputError
 
 
@@ -81,9 +81,9 @@ def cycle(record: AcceptanceRecord, channel: str, *, resolution: float | None = 
     if not up or not down:
         raise InputError(f"{record.source}: no complete cycle: the current never runs from end to end and back")
     shortest = int(span * min((b - a) / abs(i[b - 1] - i[a]) for a, b in legs))
-    if shortest < LEAST_POINTS:
+    if shortest < (least := record.options.least_points):
         raise InputError(
-            f"{record.source}: {2 * shortest} points in a period are too few; {2 * LEAST_POINTS} or more are needed"
+            f"{record.source}: {2 * shortest} points in a period are too few; {2 * least} or more are needed"
         )
     step = _current_resolution(i)
     if step > span / 20.0:

@@ -13,9 +13,6 @@ from valvesim.characterisation.acceptance.record import AcceptanceRecord
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
 from valvesim.errors import InputError
 
-MARK = 4.0  # standard deviations of the output's noise by which it must have moved back
-LEAST_TURNS = 2
-
 
 def measured_threshold(record: AcceptanceRecord, channel: str, *, rated_current: float) -> FigureOfMerit | Absent:
     """threshold, share of rated current, from small slow cycles of the current with `channel` as output.
@@ -26,7 +23,7 @@ def measured_threshold(record: AcceptanceRecord, channel: str, *, rated_current:
     """
     i, y = record.channel("current"), record.channel(channel)
     noise = float(1.4826 * np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0)
-    mark = max(MARK * noise, 1e-3 * float(np.ptp(y)))
+    mark = max(record.options.reversal * noise, 1e-3 * float(np.ptp(y)))
     changes = []
     turns = _turns(i)
     for start, end in zip(turns[1:-1], turns[2:], strict=True):  # where a record begins nothing has turned
@@ -35,8 +32,8 @@ def measured_threshold(record: AcceptanceRecord, channel: str, *, rated_current:
             continue
         first, second = (float(moved[int(np.argmax(back >= level))]) for level in (mark, 2.0 * mark))
         changes.append(max(2.0 * first - second, 0.0))
-    if len(changes) < LEAST_TURNS:
-        told = f"{len(changes)} turns of the current move the output beyond its noise; 2 are needed"
+    if len(changes) < (least := record.options.least_reversals):
+        told = f"{len(changes)} turns of the current move the output beyond its noise; {least} are needed"
         return Absent("threshold", told)
     spacing = float(np.median(np.abs(np.diff(i)))) / np.sqrt(12.0)
     scatter = float(np.std(changes) / np.sqrt(len(changes)))

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, AcceptanceOptions
 from valvesim.errors import InputError
 from valvesim.measurement.columns_table import NOTHING_STATED, Statements
 from valvesim.measurement.recording import read_recording
-
-LEAST_POINTS = 50  # of a branch
-GAP = 5.0  # times the usual sampling interval: longer is a gap
-MOVED = 0.02  # share of its span that the current, or the pressure drop of flow over load, may move in a gap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,20 +21,22 @@ class AcceptanceRecord:
 
     source: str
     values: dict[str, np.ndarray]
+    options: AcceptanceOptions = DEFAULT_CHARACTERISATION.acceptance
 
     def __post_init__(self):
-        t = self.channel("time")
+        t, options = self.channel("time"), self.options
         for name, v in self.values.items():
             if np.shape(v) != t.shape or t.ndim != 1 or not np.all(np.isfinite(v)):
                 raise InputError(f"{self.source}: column {name!r} has gaps, or not as many values as the time")
-        if len(t) < 2 * LEAST_POINTS:
-            raise InputError(f"{self.source}: {len(t)} samples; a bench record needs {2 * LEAST_POINTS} or more")
+        if len(t) < (least := 2 * options.least_points):
+            raise InputError(f"{self.source}: {len(t)} samples; a bench record needs {least} or more")
         steps = np.diff(t)
         k, usual = int(np.argmax(steps)), float(np.median(steps))
         if np.min(steps) < 0.0 or usual <= 0.0:
             raise InputError(f"{self.source}: time must rise")
         drive = self.values.get("current", self.values.get("pressure_drop", t))
-        if steps[k] > GAP * usual and abs(drive[k + 1] - drive[k]) > MOVED * np.ptp(drive):
+        moved = abs(drive[k + 1] - drive[k]) > options.motion_in_gap * np.ptp(drive)
+        if steps[k] > options.longest_interval * usual and moved:
             where = f"{steps[k]:.4g} s at {t[k]:.6g} s (samples come every {usual:.4g} s)"
             raise InputError(f"{self.source}: gap of {where}")
 
@@ -49,20 +48,24 @@ class AcceptanceRecord:
         return self.values[name]
 
 
-CHANNELS = ("current", "load_flow", "load_pressure", "internal_leakage", "pressure_drop")
+ACCEPTANCE_CHANNELS = ("current", "load_flow", "load_pressure", "internal_leakage", "pressure_drop")
 
 
-def read_record(*files: str | Path, stated: Statements = NOTHING_STATED) -> AcceptanceRecord:
+def read_record(
+    *files: str | Path, stated: Statements = NOTHING_STATED,
+    options: AcceptanceOptions = DEFAULT_CHARACTERISATION.acceptance,
+) -> AcceptanceRecord:  # fmt: skip
     """A record from one file of any format, or from several that were written together, with any unit.
 
     Known columns: time, current, load_flow, load_pressure, internal_leakage, pressure_drop; others are left out, and so
     are samples at which one of them has no reading. Raises as `read_recording` does, and InputError for gaps.
     """
     paths = [Path(file) for file in files]
-    recording = read_recording(paths, CHANNELS, stated=stated)
-    values = {"time": recording.time} | {n: recording.values[n] for n in CHANNELS if n in recording.values}
+    recording = read_recording(paths, ACCEPTANCE_CHANNELS, stated=stated)
+    values = {"time": recording.time} | {n: recording.values[n] for n in ACCEPTANCE_CHANNELS if n in recording.values}
     there = np.all([np.isfinite(column) for column in values.values()], axis=0)
-    return AcceptanceRecord(source=paths[0].name, values={name: column[there] for name, column in values.items()})
+    values = {name: column[there] for name, column in values.items()}
+    return AcceptanceRecord(source=paths[0].name, values=values, options=options)
 
 
 def record_of(source: str, values: dict[str, np.ndarray], *names: str) -> AcceptanceRecord:
@@ -72,4 +75,4 @@ def record_of(source: str, values: dict[str, np.ndarray], *names: str) -> Accept
 
 
 def part_of(record: AcceptanceRecord, keep: np.ndarray) -> AcceptanceRecord:
-    return AcceptanceRecord(source=record.source, values={name: v[keep] for name, v in record.values.items()})
+    return replace(record, values={name: v[keep] for name, v in record.values.items()})

@@ -11,10 +11,6 @@ from valvesim.identification.from_figures.posterior import Posterior, descend
 from valvesim.identification.from_figures.prediction import Asked, FigurePredictor
 from valvesim.identification.from_figures.similarity import UNKNOWNS
 
-MOST_LEFT_OUT = 6  # figures, each left out once
-REFIT = 12  # evaluations of a fit without one of the figures
-FAR = 2.5  # prior deviations from similarity that are worth a word
-
 _LAWS = (
     (
         {"pressure_gain", "pressure_gain_share", "null_leakage", "flow_gain", "rated_flow", "flow_at_rated", "lap"},
@@ -58,14 +54,15 @@ def conflicts_of(
     out = [k for k, (a, v) in enumerate(zip(posterior.asked, posterior.predicted, strict=True)) if not a.reached(v)]
     if not out:
         return ()
+    options = predictor.options.conflict
     against: dict[int, list[Asked]] = {k: [] for k in out}
     start = np.zeros(len(posterior.point))  # where the fit ended, figures that exclude each other have bent it
     misfits = [abs(a.misfit(float(v))) for a, v in zip(posterior.asked, posterior.predicted, strict=True)]
-    foremost = np.argsort(-np.array(misfits))[:MOST_LEFT_OUT].tolist()
+    foremost = np.argsort(-np.array(misfits))[: options.most_left_out].tolist()
     for done, j in enumerate(foremost, start=1):
         left_out = posterior.asked[j]
         rest = tuple(asked for asked in posterior.asked if asked is not left_out)
-        refit = descend(posterior.similar, replace(predictor, asked=rest), start, evaluations=REFIT)
+        refit = descend(posterior.similar, replace(predictor, asked=rest), start, evaluations=options.evaluations)
         for k in out:
             asked = posterior.asked[k]
             if k != j and asked.reached(refit.predicted[rest.index(asked)]):
@@ -74,20 +71,22 @@ def conflicts_of(
             progress(done / len(foremost))
     return tuple(
         Conflict(posterior.asked[k], float(posterior.predicted[k]), tuple(against[k]),
-                 _reason(posterior, posterior.asked[k], against[k]))
+                 _reason(posterior, posterior.asked[k], against[k], options.far))
         for k in out
     )  # fmt: skip
 
 
-def _reason(posterior: Posterior, figure: Asked, against: list[Asked]) -> str:
+def _reason(posterior: Posterior, figure: Asked, against: list[Asked], far: float) -> str:
     if against:
         names = {figure.limit.figure, *(asked.limit.figure for asked in against)}
         laws = [(len(names & law), -len(law), text) for law, text in _LAWS if figure.limit.figure in law]
         shared, _, text = max(laws, default=(0, 0, ""))
         return text if shared > 1 else "no valve near similarity has both"
-    far = np.argsort(-np.abs(posterior.point))[:2]
+    farthest = np.argsort(-np.abs(posterior.point))[:2]
     told = ", ".join(
-        f"{UNKNOWNS[k].name.replace('_', ' ')} {posterior.point[k]:+.1f}" for k in far if abs(posterior.point[k]) > FAR
+        f"{UNKNOWNS[k].name.replace('_', ' ')} {posterior.point[k]:+.1f}"
+        for k in farthest
+        if abs(posterior.point[k]) > far
     )
     beyond = f" (it would take {told} spreads from similarity)" if told else ""
     return f"no single other figure stands in its way: a valve of this size does not reach it{beyond}"

@@ -16,20 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.errors import ValidityWarning
+from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES, DynamicOptions
 from valvesim.inputs import Command, Constant, Sine, Step
 from valvesim.simulation.batch import simulate_batch
 from valvesim.simulation.scenario import Scenario, Thermal
 from valvesim.units import quantities
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
-
-BESIDE = (0.94, 1.0, 1.06)  # of an expected frequency: the sines from which a crossing is told
-LOW = 1.0 / 20.0  # of an expected frequency: the sine to which amplitudes refer
-LEAST_FREQUENCY = 0.2  # Hz
-SETTLE, CYCLES = 0.02, 1  # s and whole cycles before a sine is read
-SAMPLES = 48  # a cycle
-TOLERANCE = 3e-5  # of the integration
-STEEPNESS = {3.0: (4.0, 60.0), 90.0: (20.0, 250.0)}  # change of dB or degrees per unit of ln f, least and greatest
 
 
 @dataclass(frozen=True)
@@ -40,6 +33,7 @@ class Bench:
     conditions: Mapping[str, float]
     oil: Oil
     workers: int = 1
+    options: DynamicOptions = DEFAULT_FROM_FIGURES.dynamic
 
     def run(self, command: Command, duration: float, rate: float) -> dict[str, np.ndarray]:
         """States by name (k, n) and "time" (n,)."""
@@ -49,7 +43,8 @@ class Bench:
         )  # fmt: skip
         scenario = Scenario(
             valve=held, oil=self.oil, thermal=Thermal(network=None), command=command, duration=duration,
-            oil_temperature=Constant(value=self.conditions["oil_temperature"]), output_rate=rate, tolerance=TOLERANCE,
+            oil_temperature=Constant(value=self.conditions["oil_temperature"]), output_rate=rate,
+            tolerance=self.options.tolerance,
         )  # fmt: skip
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ValidityWarning)
@@ -68,12 +63,12 @@ class Bench:
 
 def sine_gain(bench: Bench, amplitude: float, frequency: float) -> np.ndarray:
     """Complex gain (k,), spool over current, of a steady sine of `amplitude` (share of rated current)."""
-    wait = int(np.ceil(SETTLE * frequency)) + CYCLES
-    top = amplitude * bench.rated
-    run = bench.run(Sine(amplitude=top, frequency=frequency), (wait + 1) / frequency, SAMPLES * frequency)
-    angle = 2.0 * np.pi * frequency * (t := run["time"][-SAMPLES:])
-    basis = np.column_stack([np.cos(angle), -np.sin(angle), np.ones(SAMPLES), t - t[0]])  # a slow valve still drifts
-    weights = run["spool_position"][:, -SAMPLES:] @ np.linalg.pinv(basis).T
+    options, top = bench.options, amplitude * bench.rated
+    wait, n = int(np.ceil(options.settle_time * frequency)) + options.settle_cycles, options.samples
+    run = bench.run(Sine(amplitude=top, frequency=frequency), (wait + 1) / frequency, n * frequency)
+    angle = 2.0 * np.pi * frequency * (t := run["time"][-n:])
+    basis = np.column_stack([np.cos(angle), -np.sin(angle), np.ones(n), t - t[0]])  # a slow valve still drifts
+    weights = run["spool_position"][:, -n:] @ np.linalg.pinv(basis).T
     return (weights[:, 0] + 1j * weights[:, 1]) * 1j / top
 
 
@@ -91,8 +86,9 @@ class Sines:
             self._gains[key] = sine_gain(self.bench, *key)
         return self._gains[key]
 
-    def ratio(self, amplitude: float, frequency: float, low: float) -> np.ndarray:
-        """Amplitude ratio (k,), dB from that at the frequency `low`."""
+    def ratio(self, amplitude: float, frequency: float, expected: float) -> np.ndarray:
+        """Amplitude ratio (k,), dB from that at the low frequency to which those about the `expected` one refer."""
+        low = max(self.bench.options.reference * expected, self.bench.options.least_frequency)
         return 20.0 * np.log10(np.abs(self.gain(amplitude, frequency)) / np.abs(self.gain(amplitude, low)))
 
     def lag(self, amplitude: float, frequency: float) -> np.ndarray:
@@ -102,22 +98,24 @@ class Sines:
 
     def crossing(self, name: str, amplitude: float, expected: float) -> np.ndarray:
         """Frequency (k,) of -3 dB or 90 degrees, straight over ln f between sines about the expected one."""
-        at = expected * np.array(BESIDE)
+        options = self.bench.options
+        at = expected * np.array(options.beside)
         if name == "frequency_minus_3_db":
-            low = max(LOW * expected, LEAST_FREQUENCY)
-            level, fall = 3.0, np.stack([-self.ratio(amplitude, f, low) for f in at])
+            level, slopes = 3.0, options.decibel_slopes
+            fall = np.stack([-self.ratio(amplitude, f, expected) for f in at])
         else:
-            level, fall = 90.0, np.stack([self.lag(amplitude, f) for f in at])
+            level, slopes = 90.0, options.degree_slopes
+            fall = np.stack([self.lag(amplitude, f) for f in at])
         below = (fall[1] >= level).astype(int)  # in the lower of the two intervals, or beyond it
         k = 1 - below
         low_fall, high_fall = (np.take_along_axis(fall, (k + n)[None], axis=0)[0] for n in (0, 1))
         width = np.log(at[k + 1] / at[k])
-        steepness = np.clip((high_fall - low_fall) / width, *STEEPNESS[level])
+        steepness = np.clip((high_fall - low_fall) / width, *slopes)
         offset = np.clip((level - (low_fall + high_fall) / 2.0) / steepness, -2.0, 2.0)
         return np.sqrt(at[k] * at[k + 1]) * np.exp(offset)
 
 
-def step_figures(bench: Bench, amplitude: float, expected: float) -> dict[str, np.ndarray]:
+def batch_step_figures(bench: Bench, amplitude: float, expected: float) -> dict[str, np.ndarray]:
     """time_to_90_percent, rise_time (s) and overshoot (%), each (k,), of a step from zero; `expected` time to 90 %."""
     before, last = 2e-4, 8.0 * expected
     run = bench.run(Step(after=amplitude * bench.rated, time=before), before + last, 2000.0 / last)

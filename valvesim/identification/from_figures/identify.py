@@ -19,24 +19,24 @@ from valvesim.errors import InputError
 from valvesim.identification.from_figures.conflicts import Conflict, conflicts_of
 from valvesim.identification.from_figures.measured_figures import with_measurements
 from valvesim.identification.from_figures.next_figure import NextFigure, next_figures
-from valvesim.identification.from_figures.posterior import STEP, Posterior, fit
+from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES, FromFiguresOptions
+from valvesim.identification.from_figures.posterior import Posterior, fit
 from valvesim.identification.from_figures.prediction import FITTED, Asked, FigurePredictor, asked_of
 from valvesim.identification.from_figures.similarity import ANCHOR, UNKNOWNS, similar_valves
 from valvesim.units import quantities
-from valvesim.valve.catalogue import effect
 from valvesim.valve.effect import ActiveEffect
+from valvesim.valve.effects.motor import hysteresis_of_width
+from valvesim.valve.effects.spool import COULOMB_FRICTION
 from valvesim.valve.parameters import Valve
 from valvesim.valve.valve_file import ValveFile
 
-CONDITIONS = {"supply_pressure": 21e6, "return_pressure": 0.5e6, "oil_temperature": 40.0}
+ASSUMED_CONDITIONS = {"supply_pressure": 21e6, "return_pressure": 0.5e6, "oil_temperature": 40.0}
 """What is assumed where a specification is silent (ISO 10770-1: 40 °C)."""
-IDENTIFIED = 0.8  # of its prior's deviation, below which a parameter is told to be identified
 DERIVED = (
     "coil_turns", "spring_tube_stiffness", "fixed_orifice_diameter", "spool_stroke", "null_opening", "land_overlap",
 )  # fmt: skip
 SCALED = ("air_gap_area", "magnet_reluctance")
 """Parameters that follow from what is fitted, and those that follow from the size alone."""
-TURNING_SHARE = 0.2  # of rated current: over which the loop of a magnetic hysteresis turns, as in the catalogue
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Identification:
 
 def identify(
     specification: Specification, *, measured: MeasuredValve | None = None, seed: int = 0, workers: int = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None, options: FromFiguresOptions = DEFAULT_FROM_FIGURES,
 ) -> Identification:  # fmt: skip
     """Identify a valve, of a `measured` one also from the figures of its records.
 
@@ -95,23 +95,23 @@ def identify(
     valve near similarity runs.
     """
     if measured is not None:
-        specification = with_measurements(specification, measured)
+        specification = with_measurements(specification, measured, options=options.measurement)
     tell = progress if progress is not None else lambda share: None
     flow, current = (_needed(specification, name) for name in ("rated_flow", "rated_current"))
-    conditions = {**CONDITIONS, **specification.conditions}
+    conditions = {**ASSUMED_CONDITIONS, **specification.conditions}
     coils = [limit.nominal for limit in specification.of("coil_resistance") if not math.isnan(limit.nominal)]
     similar = similar_valves(
         rated_flow=flow.nominal, pressure_drop=flow.conditions["pressure_drop"], rated_current=current.nominal,
-        conditions=conditions, oil=specification.oil, coil_resistance=next(iter(coils), None),
+        conditions=conditions, oil=specification.oil, coil_resistance=next(iter(coils), None), options=options,
     )  # fmt: skip
     asked = tuple(asked_of(limit) for limit in specification.limits if limit.figure in FITTED)
-    predictor = FigurePredictor(asked, conditions, specification.oil, workers)
+    predictor = FigurePredictor(asked, conditions, specification.oil, workers, options)
     posterior = fit(similar, predictor, seed=seed, progress=lambda share: tell(0.6 * share))
     tell(0.6)
     conflicts = conflicts_of(posterior, predictor, progress=lambda share: tell(0.6 + 0.3 * share))
     tell(0.9)
     following = next_figures(posterior, predictor)
-    valve, parameters = _described(specification, posterior)
+    valve, parameters = _described(specification, posterior, options)
     if measured is not None:
         valve = replace(valve, serial_number=measured.serial_number)
     figures = tuple(map(ReachedFigure, asked, map(float, posterior.predicted), map(float, posterior.deviations)))
@@ -139,14 +139,16 @@ def _needed(specification: Specification, name: str) -> Limit:
 # ---------------------------------------------------------------- the valve's file
 
 
-def _described(specification: Specification, posterior: Posterior) -> tuple[ValveFile, tuple[IdentifiedParameter, ...]]:
+def _described(
+    specification: Specification, posterior: Posterior, options: FromFiguresOptions
+) -> tuple[ValveFile, tuple[IdentifiedParameter, ...]]:
     """The valve's file with sources, tolerances and correlations, and its parameters with their intervals."""
-    similar, n = posterior.similar, len(posterior.point)
+    similar, n, step = posterior.similar, len(posterior.point), options.posterior.step
     names = [unknown.name for unknown in UNKNOWNS if unknown.name in quantities(Valve)]
     names = sorted({*names, *DERIVED}, key=list(quantities(Valve)).index)
 
     def table(point: np.ndarray) -> np.ndarray:
-        valves = similar.valves(point + STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)]))
+        valves = similar.valves(point + step * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)]))
         columns = [np.broadcast_to(getattr(valves, name), (2 * n + 1,)) for name in names]
         return np.stack(columns, axis=-1)
 
@@ -156,13 +158,13 @@ def _described(specification: Specification, posterior: Posterior) -> tuple[Valv
     value = np.array([float(f"{v:.6g}") for v in value])
     with np.errstate(divide="ignore", invalid="ignore"):
         scaled, prior = (np.where(signed, t, np.log(np.where(signed, 1.0, t))) for t in (at, usual))
-    slopes, usual_slopes = ((t[1 : n + 1] - t[n + 1 :]).T / (2.0 * STEP) for t in (scaled, prior))
+    slopes, usual_slopes = ((t[1 : n + 1] - t[n + 1 :]).T / (2.0 * step) for t in (scaled, prior))
     covariance = slopes @ posterior.covariance @ slopes.T
     deviation, before = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(usual_slopes @ usual_slopes.T))
     low = np.where(signed, value - 1.96 * deviation, value * np.exp(-1.96 * deviation))
     high = np.where(signed, value + 1.96 * deviation, value * np.exp(1.96 * deviation))
     units = {name: field.metadata["unit"] for name, field in quantities(Valve).items()}
-    narrowed = deviation < IDENTIFIED * before
+    narrowed = deviation < options.posterior.identified * before
     parameters = tuple(
         IdentifiedParameter(name, units[name], float(v), float(a), float(b), float(m), bool(t))
         for name, v, a, b, m, t in zip(names, value, low, high, usual[0], narrowed, strict=True)
@@ -176,7 +178,7 @@ def _described(specification: Specification, posterior: Posterior) -> tuple[Valv
         f"valve.{p.name}": "identified from its figures" if p.identified else f"assumed: {ANCHOR}" for p in parameters
     }
     sources |= {f"valve.{name}": f"assumed: {ANCHOR}" for name in SCALED}
-    sources["valve.spool_stroke"] = "assumed: 1.3 of the stroke at rated current"
+    sources["valve.spool_stroke"] = f"assumed: {options.similarity.stop:g} of the stroke at rated current"
     sources["valve.rated_current"] = _needed(specification, "rated_current").source or "specification"
     return ValveFile(
         title=specification.title, valve=single, oil=specification.oil, effects=_in_service(specification, single),
@@ -194,8 +196,7 @@ def _in_service(specification: Specification, valve: Valve) -> tuple[ActiveEffec
     if not stated or stated[0] <= 0.0:
         return ()
     rated = float(valve.rated_current)
-    half, turning = (float(f"{value:.6g}") for value in (stated[0] * rated / 2.0, TURNING_SHARE * rated))
-    return (effect("magnetic_hysteresis")(coercive_current=half, turning_current=turning),)
+    return (hysteresis_of_width(stated[0] * rated, rated),)
 
 
 def _notes(specification: Specification, conditions: dict[str, float]) -> tuple[str, ...]:
@@ -207,5 +208,5 @@ def _notes(specification: Specification, conditions: dict[str, float]) -> tuple[
         if limits and all(math.isnan(limit.value) for limit in limits):
             notes.append(f"{name}: the valve has none, which keeps the limit; a value would be modelled")
         elif limits and name == "threshold":
-            notes.append("threshold: not modelled; add effects.spool_coulomb_friction to the valve file")
+            notes.append(f"threshold: not modelled; add effects.{COULOMB_FRICTION.name} to the valve file")
     return tuple(notes)

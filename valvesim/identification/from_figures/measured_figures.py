@@ -9,11 +9,11 @@ import numpy as np
 from valvesim.characterisation.figure_of_merit import FigureOfMerit
 from valvesim.characterisation.measured_valve import MeasuredValve
 from valvesim.characterisation.specification import CONDITIONS, COVERAGE, FIGURES, Limit, Specification
+from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES, FromFiguresOptions, MeasurementOptions
 from valvesim.identification.from_figures.prediction import CENTRED, FITTED, FigurePredictor, asked_of
 from valvesim.valve.valve_file import ValveFile
 
-LEAST_DEVIATION = 1e-3  # share of a figure: no measurement is taken to be better
-ASKED = {"coil.coil_resistance_at_20": "coil_resistance", "coil.coil_inductance": "coil_inductance"} | {
+SPECIFIED_FIGURES = {"coil.coil_resistance_at_20": "coil_resistance", "coil.coil_inductance": "coil_inductance"} | {
     shown: name for name, figure in FIGURES.items() if name in FITTED for shown in figure.shown_by
     if not shown.startswith(("valve.", "coil."))
 }  # fmt: skip
@@ -24,22 +24,23 @@ TELLING = (
     "frequency_minus_90_deg", "time_to_90_percent",
 )  # fmt: skip
 """Measured figures that identify a valve: each tells something of its own, and its uncertainty is known."""
-LEAST_SHIFT = 5e-4  # share of rated current: no null is taken to be known better
 
 
-def measured_limits(measured: MeasuredValve) -> list[Limit]:
+def measured_limits(
+    measured: MeasuredValve, *, options: MeasurementOptions = DEFAULT_FROM_FIGURES.measurement
+) -> list[Limit]:
     """Each measured figure that can be predicted, once for its conditions: weighted mean of those that show it."""
     groups: dict[tuple[str, tuple[tuple[str, float], ...]], list[FigureOfMerit]] = {}
     for figure, at in measured.figures:
-        name = ASKED.get(figure.name)
+        name = SPECIFIED_FIGURES.get(figure.name)
         if name not in TELLING or not isinstance(figure, FigureOfMerit):
             continue
         groups.setdefault((name, tuple(sorted(_conditions(name, at).items()))), []).append(figure)
     limits = []
     for (name, conditions), figures in groups.items():
         values = np.array([abs(f.value) if name.startswith(("flow_gain", "rated_flow")) else f.value for f in figures])
-        floor = LEAST_SHIFT if name in CENTRED else 0.0
-        errors = np.array([max(f.uncertainty or 0.0, LEAST_DEVIATION * abs(f.value), floor) for f in figures])
+        floor = options.least_shift if name in CENTRED else 0.0
+        errors = np.array([max(f.uncertainty or 0.0, options.least_deviation * abs(f.value), floor) for f in figures])
         weights = errors**-2
         value = float(np.sum(weights * values) / np.sum(weights))
         # instruments are shared, so that two figures of one meter are no better than the best of them
@@ -64,9 +65,12 @@ def _place(limit: Limit) -> tuple[str, float]:
     return limit.figure, round(limit.conditions.get("amplitude", 0.0), 2)
 
 
-def with_measurements(specification: Specification, measured: MeasuredValve) -> Specification:
+def with_measurements(
+    specification: Specification, measured: MeasuredValve, *,
+    options: MeasurementOptions = DEFAULT_FROM_FIGURES.measurement,
+) -> Specification:  # fmt: skip
     """The specification with measured figures in the place of its own, where they are told of the same conditions."""
-    limits = measured_limits(measured)
+    limits = measured_limits(measured, options=options)
     told = {_place(limit) for limit in limits}
     kept = [limit for limit in specification.limits if _place(limit) not in told]
     if not specification.of("rated_current"):
@@ -81,7 +85,9 @@ def with_measurements(specification: Specification, measured: MeasuredValve) -> 
     )  # fmt: skip
 
 
-def model_figures(described: ValveFile, measured: MeasuredValve) -> dict[tuple[str, str], float]:
+def model_figures(
+    described: ValveFile, measured: MeasuredValve, *, options: FromFiguresOptions = DEFAULT_FROM_FIGURES
+) -> dict[tuple[str, str], float]:
     """What a valve's model has in place of each measured figure, SI, by (title of the test, figure).
 
     Without its effects in service; raises as `FigurePredictor.predict` does.
@@ -89,12 +95,12 @@ def model_figures(described: ValveFile, measured: MeasuredValve) -> dict[tuple[s
     places, limits = [], []
     for test in measured.tests:
         for figure in test.figures:
-            name = ASKED.get(figure.name)
+            name = SPECIFIED_FIGURES.get(figure.name)
             if name is not None and isinstance(figure, FigureOfMerit):
                 places.append((test.title, figure.name))
                 limits.append(Limit(figure=name, value=figure.value, conditions=_conditions(name, test.conditions)))
     valve = described.valve
     at = {"supply_pressure": float(valve.supply_pressure), "return_pressure": float(valve.return_pressure),
           "oil_temperature": 40.0, **measured.conditions}  # fmt: skip
-    predictor = FigurePredictor(tuple(map(asked_of, limits)), at, described.oil)
+    predictor = FigurePredictor(tuple(map(asked_of, limits)), at, described.oil, options=options)
     return dict(zip(places, map(float, predictor.predict(valve, 1)[0]), strict=True)) if limits else {}

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.characterisation.specification import FIGURES, Limit
-from valvesim.identification.from_figures.posterior import STEP, Posterior
+from valvesim.identification.from_figures.posterior import Posterior
 from valvesim.identification.from_figures.prediction import Asked, FigurePredictor
 from valvesim.identification.from_figures.similarity import UNKNOWNS
 
@@ -26,7 +26,6 @@ ACCURACY = {
 
 Not those of the coils, which tell of nothing but themselves."""
 AMPLITUDES = {"frequency_minus_3_db": (0.25, 1.0), "frequency_minus_90_deg": (0.25, 1.0), "time_to_90_percent": (1.0,)}
-SETTLING, SETTLED = 8, 1e-3  # rounds, and change of each, until figures are told from sines and steps about them
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,9 @@ def next_figures(posterior: Posterior, predictor: FigurePredictor) -> tuple[Next
                 continue
             own = {**defaults, **({} if amplitude is None else {"amplitude": amplitude})}
             candidates.append(Limit(figure=name, conditions=own))
-    n, similar = len(posterior.point), posterior.similar
-    points = posterior.point + STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
+    n, similar, step = len(posterior.point), posterior.similar, predictor.options.posterior.step
+    options = predictor.options.next_figure
+    points = posterior.point + step * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
     guess = {"frequency_minus_3_db": 100.0, "frequency_minus_90_deg": 150.0, "time_to_90_percent": 5e-3}
     expected = np.array([_expected(posterior, limit.figure, guess.get(limit.figure, 1.0)) for limit in candidates])
 
@@ -70,13 +70,13 @@ def next_figures(posterior: Posterior, predictor: FigurePredictor) -> tuple[Next
         asked = tuple(Asked(limit, value, 1.0) for limit, value in zip(candidates, expected, strict=True))
         return replace(predictor, asked=asked).predict(similar.valves(at), len(at))
 
-    for _ in range(SETTLING):
+    for _ in range(options.rounds):
         before, expected = expected, predicted(points[:1])[0]
-        if np.allclose(expected, before, rtol=SETTLED, atol=0.0):
+        if np.allclose(expected, before, rtol=options.settled, atol=0.0):
             break
     figures = predicted(points)
     expected = figures[0]
-    slopes = (figures[1 : n + 1] - figures[n + 1 :]).T / (2.0 * STEP)
+    slopes = (figures[1 : n + 1] - figures[n + 1 :]).T / (2.0 * step)
     C = posterior.covariance
     found = []
     for limit, value, slope in zip(candidates, expected, slopes, strict=True):

@@ -20,14 +20,7 @@ from valvesim.errors import InputError, SolveError
 from valvesim.identification.from_figures.prediction import Asked, FigurePredictor
 from valvesim.identification.from_figures.similarity import UNKNOWNS, SimilarValves
 
-STEP = 0.05  # prior deviations of a difference
-FORWARD = 0.005  # of one to one side alone, on the way
-FARTHEST = 4.0  # prior deviations from similarity: no believable valve is beyond
-EVALUATIONS = 25  # of the fit, each with a Jacobian
-ENOUGH = 1e-3  # `ftol` of the penalised chi-square
-DRAWN = 4  # starts beside similarity: where a flapper meets its nozzles, valves of two kinds may fit
-LAP = [unknown.name for unknown in UNKNOWNS].index("lap")
-NO_VALVE = 1e3  # deviations: the misfit of a point at which there is no valve
+_LAP = [unknown.name for unknown in UNKNOWNS].index("lap")
 
 
 @dataclass(frozen=True)
@@ -54,7 +47,7 @@ class Posterior:
         """
         whitened = _whitened(self.asked, self.predicted, self.slopes, self.turns_slopes)
         if all(asked.limit.figure != "lap" for asked in self.asked):
-            whitened[:, LAP] = 0.0
+            whitened[:, _LAP] = 0.0
         return _covariance(whitened)
 
     @property
@@ -83,7 +76,8 @@ def fit(
     """
     n = len(UNKNOWNS)
     found: list[Posterior] = []
-    starts = np.vstack([np.zeros(n), np.random.default_rng(seed).normal(size=(DRAWN, n))])
+    drawn = np.random.default_rng(seed).normal(size=(predictor.options.posterior.drawn_starts, n))
+    starts = np.vstack([np.zeros(n), drawn])
     for k, start in enumerate(starts):
         tell = None if progress is None else lambda share, k=k: progress((k + share) / len(starts))
         with contextlib.suppress(*((SolveError, InputError) if found else ())):
@@ -93,20 +87,23 @@ def fit(
 
 def descend(
     similar: SimilarValves, predictor: FigurePredictor, start: np.ndarray,
-    progress: Callable[[float], None] | None = None, *, evaluations: int = EVALUATIONS,
+    progress: Callable[[float], None] | None = None, *, evaluations: int | None = None,
 ) -> Posterior:  # fmt: skip
-    """The maximum a posteriori that lies downhill of a point. Raises SolveError where that is no valve that runs."""
+    """The maximum a posteriori that lies downhill of a point, in `evaluations` (those of the options by default).
+
+    Raises SolveError where the point is no valve that runs.
+    """
     from scipy.optimize import least_squares
 
-    n, asked = len(start), predictor.asked
+    n, asked, options = len(start), predictor.asked, predictor.options.posterior
     done: dict[bytes, _Local] = {}
 
     def at(point: np.ndarray) -> _Local:
         key = point.tobytes()
         if key not in done:
-            done[key] = _local(similar, predictor, point, FORWARD * np.eye(n))
+            done[key] = _local(similar, predictor, point, options.forward_step * np.eye(n))
             if progress is not None:
-                progress(min(len(done) / EVALUATIONS, 1.0))
+                progress(min(len(done) / options.evaluations, 1.0))
         return done[key]
 
     def misfit(point: np.ndarray) -> np.ndarray:
@@ -115,7 +112,7 @@ def descend(
         except (SolveError, InputError):
             if not done:
                 raise
-            return np.full(len(asked) + n + 1, NO_VALVE)
+            return np.full(len(asked) + n + 1, options.no_valve)
         misfits = [a.misfit(float(v)) for a, v in zip(asked, local.figures, strict=True)]
         return np.concatenate([misfits, [local.turns], point])
 
@@ -124,10 +121,10 @@ def descend(
         return np.vstack([_whitened(asked, local.figures, local.slopes, local.turns_slopes), np.eye(n)])
 
     found = least_squares(
-        misfit, start, jac=jacobian, bounds=(-FARTHEST, FARTHEST), method="trf", x_scale=1.0, ftol=ENOUGH, xtol=1e-4,
-        gtol=1e-6, max_nfev=evaluations,
+        misfit, start, jac=jacobian, bounds=(-options.farthest, options.farthest), method="trf", x_scale=1.0,
+        ftol=options.ftol, xtol=1e-4, gtol=1e-6, max_nfev=evaluations or options.evaluations,
     )  # fmt: skip
-    end = _local(similar, predictor, found.x, STEP * np.vstack([np.eye(n), -np.eye(n)]))
+    end = _local(similar, predictor, found.x, options.step * np.vstack([np.eye(n), -np.eye(n)]))
     return Posterior(
         similar, asked, found.x, end.figures, end.slopes, end.turns_slopes, float(2.0 * found.cost)
     )  # fmt: skip

@@ -13,22 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from valvesim.characterisation.specification import COMMON, FIGURES, Limit
-from valvesim.identification.from_figures.dynamic_figures import LEAST_FREQUENCY, LOW, Bench, Sines, step_figures
+from valvesim.identification.from_figures.dynamic_figures import Bench, Sines, batch_step_figures
+from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES, FromFiguresOptions
 from valvesim.identification.from_figures.static_figures import static_figures
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
 
-SINES = ("frequency_minus_3_db", "frequency_minus_90_deg", "amplitude_ratio", "phase_lag")
-STEPS = ("time_to_90_percent", "rise_time", "overshoot")
+SINE_FIGURES = ("frequency_minus_3_db", "frequency_minus_90_deg", "amplitude_ratio", "phase_lag")
+STEP_FIGURES = ("time_to_90_percent", "rise_time", "overshoot")
 POSITIVE_UNITS = ("ohm", "H", "m^3/s", "m^3/s/A", "Pa/A", "-", "Hz", "s")
-STEP_TIME = 5e-3  # s, expected of a step of which the overshoot alone is asked
-OF_THE_COIL = ("coil_resistance", "coil_inductance")
-STATIC = (
+COIL_FIGURES = ("coil_resistance", "coil_inductance")
+STATIC_FIGURES = (
     "rated_flow", "flow_at_rated", "flow_gain", "linearity", "symmetry", "null_bias", "lap", "pressure_gain",
     "pressure_gain_share", "null_leakage", "tare_leakage", "null_shift_temperature", "null_shift_supply",
     "null_shift_return",
 )  # fmt: skip
-FITTED = (*OF_THE_COIL, *STATIC, *SINES, *STEPS)
+FITTED = (*COIL_FIGURES, *STATIC_FIGURES, *SINE_FIGURES, *STEP_FIGURES)
 """The figures that are predicted; hysteresis and threshold are those of effects in service."""
 CENTRED = ("null_bias", "lap", "null_shift_temperature", "null_shift_supply", "null_shift_return")
 """Figures that are as often negative as positive, so that a limit on their size tells how they scatter."""
@@ -113,25 +113,26 @@ class FigurePredictor:
     conditions: Mapping[str, float]
     oil: Oil
     workers: int = 1
+    options: FromFiguresOptions = DEFAULT_FROM_FIGURES
 
     def predict(self, valves: Valve, members: int) -> np.ndarray:
         """The asked figures (members, q) of a batch of valves, in SI. Raises as `simulate_batch` and `Valve.at` do."""
         columns = np.empty((members, len(self.asked)))
         for group, figures in self._static_groups().items():
             names = {self.asked[k].limit.figure for k in figures}
-            found = static_figures(valves, names, dict(group), self.oil)
+            found = static_figures(valves, names, dict(group), self.oil, options=self.options.static)
             for k in figures:
                 columns[:, k] = found[self.asked[k].limit.figure]
         benches: dict[tuple[float, ...], Sines] = {}
         for k, asked in enumerate(self.asked):
             figure = asked.limit.figure
-            if figure in OF_THE_COIL:
+            if figure in COIL_FIGURES:
                 columns[:, k] = getattr(valves, figure)
-            elif figure in (*SINES, *STEPS):
+            elif figure in (*SINE_FIGURES, *STEP_FIGURES):
                 conditions = self.conditions_of(asked)
                 key = tuple(conditions[name] for name in COMMON)
                 if key not in benches:
-                    benches[key] = Sines(Bench(valves, conditions, self.oil, self.workers))
+                    benches[key] = Sines(Bench(valves, conditions, self.oil, self.workers, self.options.dynamic))
                 columns[:, k] = _dynamic(asked, benches[key], conditions)
         return columns
 
@@ -143,7 +144,7 @@ class FigurePredictor:
         """The static figures by their conditions."""
         groups: dict[tuple[tuple[str, float], ...], list[int]] = {}
         for k, asked in enumerate(self.asked):
-            if asked.limit.figure in STATIC:
+            if asked.limit.figure in STATIC_FIGURES:
                 groups.setdefault(tuple(sorted(self.conditions_of(asked).items())), []).append(k)
         return groups
 
@@ -157,6 +158,6 @@ def _dynamic(asked: Asked, sines: Sines, conditions: Mapping[str, float]) -> np.
         return sines.lag(amplitude, conditions["frequency"])
     if figure == "amplitude_ratio":
         frequency = conditions["frequency"]
-        return sines.ratio(amplitude, frequency, max(LOW * frequency, LEAST_FREQUENCY))
-    expected = asked.expected if figure != "overshoot" else STEP_TIME
-    return step_figures(sines.bench, amplitude, expected)[figure]
+        return sines.ratio(amplitude, frequency, frequency)
+    expected = asked.expected if figure != "overshoot" else sines.bench.options.step_time
+    return batch_step_figures(sines.bench, amplitude, expected)[figure]

@@ -29,6 +29,7 @@ import numpy as np
 
 from valvesim.characterisation.rest_curve import rest_curve
 from valvesim.errors import InputError, ValidityWarning
+from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES, FromFiguresOptions
 from valvesim.identification.from_figures.static_figures import static_figures
 from valvesim.units import quantities
 from valvesim.valve.coefficients import PartTemperatures
@@ -37,12 +38,7 @@ from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
 
 ANCHOR = "similarity to NASA TN D-5388"
-FLOWS = (0.5 / 6e4, 400.0 / 6e4)  # m^3/s at 70 bar: nozzle-flapper valves of two stages are made from 1 to 250 L/min
-CURRENTS = (1e-3, 1.0)  # A, rated
-STOP = 1.3  # spool stroke over full stroke at rated current
-COIL_POWER = 0.1  # W, i^2 R at rated current: 40 mA at 80 ohm, 30 mA at 85 ohm, 10 mA at 1000 ohm
 ANCHOR_STIFFNESS = 3.68  # N m/rad, net of tube, magnets and jets: 93 in-lb/in
-NULL_OPENING = 5e-6  # m: 3 of the reference valve, 7 of the measured valve 5329
 ANCHOR_STROKE = 0.36e-3  # m, of the reference valve at rated current without load
 
 
@@ -86,8 +82,6 @@ UNKNOWNS = (
 `land_opening_at_null` is what leaks there, by rounded edges and underlap together: it alone sets null leakage and
 pressure gain, while they hardly tell the `lap`: overlap, and below zero underlap, which never exceeds that opening."""
 
-AMPERE_TURNS_SPREAD = 0.3  # of the logarithm of turns times rated current, which follow from the full stroke
-
 
 @dataclass(frozen=True)
 class SimilarValves:
@@ -102,6 +96,7 @@ class SimilarValves:
     medians: np.ndarray
     scale: float
     motor_scale: float
+    options: FromFiguresOptions = DEFAULT_FROM_FIGURES
 
     def quantities(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """The unknowns in SI, each (k,), at points (k, n) in prior standard deviations."""
@@ -121,7 +116,7 @@ class SimilarValves:
         own |= _lands(own.pop("land_opening_at_null"), own.pop("lap"))
         area = own["nozzle_diameter"] * own["null_gap"] / (anchor.nozzle_diameter * anchor.null_gap)
         own["fixed_orifice_diameter"] = anchor.fixed_orifice_diameter * np.sqrt(area * ratio)
-        valve = replace(base, **_within_bounds(own | {"spool_stroke": STOP * stroke}))
+        valve = replace(base, **_within_bounds(own | {"spool_stroke": self.options.similarity.stop * stroke}))
         spring = net - _spring_beside_the_tube(valve, self.conditions, self.oil)
         valve = replace(valve, **_within_bounds({"spring_tube_stiffness": spring}))
         turns = _turns(valve, stroke, self.conditions, self.oil)
@@ -130,7 +125,7 @@ class SimilarValves:
     def ampere_turns(self, valve: Valve) -> np.ndarray:
         """ln of turns times rated current (k,) over what similarity gives, in prior standard deviations."""
         usual = Valve().coil_turns * Valve().rated_current * self.motor_scale**2
-        return np.log(valve.coil_turns * valve.rated_current / usual) / AMPERE_TURNS_SPREAD
+        return np.log(valve.coil_turns * valve.rated_current / usual) / self.options.similarity.ampere_turns_spread
 
 
 def _within_bounds(given: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -173,17 +168,18 @@ def _turns(valve: Valve, stroke, conditions: Mapping[str, float], oil: Oil) -> n
 
 def similar_valves(
     *, rated_flow: float, pressure_drop: float, rated_current: float, conditions: Mapping[str, float], oil: Oil,
-    coil_resistance: float | None = None,
+    coil_resistance: float | None = None, options: FromFiguresOptions = DEFAULT_FROM_FIGURES,
 ) -> SimilarValves:  # fmt: skip
     """The valves of a rated flow (m^3/s) at a pressure drop (Pa, both lands) and rated current (A), with a coil
     resistance (ohm) where it is told.
 
     Raises InputError for a flow or current that no two-stage nozzle-flapper valve has.
     """
+    common = options.similarity
     at_70_bar = rated_flow * np.sqrt(7e6 / pressure_drop)
     for value, (low, high), factor, unit, key in (
-        (at_70_bar, FLOWS, 6e4, "L/min at 70 bar", "figures.rated_flow"),
-        (rated_current, CURRENTS, 1e3, "mA", "figures.rated_current"),
+        (at_70_bar, common.flows, 6e4, "L/min at 70 bar", "figures.rated_flow"),
+        (rated_current, common.currents, 1e3, "mA", "figures.rated_current"),
     ):
         if not low <= value <= high:
             raise InputError(
@@ -195,11 +191,11 @@ def similar_valves(
     area = rated_flow / (anchor.port_flow_coefficient * np.sqrt(pressure_drop / density))
     scale = float(np.sqrt(area / (anchor.port_width * ANCHOR_STROKE)))
     motor = scale ** (1.0 / 3.0)
-    resistance = COIL_POWER / rated_current**2 if coil_resistance is None else coil_resistance
+    resistance = common.coil_power / rated_current**2 if coil_resistance is None else coil_resistance
     own = {field.name: getattr(anchor, field.name) for field in fields(anchor)}
     own |= {
         "full_stroke": ANCHOR_STROKE, "net_stiffness": ANCHOR_STIFFNESS, "orifice_ratio": 1.0,
-        "land_opening_at_null": NULL_OPENING, "lap": 0.0,
+        "land_opening_at_null": common.null_opening, "lap": 0.0,
         "coil_resistance": resistance,
         "coil_inductance": resistance * anchor.coil_inductance / anchor.coil_resistance,
     }  # fmt: skip
@@ -209,7 +205,7 @@ def similar_valves(
         return_pressure=conditions["return_pressure"],
         air_gap_area=anchor.air_gap_area * motor**2, magnet_reluctance=anchor.magnet_reluctance / motor**2,
     )  # fmt: skip
-    similar = SimilarValves(base, oil, conditions, medians, scale, motor)
+    similar = SimilarValves(base, oil, conditions, medians, scale, motor, options)
     return _passing(similar, rated_flow, {**conditions, "pressure_drop": pressure_drop})
 
 
@@ -221,7 +217,8 @@ def _passing(similar: SimilarValves, rated_flow: float, conditions: Mapping[str,
     width_and_stroke = [names.index("port_width"), names.index("full_stroke")]
     for _ in range(4):
         median = similar.valves(np.zeros((1, len(UNKNOWNS))))
-        flow = float(static_figures(median, {"rated_flow"}, conditions, similar.oil)["rated_flow"][0])
+        found = static_figures(median, {"rated_flow"}, conditions, similar.oil, options=similar.options.static)
+        flow = float(found["rated_flow"][0])
         medians = similar.medians.copy()
         medians[width_and_stroke] *= np.sqrt(rated_flow / flow)
         similar = replace(similar, medians=medians)

@@ -22,14 +22,10 @@ from valvesim.characterisation.rest_curve import (
     rest_curve,
     spool_at,
 )
+from valvesim.identification.from_figures.options import DEFAULT_FROM_FIGURES, StaticOptions
 from valvesim.valve.equations import main_stage
 from valvesim.valve.fluid import Oil
 from valvesim.valve.parameters import Valve
-
-CURRENTS = np.linspace(*LINE, 16)  # shares of rated current of a flow gain
-LOADS = np.linspace(-1.0, 1.0, 31) * 0.93  # shares of supply pressure of the leakage at blocked ports
-PRESSURES = np.linspace(-NULL_SHARE, NULL_SHARE, 21)  # shares of supply pressure of a pressure gain
-OUTER = np.linspace(0.95, 1.0, 4)  # shares of rated current of the tare
 
 
 def _rated(valve: Valve) -> np.ndarray:
@@ -46,11 +42,12 @@ def _line(i: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return slope, mi[:, 0] - my[:, 0] / slope
 
 
-def _flow_lines(valve: Valve, curve: RestCurve) -> dict[str, np.ndarray]:
+def _flow_lines(valve: Valve, curve: RestCurve, options: StaticOptions) -> dict[str, np.ndarray]:
     rated, null = _rated(valve), null_current(curve)[:, None]
     lines, normals, deviations = [], [], []
+    currents = np.linspace(*LINE, options.line_points) * rated
     for sign in (-1.0, 1.0):
-        i = sign * CURRENTS * rated
+        i = sign * currents
         lines.append(_line(i, main_stage(spool_at(curve, i), curve.supply, 0.0, curve.c)[0]))
         i = null + sign * np.linspace(0.005, 1.0, 40) * rated
         off = i - null
@@ -82,21 +79,22 @@ def _rated_flow(valve: Valve, conditions: Mapping[str, float], oil: Oil) -> np.n
     return (flows[0] + flows[1]) / 2.0
 
 
-def _pressure_gain(valve: Valve, curve: RestCurve) -> dict[str, np.ndarray]:
-    load = PRESSURES * curve.supply
+def _pressure_gain(valve: Valve, curve: RestCurve, options: StaticOptions) -> dict[str, np.ndarray]:
+    load = np.linspace(-NULL_SHARE, NULL_SHARE, options.pressure_points) * curve.supply
     current, _ = curve.holding(blocked_position(curve.c, curve.supply, load), load)
     gain, _ = _line(current, np.broadcast_to(load, current.shape))
     return {"pressure_gain": gain, "pressure_gain_share": gain * _rated(valve)[:, 0] / curve.supply}
 
 
-def _leakage(valve: Valve, curve: RestCurve) -> dict[str, np.ndarray]:
-    load = LOADS * curve.supply
+def _leakage(valve: Valve, curve: RestCurve, options: StaticOptions) -> dict[str, np.ndarray]:
+    load = np.linspace(-1.0, 1.0, options.leakage_points) * options.leakage_reach * curve.supply
     at = blocked_position(curve.c, curve.supply, load)
     total = curve.holding(at, load)[1] + main_stage(at, curve.supply, load, curve.c)[1]
     peak = _peak(total)
+    outer = np.linspace(options.tare_from, 1.0, options.tare_points)
     ends = []
     for sign in (-1.0, 1.0):
-        x, pilot = curve.at_current(sign * OUTER * _rated(valve), sign * 0.995 * curve.supply)
+        x, pilot = curve.at_current(sign * outer * _rated(valve), sign * 0.995 * curve.supply)
         load_pressure = blocked_pressure(curve.c, curve.supply, x)
         ends.append((pilot + main_stage(x, curve.supply, load_pressure, curve.c)[1]).mean(axis=-1))
     return {"null_leakage": peak, "tare_leakage": (ends[0] + ends[1]) / 2.0}
@@ -118,13 +116,16 @@ def _null_shift(valve: Valve, conditions: Mapping[str, float], oil: Oil, *change
     return np.take_along_axis(shifts, greatest[None], axis=0)[0] / _rated(valve)[:, 0]
 
 
-def static_figures(valve: Valve, wanted: set[str], conditions: Mapping[str, float], oil: Oil) -> dict[str, np.ndarray]:
+def static_figures(
+    valve: Valve, wanted: set[str], conditions: Mapping[str, float], oil: Oil, *,
+    options: StaticOptions = DEFAULT_FROM_FIGURES.static,
+) -> dict[str, np.ndarray]:  # fmt: skip
     """The wanted static figures of a batch of valves, each (k,) in SI; `conditions` have all that they need.
 
     Raises as `Valve.at` does.
     """
     found: dict[str, np.ndarray] = {}
-    families: tuple[tuple[set[str], Callable[[Valve, RestCurve], dict[str, np.ndarray]]], ...] = (
+    families: tuple[tuple[set[str], Callable[[Valve, RestCurve, StaticOptions], dict[str, np.ndarray]]], ...] = (
         ({"flow_gain", "flow_at_rated", "linearity", "symmetry", "lap", "null_bias"}, _flow_lines),
         ({"pressure_gain", "pressure_gain_share"}, _pressure_gain),
         ({"null_leakage", "tare_leakage"}, _leakage),
@@ -133,7 +134,7 @@ def static_figures(valve: Valve, wanted: set[str], conditions: Mapping[str, floa
         curve = rest_curve(valve, conditions, oil)
         for names, family in families:
             if wanted & names:
-                found |= family(valve, curve)
+                found |= family(valve, curve, options)
     if "rated_flow" in wanted:
         found["rated_flow"] = _rated_flow(valve, conditions, oil)
     supply, warm = conditions["supply_pressure"], conditions["oil_temperature"]

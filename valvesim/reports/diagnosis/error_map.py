@@ -8,7 +8,7 @@ import numpy as np
 
 from valvesim.diagnosis.result import Diagnosis
 from valvesim.reports.diagnosis.words import deviations, short, spoken
-from valvesim.reports.plotting import NOMINAL, Figure, colors, label_decades, styled
+from valvesim.reports.plotting import NOMINAL_COLOUR, Figure, colors, label_decades, styled
 
 MOST_RECORDS = 24  # that are shown, the worst
 
@@ -30,7 +30,7 @@ def draw_errors(diagnosis: Diagnosis) -> Figure | None:
     figure = Figure(figsize=(min(3.8 + 1.1 * len(channels), 12.0), 1.5 + 0.34 * len(records)), layout="constrained")
     axis = figure.subplots()
     scale = colors.LogNorm(1.0, max(10.0, float(np.nanmax(grid))))
-    shades = ("#ffffff", "#f6d5c9", NOMINAL, "#6d1a2a")
+    shades = ("#ffffff", "#f6d5c9", NOMINAL_COLOUR, "#6d1a2a")
     colours = colors.LinearSegmentedColormap.from_list("errors", shades, bad="0.92")
     image = axis.imshow(np.maximum(grid, 1.0), norm=scale, cmap=colours, aspect="auto")
     for (i, k), value in np.ndenumerate(grid):

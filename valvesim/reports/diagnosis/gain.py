@@ -8,7 +8,7 @@ import numpy as np
 
 from valvesim.diagnosis.result import Diagnosis
 from valvesim.reports.diagnosis.words import extended_differs, relative_change, short
-from valvesim.reports.plotting import EXTENDED, NOMINAL, Figure, styled
+from valvesim.reports.plotting import EXTENDED_COLOUR, NOMINAL_COLOUR, Figure, styled
 
 
 @styled
@@ -20,14 +20,14 @@ def draw_gain(diagnosis: Diagnosis) -> Figure | None:
     figure = Figure(figsize=(9.5, 1.8 + 0.42 * len(gains)), layout="constrained")
     errors, changes = figure.subplots(1, 2, sharey=True, gridspec_kw={"width_ratios": [1.5, 1.0]})
     for k, g in enumerate(gains):
-        face = EXTENDED if g.claimed else "w"
+        face = EXTENDED_COLOUR if g.claimed else "w"
         errors.plot([g.before, g.after], [k, k], color="0.8", lw=3, zorder=1)
         errors.plot([g.floor] * 2, [k - 0.3, k + 0.3], color="0.25", lw=2, label="noise floor")
-        errors.plot(g.before, k, "s", color=NOMINAL, ms=7, label="nominal model")
-        errors.plot(g.after, k, "o", color=EXTENDED, mfc=face, ms=7, label="extended model")
+        errors.plot(g.before, k, "s", color=NOMINAL_COLOUR, ms=7, label="nominal model")
+        errors.plot(g.after, k, "o", color=EXTENDED_COLOUR, mfc=face, ms=7, label="extended model")
         change, low, high = relative_change(g)
-        changes.plot([low, high], [k, k], "|-", color=EXTENDED, lw=1.6, ms=9, label="95 % interval")
-        changes.plot(change, k, "o", color=EXTENDED, mfc=face, ms=7)
+        changes.plot([low, high], [k, k], "|-", color=EXTENDED_COLOUR, lw=1.6, ms=9, label="95 % interval")
+        changes.plot(change, k, "o", color=EXTENDED_COLOUR, mfc=face, ms=7)
     names = [short(g.record) + ("" if g.claimed else "\n(not claimed)") for g in gains]
     errors.set_yticks(range(len(gains)), names)
     errors.set_ylim(len(gains) - 0.4, -0.6)

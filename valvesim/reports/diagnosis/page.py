@@ -64,15 +64,15 @@ VERDICTS = {  # words, edge and ground of the banner
     AMBIGUOUS: ("Several answers possible", COLOURS[3], "#fcf0dd"),
     UNKNOWN: ("Unknown mechanism", COLOURS[4], "#eee6f2"),
 }
-REASONS = {
+REASON_WORDS = {
     BENCH: "The bench, not the valve",
     RECORDS_APART: "Records that do not belong together",
     OTHER_VALVE: "Not the stated valve",
 }  # words of the banner in place of the verdict's
-DPI = 140  # of the pictures: sharp on paper too
-MEMORIES = {NONE: "none", LAG: "follows with a lag", PATH: "turns with the direction, as hysteresis does"}
+DIAGNOSIS_DPI = 140  # of the pictures: sharp on paper too
+MEMORY_WORDS = {NONE: "none", LAG: "follows with a lag", PATH: "turns with the direction, as hysteresis does"}
 MOST_SHIFTS, MOST_CANDIDATES = 8, 8  # that are shown, largest first
-PICTURES: dict[str, Callable[[Diagnosis], Figure | None]] = {
+DIAGNOSIS_PICTURES: dict[str, Callable[[Diagnosis], Figure | None]] = {
     "errors": error_map.draw_errors, "traces": traces.draw_traces, "scores": scores.draw_scores,
     "gain": gain.draw_gain, "term": term.draw_term,
 }  # fmt: skip
@@ -92,7 +92,7 @@ def write_report(
         raise unknown_name("verdict", diagnosis.verdict, VERDICTS, "diagnosis")
     check_folder(folder)
     block = TitleBlock(title=f"Diagnosis: {diagnosis.title}", valve=valve, date=date, facts=facts)
-    pictures = {name: png(figure, block, dpi=DPI) for name, figure in draw(diagnosis).items()}
+    pictures = {name: png(figure, block, dpi=DIAGNOSIS_DPI) for name, figure in draw(diagnosis).items()}
     files = {f"{name}.png": data for name, data in pictures.items()}
     text = page(block, _sections(diagnosis, pictures), banner=banner(diagnosis))
     files["report.html"] = text.encode("utf-8")
@@ -101,12 +101,12 @@ def write_report(
 
 def draw(diagnosis: Diagnosis) -> dict[str, Figure]:
     """The pictures of a diagnosis by name, without those that would be empty."""
-    drawn = {name: function(diagnosis) for name, function in PICTURES.items()}
+    drawn = {name: function(diagnosis) for name, function in DIAGNOSIS_PICTURES.items()}
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
 def _picture(pictures: dict[str, bytes], name: str, caption: str) -> Picture:
-    return Picture(pictures.get(name, b""), caption, DPI)
+    return Picture(pictures.get(name, b""), caption, DIAGNOSIS_DPI)
 
 
 def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]:
@@ -138,7 +138,7 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
 def banner(diagnosis: Diagnosis) -> Banner:
     """The verdict, in its colours."""
     words, edge, ground = VERDICTS[diagnosis.verdict]
-    words = REASONS.get(diagnosis.reason, words)
+    words = REASON_WORDS.get(diagnosis.reason, words)
     if diagnosis.verdict == CAUSE and len(diagnosis.causes) > 1:
         words = "Causes found"
     return Banner(words, diagnosis.summary, edge, ground)
@@ -259,7 +259,7 @@ def _term(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> Section:
         ("Added to", with_unit(spoken(found.port), f"[{y_unit}]" if y_unit else "")),
         ("As a function of", spoken(found.variable)),
         ("Visited", visited),
-        ("Memory", MEMORIES.get(found.memory, found.memory)),
+        ("Memory", MEMORY_WORDS.get(found.memory, found.memory)),
         ("Formula, in SI units", found.formula or "none holds up; the curve stands for itself"),
         ("Formula off by", off),
         ("Nearly as well", "; ".join(found.alike)),

@@ -6,7 +6,7 @@ import numpy as np
 
 from valvesim.diagnosis.result import Diagnosis
 from valvesim.reports.diagnosis.words import answer_labels, short, spoken
-from valvesim.reports.plotting import EXTENDED, NOMINAL, Figure, styled
+from valvesim.reports.plotting import EXTENDED_COLOUR, NOMINAL_COLOUR, Figure, styled
 
 MOST_SCORES = 12  # that are shown, the strongest
 
@@ -21,7 +21,8 @@ def draw_scores(diagnosis: Diagnosis) -> Figure | None:
     figure = Figure(figsize=(8.5, 1.3 + 0.3 * len(scores)), layout="constrained")
     axis = figure.subplots()
     sizes, places = [abs(s.z) for s in scores], range(len(scores))
-    bars = axis.barh(places, sizes, color=[EXTENDED if s.label in answer else "0.75" for s in scores], height=0.68)
+    colours = [EXTENDED_COLOUR if s.label in answer else "0.75" for s in scores]
+    bars = axis.barh(places, sizes, color=colours, height=0.68)
     plate = {"facecolor": "w", "edgecolor": "none", "pad": 1.0}  # so that the level does not cross a number
     axis.bar_label(bars, [f"{s.z:.1f}" for s in scores], padding=5, fontsize=8, bbox=plate)
     axis.set_yticks(places, [short(spoken(s.label)) for s in scores])
@@ -32,7 +33,7 @@ def draw_scores(diagnosis: Diagnosis) -> Figure | None:
     level = diagnosis.alarm_level if np.isfinite(diagnosis.alarm_level) else 0.0
     axis.set_xlim(0.0, 1.12 * max(*sizes, level, 1.0))
     if level > 0.0:
-        axis.axvline(level, color=NOMINAL, ls="--", label=f"alarm level {level:.2f}")
+        axis.axvline(level, color=NOMINAL_COLOUR, ls="--", label=f"alarm level {level:.2f}")
         figure.legend(loc="outside upper right")
     axis.set_xlabel("|z|, strength against noise [-]")
     blue = " (in blue: in the answer)" if answer & {s.label for s in scores} else ""

@@ -8,7 +8,7 @@ import numpy as np
 
 from valvesim.diagnosis.result import Diagnosis
 from valvesim.reports.diagnosis.words import short, spoken, term_units
-from valvesim.reports.plotting import EXTENDED, Figure, styled
+from valvesim.reports.plotting import EXTENDED_COLOUR, Figure, styled
 
 
 @styled
@@ -25,8 +25,8 @@ def draw_term(diagnosis: Diagnosis) -> Figure | None:
     axis = figure.subplots()
     axis.axhline(0.0, color="0.6", lw=0.8)
     low, high = value - 2.0 * deviation, value + 2.0 * deviation
-    axis.fill_between(at, low, high, color=EXTENDED, alpha=0.2, lw=0, label="±2 standard deviations")
-    axis.plot(at, value, "o-" if len(at) <= 40 else "-", ms=3, color=EXTENDED, lw=1.6, label="recovered term")
+    axis.fill_between(at, low, high, color=EXTENDED_COLOUR, alpha=0.2, lw=0, label="±2 standard deviations")
+    axis.plot(at, value, "o-" if len(at) <= 40 else "-", ms=3, color=EXTENDED_COLOUR, lw=1.6, label="recovered term")
     axis.set_xlabel(f"{short(spoken(term.variable))} [{x_unit or '-'}]")
     axis.set_ylabel(f"added to {short(spoken(term.port))} [{y_unit or '-'}]")
     axis.legend(loc="best")

@@ -10,7 +10,16 @@ import numpy as np
 from valvesim.diagnosis.result import Diagnosis, Trace
 from valvesim.reports.chart import Chart, Series
 from valvesim.reports.diagnosis.words import short, spoken, unit_of
-from valvesim.reports.plotting import COLOURS, EXTENDED, MEASURED, MOST_POINTS, NOMINAL, Figure, styled, thin
+from valvesim.reports.plotting import (
+    COLOURS,
+    EXTENDED_COLOUR,
+    MEASURED_COLOUR,
+    MOST_POINTS,
+    NOMINAL_COLOUR,
+    Figure,
+    styled,
+    thin,
+)
 
 MOST_TRACES = 3  # that are shown, the worst
 
@@ -61,9 +70,10 @@ def draw_traces(diagnosis: Diagnosis) -> Figure | None:
         extended = len(trace.extended) == len(trace.time) and not np.array_equal(trace.extended, trace.base)
         part = _stretch(trace)
         t, measured = trace.time[part], factor * trace.measured[part]
-        lines["measured"] = top.plot(t, measured, color=MEASURED, lw=2.6, alpha=0.6)[0]
+        lines["measured"] = top.plot(t, measured, color=MEASURED_COLOUR, lw=2.6, alpha=0.6)[0]
         for label, values, colour, style in (
-            ("nominal model", trace.base, NOMINAL, "--"), ("extended model", trace.extended, EXTENDED, "-"),
+            ("nominal model", trace.base, NOMINAL_COLOUR, "--"),
+            ("extended model", trace.extended, EXTENDED_COLOUR, "-"),
         )[: 2 if extended else 1]:  # fmt: skip
             lines[label] = top.plot(t, factor * values[part], style, color=colour, lw=1.3)[0]
             below.plot(*thin(trace.time, factor * (trace.measured - values)), color=colour, lw=0.9)

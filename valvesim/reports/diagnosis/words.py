@@ -8,7 +8,7 @@ from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, Diagnosis, Estimate, Gai
 from valvesim.units import DISPLAY, symbol
 
 UNDETERMINED = "not determined"
-NAME = 44  # signs of a name that a picture has room for
+LONGEST_LABEL = 44  # signs of a name that a picture has room for
 _SHARE_WORDS = ("share", "loss", "error", "fraction", "gain")  # of names whose plain number reads better in %
 _UNITS = {**DISPLAY, "m/K": ("µm/K", 1e6), "Pa/(m^3/s)": ("bar/(L/min)", 1e-5 / 6e4)}
 
@@ -81,7 +81,7 @@ def spoken(name: str) -> str:
 def short(name: str) -> str:
     """A name on one line, cut where a picture has no more room for it."""
     name = " ".join(name.split())
-    return name if len(name) <= NAME else f"{name[: NAME - 1]}…"
+    return name if len(name) <= LONGEST_LABEL else f"{name[: LONGEST_LABEL - 1]}…"
 
 
 def answer_labels(diagnosis: Diagnosis) -> set[str]:

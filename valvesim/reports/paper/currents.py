@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from valvesim.paper.published import CURRENTS, EXPERIMENT_RANGE, PUBLISHED_DRIFTS, RANGE
-from valvesim.reports.paper.words import TITLES, listed, picture, signed, table
+from valvesim.reports.paper.words import TITLES, listed, markdown_table, picture, signed
 from valvesim.reports.plotting import COLOURS, Figure, styled
 from valvesim.valve.parameters import flow_coefficients_yan_2019
 
@@ -29,7 +29,7 @@ def currents_text(r: Reproduction) -> str:
     headings = ("largest drift [%]; at 270 °C", *(f"{1e3 * i:g} mA" for i in CURRENTS))
     return f"""## Figs. 17 and 18: all routes together, at several currents
 
-{table(headings, rows, left=5)}
+{markdown_table(headings, rows, left=5)}
 That the drift is the same at every current follows from the equations: at small angles the valve is linear. The
 paper's
 "the recovery is more remarkable with the larger signal" is hardly seen here.
@@ -70,7 +70,7 @@ and measures the armature's angle by laser. It prints no numbers, and Table 5 is
 that of
 the theory. Here the drift at {EXPERIMENT_RANGE[-1]:g} °C in percent, at rest and with all parts at one temperature:
 
-{table(("valve", *(f"{1e3 * i:g} mA" for i in CURRENTS)), rows)}
+{markdown_table(("valve", *(f"{1e3 * i:g} mA" for i in CURRENTS)), rows)}
 Over time the same is a scenario: `valvesim run scenarios/experiment_section_v.toml`, other currents with
 `--set command.current.constant="'5 mA'"`.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valvesim.reports.paper.words import picture, signed, table
+from valvesim.reports.paper.words import markdown_table, picture, signed
 from valvesim.reports.plotting import COLOURS, Figure, label_decades, styled
 from valvesim.valve.flow_coefficients import (
     DENSITY,
@@ -57,7 +57,7 @@ def flow_text(r: Reproduction) -> str:
 Table 3 is the paper's CFD: the only data here that nobody of this project made. Errors in percent of the coefficient;
 "left out" is the error at each of the nine temperatures of the law fitted to the other eight.
 
-{table(("law", "orifice", "largest", "rms", "largest left out", "rms left out"), rows, left=2)}
+{markdown_table(("law", "orifice", "largest", "rms", "largest left out", "rms left out"), rows, left=2)}
 **What Eq. 19 misses.** In Table 3 the nozzle's coefficient rises by {f.nozzle_rise:.2f} % from 20 to 50 °C and falls
 by
 {-f.nozzle_fall:.2f} % from there to 150 °C. Eq. 19 has {signed(f.nozzle_rise_printed, 2)} % and
@@ -69,7 +69,7 @@ by
 C = C_inf [1 − (Re_c/Re)^n] [1 + h √(Re/Re_h) exp((1 − Re/Re_h)/2)] for Re ≥ Re_low, and C ~ Re (viscous flow) below.
 
 {
-        table(
+        markdown_table(
             ("orifice", "C_inf", "Re_c", "n", "h", "Re_h", "Re_low"),
             [
                 [
@@ -119,7 +119,7 @@ Eq. 18, `["yan_2019"]` is Eq. 19. The reference
 valve's flow route at 270 °C is {signed(eq)} % by Eq. 19 and {signed(law)} % by the Reynolds law with the real oil.
 
 {
-        table(
+        markdown_table(
             (
                 "T [°C]",
                 "nozzle, Table 3",

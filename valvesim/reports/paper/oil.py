@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valvesim.reports.paper.words import one_panel, picture, table
+from valvesim.reports.paper.words import markdown_table, one_panel, picture
 from valvesim.reports.plotting import COLOURS, Figure, label_decades, styled
 from valvesim.valve.fluid import MIL_PRF_5606, viscosity_yan_2019
 
@@ -27,7 +27,7 @@ Eq. 18 in mm²/s, read in °C and in temperature rise as printed, beside a real 
 law). Read in °C it agrees with the real oil from 0 to 50 °C; beyond about 150 °C it falls to values that no liquid
 has.
 
-{table(("temperature [°C]", "Eq. 18 in °C", "Eq. 18 in rise", "MIL-PRF-5606, Walther"), rows)}
+{markdown_table(("temperature [°C]", "Eq. 18 in °C", "Eq. 18 in rise", "MIL-PRF-5606, Walther"), rows)}
 {picture("viscosity.png", "Viscosity over temperature.")}"""
 
 

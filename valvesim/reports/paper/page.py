@@ -30,14 +30,14 @@ from valvesim.reports.title_block import TitleBlock
 if TYPE_CHECKING:
     from valvesim.paper.reproduction import Reproduction
 
-DPI = 110
+PAPER_DPI = 110
 VALVE = "reference valve, and those identified for the lost Table 4"
-PICTURES: dict[str, Callable[[Reproduction], Figure]] = {
+PAPER_PICTURES: dict[str, Callable[[Reproduction], Figure]] = {
     MAIN_PICTURE: draw_main, "routes.png": draw_routes, "magnet.png": draw_magnet, "profile.png": draw_profile,
     "gaps.png": draw_gaps, "flux.png": draw_flux, "viscosity.png": draw_viscosity, "flow.png": draw_flow,
     "currents.png": draw_currents, "experiment.png": draw_experiment,
 }  # fmt: skip
-SECTIONS: tuple[Callable[[Reproduction], str], ...] = (
+PAGE_SECTIONS: tuple[Callable[[Reproduction], str], ...] = (
     head_text, overview_text, routes_text, reach_text, identified_text, gaps_text, flux_text, oil_text, flow_text,
     currents_text, experiment_text, not_validated_text,
 )  # fmt: skip
@@ -45,7 +45,7 @@ SECTIONS: tuple[Callable[[Reproduction], str], ...] = (
 
 def page_text(r: Reproduction) -> str:
     """The page as Markdown, without its title."""
-    return "\n".join(reflow(text(r)) for text in SECTIONS)
+    return "\n".join(reflow(text(r)) for text in PAGE_SECTIONS)
 
 
 def write_page(r: Reproduction, folder: Path, *, date: datetime.date) -> Path:
@@ -58,7 +58,7 @@ def write_page(r: Reproduction, folder: Path, *, date: datetime.date) -> Path:
     folder = Path(folder)
     check_folder(folder)
     block = TitleBlock(title="The paper, reproduced", valve=VALVE, date=date)
-    pictures = {name: png(draw(r), block, dpi=DPI) for name, draw in PICTURES.items()}
+    pictures = {name: png(draw(r), block, dpi=PAPER_DPI) for name, draw in PAPER_PICTURES.items()}
     for name, data in pictures.items():
         write_bytes(data, folder / name)
     text = page_text(r)

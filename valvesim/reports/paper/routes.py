@@ -8,7 +8,7 @@ import numpy as np
 
 from valvesim.paper.interpretations import INTERPRETATIONS
 from valvesim.paper.published import PUBLISHED_DRIFTS, RANGE, TOLERANCE
-from valvesim.reports.paper.words import SHOWN, TITLES, listed, picture, published_words, signed, table
+from valvesim.reports.paper.words import SHOWN, TITLES, listed, markdown_table, picture, published_words, signed
 from valvesim.reports.plotting import COLOURS, Figure, styled
 from valvesim.valve.coefficients import ROUTES
 
@@ -38,7 +38,7 @@ of a whole column is free, and each is turned so that the flow coefficients come
 Turned
 here, and in every picture: {listed([TITLES[k] for k in TITLES if r.sense(k) < 0])}.
 
-{table(("drift [%]", "published", "reference valve", *(v.title for v in INTERPRETATIONS)), rows)}
+{markdown_table(("drift [%]", "published", "reference valve", *(v.title for v in INTERPRETATIONS)), rows)}
 {picture("routes.png", "Drift by route over temperature at 1 mA.")}
 **Why the derived balances cannot follow Fig. 16.** At small angles theta ~ M0/(K - k M0²): the magnet drives the
 armature
@@ -83,7 +83,7 @@ Bold:
 within {100 * TOLERANCE:g} %. A "no" is the outcome of
 a search; for the magnetomotive force and the arm as derived it is proved above.
 
-{table(("drift", "published [%]", "as derived", "signs as printed"), rows, left=4)}"""
+{markdown_table(("drift", "published [%]", "as derived", "signs as printed"), rows, left=4)}"""
 
 
 @styled

@@ -15,7 +15,7 @@ from valvesim.paper.published import (
     PUBLISHED_TRAVEL,
     TOLERANCE,
 )
-from valvesim.reports.paper.words import SHOWN, TITLES, count_reached, listed, picture, signed, table
+from valvesim.reports.paper.words import SHOWN, TITLES, count_reached, listed, markdown_table, picture, signed
 from valvesim.valve.coefficients import ROUTES
 from valvesim.valve.fluid import viscosity_yan_2019
 
@@ -143,7 +143,7 @@ def overview_text(r: Reproduction) -> str:
         ("Table 4", "lost", "identified, below", "-", ""),
         ("Figs. 1, 2, 4-6, 8-10, 12, 14, 19-22", "drawings, photographs, CFD", "-", "-", "nothing to compute"),
     ]  # fmt: skip
-    return "## Published beside computed\n\n" + table(
+    return "## Published beside computed\n\n" + markdown_table(
         ("in the paper", "it says", "computed", "verdict", "why"), rows, left=5
     )
 

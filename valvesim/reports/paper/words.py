@@ -36,7 +36,7 @@ def reflow(text: str) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> str:
+def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> str:
     marks = ["---" if k < left else "---:" for k in range(len(headings))]
     lines = [headings, marks, *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
@@ -67,7 +67,7 @@ def count_reached(r: Reproduction, key: str) -> int:
     return int(np.sum(r.identified[key].reached[: len(ROUTES)]))
 
 
-def with_unit(name: str, value: float) -> str:
+def parameter_text(name: str, value: float) -> str:
 
     unit = quantities(Valve)[name].metadata["unit"]
     shown, factor = DISPLAY.get(unit, (unit, 1.0))

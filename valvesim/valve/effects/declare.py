@@ -22,9 +22,18 @@ def amplitude_parameter(
     )  # fmt: skip
 
 
-def shape_parameter(name: str, unit: str, doc: str, default: float, bounds: tuple[float, float]) -> Parameter:
+def shape_parameter(
+    name: str,
+    unit: str,
+    doc: str,
+    default: float,
+    bounds: tuple[float, float],
+    sought: tuple[float, ...] = (),
+    *,
+    discrete: bool = False,
+) -> Parameter:
     """What an effect looks like once it is there."""
-    return Parameter(name=name, unit=unit, doc=doc, default=default, bounds=bounds)
+    return Parameter(name=name, unit=unit, doc=doc, default=default, bounds=bounds, sought=sought, discrete=discrete)
 
 
 def scaled(c: Coefficients, **factors) -> Coefficients:

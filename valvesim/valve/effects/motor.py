@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from valvesim.channels import Channel
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
-from valvesim.valve.effect import Advice, Effect, Ports, Situation
+from valvesim.valve.effect import ActiveEffect, Advice, Effect, Ports, Situation
 from valvesim.valve.effects.declare import amplitude_parameter, scaled, shape_parameter
 from valvesim.valve.laws import dahl_rate
 
@@ -45,6 +45,37 @@ def _flexure_loss(c: Coefficients, p, parts: PartTemperatures):
     return scaled(c, spring_tube_stiffness=1.0 - p.loss)
 
 
+_TURNING_SHARE = 0.2  # of rated current: over which a loop turns where nothing else is known; the default, of 10 mA
+
+MAGNETIC_HYSTERESIS = Effect(
+    name="magnetic_hysteresis",
+    doc="the iron holds back part of the current: -i_c z with z' = (i' - |i'| z)/i_t (Dahl, Duhem)",
+    location="magnetic circuit",
+    signature="rate-independent loop of angle and spool over current that grows with amplitude",
+    advice=Advice(
+        part="armature and pole pieces",
+        inspect="marks of bending or blows on the soft iron, which harden it magnetically; chips in the gaps",
+        confirm="quasi-static current loops of several sizes: the width follows the size, not the speed",
+        remedy="demagnetise; anneal or exchange the iron parts",
+    ),
+    parameters=(
+        amplitude_parameter("coercive_current", "A", "half width i_c of the full loop", (0.0, 5e-3), 2e-4),
+        shape_parameter(
+            "turning_current", "A", "change i_t of current over which the loop turns", 2e-3, (1e-5, 0.1), (1e-3, 4e-3)
+        ),
+    ),
+    memory=(Channel("magnetic_hysteresis_state", "1", "share of the coercive current that acts", 1.0),),
+    balance=_hysteresis,
+    law_error=0.2,  # measured against play operators: 0.07 to 0.18
+)
+
+
+def hysteresis_of_width(width: float, rated_current: float) -> ActiveEffect:
+    """The magnetic hysteresis whose full loop is so wide (A), on a valve of a rated current (A)."""
+    half, turning = (float(f"{value:.6g}") for value in (width / 2.0, _TURNING_SHARE * rated_current))
+    return MAGNETIC_HYSTERESIS(coercive_current=half, turning_current=turning)
+
+
 MOTOR = (
     Effect(
         name="magnet_demagnetization",
@@ -61,27 +92,7 @@ MOTOR = (
         coefficients=_demagnetization,
         figure="polarization_mmf",
     ),
-    Effect(
-        name="magnetic_hysteresis",
-        doc="the iron holds back part of the current: -i_c z with z' = (i' - |i'| z)/i_t (Dahl, Duhem)",
-        location="magnetic circuit",
-        signature="rate-independent loop of angle and spool over current that grows with amplitude",
-        advice=Advice(
-            part="armature and pole pieces",
-            inspect="marks of bending or blows on the soft iron, which harden it magnetically; chips in the gaps",
-            confirm="quasi-static current loops of several sizes: the width follows the size, not the speed",
-            remedy="demagnetise; anneal or exchange the iron parts",
-        ),
-        parameters=(
-            amplitude_parameter("coercive_current", "A", "half width i_c of the full loop", (0.0, 5e-3), 2e-4),
-            shape_parameter(
-                "turning_current", "A", "change i_t of current over which the loop turns", 2e-3, (1e-5, 0.1)
-            ),
-        ),
-        memory=(Channel("magnetic_hysteresis_state", "1", "share of the coercive current that acts", 1.0),),
-        balance=_hysteresis,
-        law_error=0.2,  # measured against play operators: 0.07 to 0.18
-    ),
+    MAGNETIC_HYSTERESIS,
     Effect(
         name="magnetic_saturation",
         doc="the iron saturates: i - k i^3/i_r^2 magnetises",
@@ -129,7 +140,7 @@ MOTOR = (
         ),
         parameters=(
             amplitude_parameter("share", "1", "share s of the current that lags", (0.0, 0.9), 0.2),
-            shape_parameter("time_constant", "s", "tau of the eddy currents", 2e-3, (5e-5, 1.0)),
+            shape_parameter("time_constant", "s", "tau of the eddy currents", 2e-3, (5e-5, 1.0), (5e-4, 2e-3, 2e-2)),
         ),
         memory=(Channel("eddy_lagging_current", "A", "current j that the eddy currents have let through", 1e-2),),
         balance=_eddy_current,

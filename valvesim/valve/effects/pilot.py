@@ -12,7 +12,7 @@ from valvesim.valve.effect import Advice, Effect, Ports, Situation
 from valvesim.valve.effects.declare import amplitude_parameter, scaled, shape_parameter
 from valvesim.valve.fluid import aerated_bulk_modulus
 
-_SIDE = shape_parameter("side", "1", "1 or 2", 1.0, (1.0, 2.0))
+_SIDE = shape_parameter("side", "1", "1 or 2", 1.0, (1.0, 2.0), (1.0, 2.0), discrete=True)
 
 
 def _by_side(side, change) -> tuple:

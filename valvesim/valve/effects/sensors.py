@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from valvesim.valve.coefficients import REFERENCE_TEMPERATURE
-from valvesim.valve.effect import CHANNEL, Advice, Effect, Parameter, Reading
+from valvesim.valve.effect import CHANNEL, ActiveEffect, Advice, Effect, Parameter, Reading
 from valvesim.valve.effects.declare import amplitude_parameter
 from valvesim.valve.laws import lagged
 
@@ -70,48 +70,53 @@ _ADVICE = {
 }
 
 
-def _sensor(name: str, doc: str, signature: str, amplitude: Parameter, reading, lag=None) -> Effect:
+def _sensor(name: str, doc: str, signature: str, amplitude: Parameter, reading, **more) -> Effect:
     return Effect(
         name=name, doc=doc, location="sensor", signature=signature, parameters=(amplitude,), reading=reading,
-        lag=lag, advice=_ADVICE[name],
+        advice=_ADVICE[name], **more,
     )  # fmt: skip
 
 
-SENSORS = (
-    _sensor(
-        "sensor_bias",
-        "the sensor reads b too much",
-        "one channel off by a constant; every other one fits",
-        amplitude_parameter("bias", CHANNEL, "b, signed", (-1.0, 1.0), 0.02),
-        _bias,
-    ),
-    _sensor(
-        "sensor_gain",
-        "the sensor reads (1 + g) of the value",
-        "one channel off in proportion; every other one fits",
-        amplitude_parameter("gain_error", "1", "g, signed", (-0.9, 10.0), 0.03),
-        _gain,
-    ),
-    _sensor(
-        "sensor_lag",
-        "the sensor follows with a first-order lag tau",
-        "one channel late and smaller at high frequency, right at rest",
-        amplitude_parameter("time_constant", "s", "tau", (0.0, 10.0), 1e-3, ordinary=AMPLIFIER_LAG),
-        _lag,
-        lag=lambda p: p.time_constant,
-    ),
-    _sensor(
-        "sensor_delay",
-        "the sensor reads the value of a time T ago",
-        "one channel late by the same time at every frequency, of full size",
-        amplitude_parameter("delay", "s", "T", (0.0, 0.1), 1e-3, ordinary=AMPLIFIER_LAG),
-        _delay,
-    ),
-    _sensor(
-        "sensor_temperature_drift",
-        "the sensor reads k (T_oil - 20 °C) too much",
-        "one channel off by an offset that follows the oil temperature; every other one fits",
-        amplitude_parameter("drift", f"{CHANNEL}/K", "k, signed", (-0.02, 0.02), 1e-3),
-        _temperature_drift,
-    ),
+SENSOR_BIAS = _sensor(
+    "sensor_bias",
+    "the sensor reads b too much",
+    "one channel off by a constant; every other one fits",
+    amplitude_parameter("bias", CHANNEL, "b, signed", (-1.0, 1.0), 0.02),
+    _bias,
 )
+SENSOR_GAIN = _sensor(
+    "sensor_gain",
+    "the sensor reads (1 + g) of the value",
+    "one channel off in proportion; every other one fits",
+    amplitude_parameter("gain_error", "1", "g, signed", (-0.9, 10.0), 0.03),
+    _gain,
+)
+SENSOR_LAG = _sensor(
+    "sensor_lag",
+    "the sensor follows with a first-order lag tau",
+    "one channel late and smaller at high frequency, right at rest",
+    amplitude_parameter("time_constant", "s", "tau", (0.0, 10.0), 1e-3, ordinary=AMPLIFIER_LAG),
+    _lag,
+    lag=lambda p: p.time_constant,
+    reads_columns=True,
+)
+SENSOR_DELAY = _sensor(
+    "sensor_delay",
+    "the sensor reads the value of a time T ago",
+    "one channel late by the same time at every frequency, of full size",
+    amplitude_parameter("delay", "s", "T", (0.0, 0.1), 1e-3, ordinary=AMPLIFIER_LAG),
+    _delay,
+)
+SENSOR_TEMPERATURE_DRIFT = _sensor(
+    "sensor_temperature_drift",
+    "the sensor reads k (T_oil - 20 °C) too much",
+    "one channel off by an offset that follows the oil temperature; every other one fits",
+    amplitude_parameter("drift", f"{CHANNEL}/K", "k, signed", (-0.02, 0.02), 1e-3),
+    _temperature_drift,
+)
+SENSORS = (SENSOR_BIAS, SENSOR_GAIN, SENSOR_LAG, SENSOR_DELAY, SENSOR_TEMPERATURE_DRIFT)
+
+
+def sensor_lag(channel: str, time_constant: float) -> ActiveEffect:
+    """The first-order lag (s) of the sensor of a channel."""
+    return SENSOR_LAG.on(channel)(time_constant=time_constant)

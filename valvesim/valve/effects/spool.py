@@ -61,22 +61,24 @@ def _lap(c: Coefficients, p, parts: PartTemperatures):
     return c._replace(land_overlap=c.land_overlap + p.overlap)
 
 
-SPOOL = (
-    Effect(
-        name="spool_coulomb_friction",
-        doc="dry friction of the spool: -F z with z' = (v - |v| z)/d (Dahl)",
-        location=_FRICTION_PLACE,
-        signature="threshold and hysteresis in spool position, the same at every amplitude",
-        advice=Advice(
-            part="spool and sleeve",
-            inspect="spool and bore for scores, burrs and varnish; cleanliness of the oil",
-            confirm="threshold and hysteresis at very slow current, with and without dither",
-            remedy="clean or lap spool and sleeve; dither; flush the oil",
-        ),
-        parameters=(amplitude_parameter("friction_force", "N", "friction force F", (0.0, 100.0), 1.0), _PRESLIDING),
-        memory=(_friction_memory("coulomb"),),
-        balance=_coulomb,
+COULOMB_FRICTION = Effect(
+    name="spool_coulomb_friction",
+    doc="dry friction of the spool: -F z with z' = (v - |v| z)/d (Dahl)",
+    location=_FRICTION_PLACE,
+    signature="threshold and hysteresis in spool position, the same at every amplitude",
+    advice=Advice(
+        part="spool and sleeve",
+        inspect="spool and bore for scores, burrs and varnish; cleanliness of the oil",
+        confirm="threshold and hysteresis at very slow current, with and without dither",
+        remedy="clean or lap spool and sleeve; dither; flush the oil",
     ),
+    parameters=(amplitude_parameter("friction_force", "N", "friction force F", (0.0, 100.0), 1.0), _PRESLIDING),
+    memory=(_friction_memory("coulomb"),),
+    balance=_coulomb,
+)
+
+SPOOL = (
+    COULOMB_FRICTION,
     Effect(
         name="spool_stribeck_friction",
         doc="dry friction that falls with speed: -F z with z' = (v - |v| z/g)/d, g = k + (1-k) exp(-(v/v_s)^2)",

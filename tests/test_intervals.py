@@ -1,0 +1,56 @@
+"""Confidence intervals of what was fitted: what the records know of a figure, and where their parts disagree."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from valvesim.diagnosis.intervals import confidence_intervals
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.fit_jacobian import perturbation
+from valvesim.identification.prior import NETWORK, NuisanceParameter
+from valvesim.identification.projection import GramMatrix
+
+SEGMENTS, ROWS = 60, 50
+NOISE = np.random.default_rng(4).normal(size=(SEGMENTS, ROWS))
+
+
+def interval(name="spool_area", unit="m^2", nominal=2.0, apart=0.0):
+    """The interval of a figure, its deviation 0.1 of which a unit shows 4 in every row, that a fit has 3 deviations out
+    by its own amplitude and 1 by the nuisance parameter; segments may say that it is `apart` units more or less.
+    """
+    parameter = NuisanceParameter(name, unit, nominal, 0.1, (0.1, 10.0))
+    member = FittedCandidate(Candidate(f"parameter:{name}", parameter=parameter), 0.3)
+    products = []
+    for k, noise in enumerate(NOISE):
+        unit_shows = np.full(ROWS, 4.0)
+        columns = np.column_stack(
+            [noise + (-1.0) ** k * apart * unit_shows, 0.1 * unit_shows, perturbation(member) * unit_shows]
+        )
+        products.append(columns.T @ columns)
+    fit = Fit(np.ones(1), (member,), 0.0, (), np.zeros(0), float(SEGMENTS * ROWS))
+    final = SimpleNamespace(
+        fit=fit, own=(0,), options=DIAGNOSIS, gram=GramMatrix(np.array(products), np.ones(1), (ROWS,) * SEGMENTS)
+    )
+    model = SimpleNamespace(parameters=(parameter,))
+    (found,) = confidence_intervals(SimpleNamespace(study=SimpleNamespace(nominal=model)), final)
+    return found
+
+
+def test_a_figure_beyond_its_tolerance_is_told_as_it_is_however_it_was_shared():
+    found = interval()
+    assert (found.name, found.cause, found.unit, found.doc) == ("spool_area", "parameter:spool_area", "m^2", "")
+    assert found.value == pytest.approx(2.0 + 0.3 + 0.1)
+    known = 1.96 / (4.0 * np.sqrt(SEGMENTS * ROWS))  # by the rows alone: not by the prior, nor by how it was shared
+    assert found.high - found.value == pytest.approx(known, rel=0.15)
+    assert found.value - found.low == pytest.approx(found.high - found.value)
+
+
+def test_parts_that_disagree_widen_the_interval():
+    assert interval(apart=0.2).high - interval().value > 3.0 * (interval().high - interval().value)
+
+
+def test_a_figure_of_the_heat_paths_is_told_in_words():
+    assert interval(f"{NETWORK}oil_to_spool", "W/K").doc == "heat transfer from oil to spool"

@@ -1,0 +1,185 @@
+"""Where refits start by what the linearised equations promise, and what is looked for beside the best and in it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from valvesim.diagnosis import refits, second_cause
+from valvesim.diagnosis.model_selection import FittedHypothesis
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses, restarted
+from valvesim.diagnosis.score_test import ScoreTest, search_size
+from valvesim.diagnosis.second_cause import at_full_weight, typical_starts, with_other_pairs, with_second_cause
+from valvesim.diagnosis.starts import start_points
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.projection import ProjectedScores
+from valvesim.valve.catalogue import CATALOGUE
+
+BIAS = Candidate("sensor_bias", CATALOGUE["sensor_bias"].on("load_flow"))
+AIR, LAP, FRICTION = (Candidate(n, CATALOGUE[n]) for n in ("entrained_air", "spool_lap", "spool_coulomb_friction"))
+SIDES = tuple(Candidate("nozzle_erosion", CATALOGUE["nozzle_erosion"], (("side", side),)) for side in (1.0, 2.0))
+COLUMNS = 10.0 * np.linalg.qr(np.random.default_rng(5).normal(size=(400, 4)))[0]
+"""What four candidates show at the amplitudes at which they are tested: at right angles, d' = 10 each."""
+
+
+def hypothesis(chi_square, *candidates):
+    """Candidates fitted at their typical amplitudes."""
+    fitted = tuple(FittedCandidate(one, one.typical) for one in candidates)
+    return FittedHypothesis(Fit(np.zeros(1), fitted, chi_square, (), np.zeros(1), 5000.0), options=DIAGNOSIS)
+
+
+def scores(hidden, fit=None, options=DIAGNOSIS):
+    """The score test of records in which so much of each candidate is hidden, in the amplitudes of their columns."""
+    candidates, amounts = tuple(hidden), np.array(list(hidden.values()))
+    S = COLUMNS[:, : len(candidates)]
+    projected = ProjectedScores(S.T @ (S @ amounts), S.T @ S, 0.0)
+    study = SimpleNamespace(session=SimpleNamespace(seed=1), noise={})
+    sizes = np.array([search_size(one) for one in candidates])
+    fit = hypothesis(1000.0).fit if fit is None else fit
+    return ScoreTest(study, fit, (), (), (), None, candidates, sizes, (), (), (), projected, options=options)
+
+
+def labels(starts):
+    return [" + ".join(sorted(member.candidate.key for member in start)) for start in starts]
+
+
+# ---------------------------------------------------------------- starts
+
+
+def test_two_causes_that_explain_much_more_than_one_start_together_in_the_amounts_that_are_there():
+    found = start_points(scores({LAP: 2.0, AIR: 3.0, FRICTION: 0.0}), frozenset())
+    assert labels(found) == ["entrained_air", "entrained_air + spool_lap"]
+    pair = {member.candidate: member.above_neutral for member in found[-1]}
+    assert pair == pytest.approx({LAP: 2.0 * search_size(LAP), AIR: 3.0 * search_size(AIR)})
+    little = 0.9 * np.sqrt(DIAGNOSIS.isolation.pair_reduction) / 10.0
+    assert labels(start_points(scores({LAP: little, AIR: 1.0}), frozenset())) == ["entrained_air"]
+
+
+def test_a_pair_of_which_one_would_have_the_sign_that_it_cannot_have_is_no_start():
+    assert FRICTION.one_sided and not BIAS.one_sided
+    assert labels(start_points(scores({BIAS: 3.0, FRICTION: -2.0}), frozenset())) == ["sensor_bias@load_flow"]
+    assert labels(start_points(scores({BIAS: -3.0, FRICTION: 2.0}), frozenset()))[-1] == (
+        "sensor_bias@load_flow + spool_coulomb_friction"
+    )
+
+
+def test_both_sides_of_one_effect_are_no_pair():
+    assert labels(start_points(scores(dict(zip(SIDES, (2.0, 3.0), strict=True))), frozenset())) == [SIDES[1].key]
+
+
+def test_of_many_pairs_the_best_few_are_started():
+    four = {BIAS: 3.0, LAP: 2.9, AIR: 2.8, FRICTION: 2.7}
+    pairs = [one for one in labels(start_points(scores(four), frozenset())) if "+" in one]
+    assert len(pairs) == DIAGNOSIS.isolation.pairs == 3
+    assert pairs[0] == "sensor_bias@load_flow + spool_lap"
+    options = replace(DIAGNOSIS, isolation=replace(DIAGNOSIS.isolation, pairs=1))
+    assert [one for one in labels(start_points(scores(four, options=options), frozenset())) if "+" in one] == pairs[:1]
+
+
+def test_what_has_failed_is_started_neither_alone_nor_in_a_pair():
+    assert labels(start_points(scores({LAP: 2.0, AIR: 3.0, BIAS: 1.9}), {"entrained_air"})) == [
+        "spool_lap", "sensor_bias@load_flow", "sensor_bias@load_flow + spool_lap",
+    ]  # fmt: skip
+    assert start_points(scores({LAP: 2.0, AIR: 3.0}), {"entrained_air", "spool_lap"}) == []
+
+
+def test_typical_amplitudes_are_tried_in_either_direction_and_the_best_of_those_that_explain_anything_are_given(
+    monkeypatch,
+):
+    tried = []
+
+    def falls(nominal, starts):
+        tried[:] = [(one.candidate, np.sign(one.above_neutral)) for (one,) in starts]
+        return np.array([{(BIAS, -1.0): 50.0, (FRICTION, 1.0): 80.0}.get(each, -1.0) for each in tried])
+
+    monkeypatch.setattr(second_cause, "reductions_from_prior", falls)
+    found = typical_starts(None, scores({BIAS: 0.0, FRICTION: 0.0}))
+    assert tried == [(BIAS, 1.0), (BIAS, -1.0), (FRICTION, 1.0)]
+    assert [(one.candidate, one.above_neutral) for (one,) in found] == [
+        (FRICTION, pytest.approx(FRICTION.typical)), (BIAS, pytest.approx(-BIAS.typical)),
+    ]  # fmt: skip
+
+
+# ---------------------------------------------------------------- a second cause
+
+
+@pytest.fixture
+def fitted(monkeypatch):
+    """Refits that end at the chi-squares set here, by the names of their causes; score tests in which nothing shows."""
+    ends, begun = {}, []
+
+    def fits(nominal, starts, point=None, *, options):
+        begun.extend(labels(starts))
+        ran = [(start, ends[label]) for start, label in zip(starts, labels(starts), strict=True) if label in ends]
+        return [FittedHypothesis(replace(hypothesis(0.0).fit, fitted=s, chi_square=c), options=options) for s, c in ran]
+
+    monkeypatch.setattr(refits, "fit_starts", fits)
+    monkeypatch.setattr(second_cause, "fit_starts", fits)
+    monkeypatch.setattr(second_cause, "score_test", lambda nominal, fit, *, options: scores({BIAS: 0.0}, fit))
+    return SimpleNamespace(ends=ends, begun=begun)
+
+
+NOMINAL = SimpleNamespace(fit=hypothesis(3000.0).fit, study=SimpleNamespace(noise={}, weights={}))
+BOTH = "entrained_air + spool_lap"
+
+
+def test_a_second_cause_that_shows_in_what_the_first_leaves_is_fitted_beside_it(fitted):
+    fitted.ends |= {BOTH: 1000.0, "spool_lap": 1900.0, "entrained_air": 2500.0}
+    first = hypothesis(1900.0, LAP)
+    found, final = with_second_cause(NOMINAL, scores({AIR: 3.0, BIAS: 0.1}, first.fit), [first])
+    assert [c.name for c in found[0].candidates] == ["spool_lap", "entrained_air"] and final.fit is found[0].fit
+    assert fitted.begun[0] == BOTH and first in found
+    assert BOTH not in fitted.begun[1:]  # and no third beside the two
+
+
+def test_a_second_cause_that_explains_too_little_stands_behind_the_first(fitted):
+    fitted.ends |= {BOTH: 1899.0}
+    first = hypothesis(1900.0, LAP)
+    before = scores({AIR: 3.0}, first.fit)
+    found, final = with_second_cause(NOMINAL, before, [first])
+    assert found[0] is first and [one.label for one in found[1:]] == ["spool_lap + entrained_air"] and final is before
+
+
+def test_where_nothing_shows_no_second_cause_is_fitted(fitted):
+    first = hypothesis(1900.0, LAP)
+    before = scores({AIR: 0.1}, first.fit)
+    assert with_second_cause(NOMINAL, before, [first]) == ([first], before) and not fitted.begun
+
+
+def test_of_a_pair_that_one_explains_as_well_the_one_is_left(fitted):
+    fitted.ends |= {"spool_lap": 1001.0, "entrained_air": 2500.0}
+    pair = hypothesis(1000.0, LAP, AIR)
+    assert reduced_hypotheses(NOMINAL, [pair], options=DIAGNOSIS)[0].label == "spool_lap"
+    fitted.ends["spool_lap"] = 2000.0
+    found = reduced_hypotheses(NOMINAL, [pair], options=DIAGNOSIS)
+    assert found[0] is pair and {one.label for one in found[1:]} == {"spool_lap", "entrained_air"}
+    assert reduced_hypotheses(NOMINAL, [], options=DIAGNOSIS) == []
+
+
+def test_causes_that_cannot_be_simulated_are_none(monkeypatch):
+    monkeypatch.setattr(refits, "fit_hypothesis", lambda nominal, start, point: None)
+    monkeypatch.setattr(second_cause, "fit_hypothesis", lambda nominal, start, point: None)
+    pair = hypothesis(1000.0, LAP, AIR)
+    assert fit_starts(NOMINAL, [pair.fit.fitted], options=DIAGNOSIS) == []
+    before = scores({AIR: 3.0}, pair.fit)
+    assert with_other_pairs(NOMINAL, [pair], before) == ([pair], before)
+    assert restarted(NOMINAL, [], "", options=DIAGNOSIS) == []
+
+
+@pytest.mark.parametrize("ends, stands", [(1000.0, "full"), (1e9, "weighted"), (None, "weighted")])
+def test_samples_count_in_full_where_the_best_can_follow_their_peaks(fitted, monkeypatch, ends, stands):
+    weighted = SimpleNamespace(**vars(NOMINAL), name="weighted")
+    full = SimpleNamespace(**vars(NOMINAL), name="full")
+    monkeypatch.setattr(second_cause, "unweighted", lambda nominal: full)
+    fitted.ends |= {} if ends is None else {"spool_lap": ends}
+    found = [hypothesis(1900.0, LAP)]
+    before = scores({AIR: 0.1}, found[0].fit)
+    nominal, again, final = at_full_weight(weighted, found, before)
+    assert nominal.name == stands and [one.label for one in again] == ["spool_lap"]
+    if stands == "weighted":
+        assert again is found and final is before
+    else:
+        assert again[0].fit.chi_square == ends and final.fit is again[0].fit

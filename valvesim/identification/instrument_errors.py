@@ -1,0 +1,113 @@
+"""Errors of a bench's instruments that no record tells, as nuisance parameters: inputs that are off or wander, clocks
+that run apart, meters that drift.
+
+Their priors are as wide as such errors are on ordinary benches. They join the nominal model where it cannot explain the
+records without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from valvesim.identification.between_samples import InputShift, Wave
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.prior import NuisanceParameter, ToleratedSensorError, measured_channels
+from valvesim.identification.session import Session
+from valvesim.valve.effect import Parameter
+
+
+def instrument_errors(session: Session, *, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
+    """All of them."""
+    return (
+        *(p for column in SHIFTED for late in (False, True) for p in input_shifts(session, column, late, options)),
+        *clock_rates(session, options),
+        *meter_drifts(session, options),
+    )
+
+
+SHIFTED = {"oil_temperature": "delta_degC", "supply_pressure": "Pa"}
+"""Inputs that may be off, with the unit of what they are off by."""
+
+
+def input_shifts(
+    session: Session, column: str, growing: bool, options: IdentificationOptions
+) -> tuple[NuisanceParameter, ...]:
+    """What an input is off by in each training record: throughout, or where `growing` by so much at the end."""
+    size = {
+        "oil_temperature": options.instrument.oil_temperature,
+        "supply_pressure": options.instrument.supply_pressure * float(session.valve.supply_pressure),
+    }[column]
+    return tuple(
+        NuisanceParameter(f"shift@{record.name}:{column}:{growing}", SHIFTED[column], 0.0, size,
+                          (-4.0 * size, 4.0 * size), input=InputShift(record.name, column, growing))
+        for record in session.training
+    )  # fmt: skip
+
+
+def clock_rates(session: Session, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
+    """By what share each channel's clock runs fast."""
+    return tuple(
+        _sensor_error(CLOCK_RATE, channel, options.instrument.clock_rate, CLOCK_RATE.amplitude.bounds)
+        for channel in measured_channels(session)
+    )
+
+
+def meter_drifts(session: Session, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
+    """How fast each meter's reading drifts within a record."""
+    sizes = {name: options.instrument.meter_drift / time_of_span(session, name) for name in measured_channels(session)}
+    return tuple(_sensor_error(METER_DRIFT, name, size, (-4.0 * size, 4.0 * size)) for name, size in sizes.items())
+
+
+def time_of_span(session: Session, channel: str) -> float:
+    """The time over span (s per unit of the channel) in which a drift is told: the longest record, the widest span."""
+    span = max(float(np.ptp(r.values[channel])) for r in session.training if channel in r.outputs)
+    return max(r.duration for r in session.training) / span
+
+
+def _sensor_error(
+    effect: ToleratedSensorError, channel: str, size: float, bounds: tuple[float, float]
+) -> NuisanceParameter:
+    own = effect.on(channel)
+    return NuisanceParameter(f"{effect.name}@{channel}", own.amplitude.unit, 0.0, size, bounds, own)
+
+
+def is_of_bench(parameter: NuisanceParameter) -> bool:
+    """Whether a parameter is of the bench and not of the valve: an instrument's error, or a wave upon an input."""
+    sensor = "" if parameter.sensor is None else parameter.sensor.name
+    return isinstance(parameter.input, InputShift | Wave) or sensor in (CLOCK_RATE.name, METER_DRIFT.name)
+
+
+def has_instrument_errors(parameters: Sequence[NuisanceParameter]) -> bool:
+    """Whether a model has them among its parameters."""
+    return any(p.sensor is not None and p.sensor.name == CLOCK_RATE.name for p in parameters)
+
+
+def _apart(reading, p):
+    return np.interp(reading.time * (1.0 - p.rate), reading.time, reading.values)
+
+
+CLOCK_RATE = ToleratedSensorError(
+    name="clock_rate",
+    doc="the channel's clock runs fast or slow",
+    location="sensor",
+    signature="a delay that grows",
+    parameters=(
+        Parameter(name="rate", unit="1", doc="rate", default=0.0, bounds=(-0.01, 0.01), neutral=0.0, typical=1e-4),
+    ),
+    reading=_apart,
+)
+
+METER_DRIFT = ToleratedSensorError(
+    name="meter_drift",
+    doc="the reading drifts within a record",
+    location="sensor",
+    signature="an offset that grows",
+    parameters=(
+        Parameter(
+            name="rate", unit="channel/s", doc="rate", default=0.0, bounds=(-10.0, 10.0), neutral=0.0, typical=0.01
+        ),
+    ),
+    reading=lambda reading, p: reading.values + p.rate * (reading.time - reading.time[0]),
+)
