@@ -315,7 +315,7 @@ def test_however_much_a_cause_explains_it_may_be_one_that_nobody_has_listed(fall
 def leaving(z, *names, gained=1000.0, term=3.0, wander=0.0):
     """(base, final scene) of a hypothesis that leaves one further candidate at z, a free term, an amplitude astray."""
     noise = {"any": SimpleNamespace(verified=True)}
-    study = SimpleNamespace(noise=noise, options=OPTIONS)
+    study = SimpleNamespace(noise=noise, options=OPTIONS, nominal=SimpleNamespace(parameters=()))
     nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=1.0 + gained), study=study)
     scores = SimpleNamespace(
         options=DIAGNOSIS, study=study,

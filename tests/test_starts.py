@@ -15,6 +15,7 @@ from valvesim.diagnosis.second_cause import at_full_weight, typical_starts, with
 from valvesim.diagnosis.starts import start_points
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.projection import ProjectedScores
 from valvesim.valve.catalogue import CATALOGUE
 
@@ -36,7 +37,9 @@ def scores(hidden, fit=None, options=DIAGNOSIS):
     candidates, amounts = tuple(hidden), np.array(list(hidden.values()))
     S = COLUMNS[:, : len(candidates)]
     projected = ProjectedScores(S.T @ (S @ amounts), S.T @ S, 0.0)
-    study = SimpleNamespace(session=SimpleNamespace(seed=1), noise={})
+    study = SimpleNamespace(
+        session=SimpleNamespace(seed=1), noise={}, options=OPTIONS, nominal=SimpleNamespace(parameters=())
+    )
     sizes = np.array([search_size(one) for one in candidates])
     fit = hypothesis(1000.0).fit if fit is None else fit
     return ScoreTest(study, fit, (), (), (), None, candidates, sizes, (), (), (), projected, options=options)

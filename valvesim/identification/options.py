@@ -183,7 +183,7 @@ class PriorOptions:
         0.01, "1", "share of its nominal value that a positive quantity keeps: the equations divide by some", JUDGEMENT
     )
     reach: float = option(
-        10.0, "1", "prior deviations that no nuisance parameter goes beyond", "five tolerances: another part"
+        10.0, "1", "prior deviations that no quantity of the valve goes beyond", "five tolerances: another part"
     )
     network_reach: float = option(
         100.0, "1", "factor within which a figure of the thermal network is sought either way", JUDGEMENT

@@ -45,6 +45,11 @@ class NuisanceParameter:
     input: InputDeviation | None = None
 
     @property
+    def is_of_valve(self) -> bool:
+        """Whether it is a quantity of the valve itself."""
+        return self.sensor is None and self.input is None and not self.of_network
+
+    @property
     def of_network(self) -> bool:
         """Whether it is a figure of the thermal network."""
         return self.name.startswith(NETWORK)
@@ -129,13 +134,14 @@ class NominalModel:
 
     @property
     def limits(self) -> np.ndarray:
-        """(2, p): how far down and up each parameter may go, in prior deviations: a part further off is another one."""
+        """(2, p): how far down and up each parameter may go, in prior deviations; a part further off is another."""
         ends = [
             (np.log(np.maximum(p.bounds, 1e-300) / p.nominal) if p.logarithmic else np.subtract(p.bounds, p.nominal))
             / p.deviation
             for p in self.parameters
         ]
-        return np.clip(np.transpose(ends), -self.options.prior.reach, self.options.prior.reach)
+        reach = [self.options.prior.reach if p.is_of_valve else np.inf for p in self.parameters]
+        return np.clip(np.transpose(ends), -np.array(reach), reach)
 
     def extended(self, parameters: Sequence[NuisanceParameter], deviations: Deviations = ()) -> NominalModel:
         """The same with more nuisance parameters, after its own, and with what inputs do beside their samples."""
