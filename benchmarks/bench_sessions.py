@@ -98,8 +98,7 @@ def diagnosed(seed: int, hidden: str | None, imperfections: tuple[str, ...]) -> 
 
 def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
     """d' of what is hidden in the training records: what the noise-free readings change by, in the meters' noise, less
-    what valve, instruments and the ripple may take up by the linear equations about the nominal valve; and no more than
-    a figure of the valve would be off, in prior deviations, that does the same.
+    what valve, instruments and the ripple may take up by the linear equations about the nominal valve.
     """
     quiet = replace(case, meters=tuple(replace(meter, noise=0.0, colour=0.0) for meter in case.meters))
     with_it, without = (bench_records(quiet, bench, strength) for strength in (1.0, 0.0))
@@ -122,15 +121,7 @@ def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
     moved = study.stack(change)[:, 0]
     taken = J.T @ moved
     projection = inverse_of(J.T @ J + np.eye(J.shape[1]))
-    most = float(np.sqrt(max(moved @ moved - taken @ projection @ taken, 0.0)))
-    ((hidden, figures),) = truth(case)["parameters"].items()
-    for candidate in study.candidates:
-        if candidate.effect is not None and candidate.effect.name == hidden:
-            amplitude = candidate.effect.amplitude
-            above = figures[amplitude.name] - (amplitude.neutral or 0.0)
-            shared = candidate.share(candidate.apply_to(study.nominal.variant, above), study.nominal.variant)
-            most = most if shared is None else min(most, abs(shared[1]))
-    return round(most, 1)
+    return round(float(np.sqrt(max(moved @ moved - taken @ projection @ taken, 0.0))), 1)
 
 
 def run(name: str, count: int | None, single: bool, part: tuple[int, int], results: Path) -> None:
@@ -203,10 +194,11 @@ def report(name: str, results: Path, document: Path) -> None:
     )
     lines = [
         "# Sessions of a bench with imperfections", "",
-        f"Written by `benchmarks/bench_sessions.py report --set {name}` from {len(rows)} of {number} sessions.",
-        "All imperfections of `tests/bench_plant.py` in each; what is hidden has the size that is drawn for it, however",
-        "little that shows. d' is what it changes of the noise-free readings, less what valve, instruments and ripple may",
-        "take up by the linear equations about the nominal valve: more than a fit leaves.", "",
+        f"Written by `benchmarks/bench_sessions.py report --set {name}` from {len(rows)} of the {number} sessions of",
+        f"the {name} set. All imperfections of `tests/bench_plant.py` in each; what is hidden has the size that is",
+        "drawn for it, however little that shows. d' is what it changes of the noise-free readings, less what valve,",
+        "instruments and ripple may take up by the linear equations about the nominal valve: more than a fit leaves.",
+        "",
         "|  | measured (95 % interval after Wilson) |", "|---|---|",
         *(f"| {test} | {_share(hits)} |" for test, hits in tests.items()),
         f"| processor time of a session, s, two at a time | {spent} |", "",

@@ -91,6 +91,32 @@ def test_what_to_measure_next_is_what_narrows_most(found):
     assert not asked & {(one.limit.figure, one.limit.conditions.get("amplitude")) for one in found.next_figures}
 
 
+def test_what_was_not_told_is_expected_where_its_valve_has_it(found):
+    conditions = CONDITIONS | dict(found.specification.conditions)
+    asked = tuple(asked_of(dataclasses.replace(one.limit, value=one.expected)) for one in found.next_figures)
+    own = FigurePredictor(asked, conditions, found.specification.oil).predict(found.valve.valve, 1)[0]
+    for one, value in zip(found.next_figures, own, strict=True):
+        assert value == pytest.approx(one.expected, rel=0.01), one.limit.figure
+        assert 0.0 < one.interval[0] < one.expected < one.interval[1]
+
+
+def test_of_two_kinds_of_valve_that_fit_alike_the_wider_is_likelier(found):
+    near = found.posterior
+    narrow = dataclasses.replace(near, slopes=2.0 * near.slopes)
+    assert near.log_evidence > narrow.log_evidence
+    assert near.log_evidence > dataclasses.replace(near, chi_square=near.chi_square + 1.0).log_evidence
+
+
+def test_a_coil_of_any_power_in_print_is_reached(read):
+    answer = identify(read("""
+[figures]
+rated_current = "400 mA"
+coil_resistance = "20 ohm"
+rated_flow = "38 L/min"
+"""))
+    assert answer.conflicts == () and all(one.limit.figure[:4] != "coil" for one in answer.next_figures)
+
+
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_valve(found):
     assert identify(found.specification).valve == found.valve
@@ -183,12 +209,21 @@ pressure_gain_share = { high = "15" }
     assert any("opening at null" in reason for _, reason in told.values())
 
 
+def test_a_valve_of_another_type_is_refused_with_its_file_and_line(tmp_path):
+    page = tmp_path / "page.toml"
+    page.write_text("[figures]\nrated_flow = '40 L/min'\nrated_current = '1.2 A'\n", encoding="utf-8")
+    refused = CliRunner().invoke(cli, ["identify", str(page), "-o", str(tmp_path / "mine.toml")])
+    assert "page.toml, line 3: figures.rated_current: 1200 mA" in str(refused.exception)
+    assert "have 1 to 1000" in str(refused.exception) and not (tmp_path / "mine.toml").exists()
+
+
 def test_the_command_writes_a_valve_and_tells_rows(tmp_path, found, monkeypatch):
     monkeypatch.setattr("valvesim.identification.from_figures.identify.identify", lambda *_, **__: found)
     (tmp_path / "page.toml").write_text(PAGE, encoding="utf-8")
     command = ["identify", str(tmp_path / "page.toml"), "-o", str(tmp_path / "mine.toml")]
     table = CliRunner().invoke(cli, command, catch_exceptions=False)
     assert "measure next" in table.stdout and "assumed" in table.stdout
+    assert "expected of what was not told" in table.stdout and "amplitude 25 %" in table.stdout
     refused = CliRunner().invoke(cli, command)
     assert "stands there already; name another file, or give --overwrite" in str(refused.exception)
     again = [*command, "--overwrite", "--format", "json"]

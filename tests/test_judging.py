@@ -9,8 +9,15 @@ from click.testing import CliRunner
 
 from valvesim.characterisation.acceptance.acceptance_tests import AcceptanceTests
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, merit_cells
-from valvesim.characterisation.judgement_table import asked_text, condition_text, interval_text, limit_text, rows_of
-from valvesim.characterisation.specification import Limit, load_specification
+from valvesim.characterisation.judgement_table import (
+    asked_text,
+    condition_text,
+    interval_text,
+    judgement_rows,
+    limit_text,
+    rows_of,
+)
+from valvesim.characterisation.specification import Limit, Specification, judge, load_specification
 from valvesim.cli.judging import oil_temperatures
 from valvesim.cli.main import COMMAND_NAMES, cli
 
@@ -129,3 +136,15 @@ def test_a_command_tests_at_the_oil_temperature_of_its_specification(tmp_path, g
     (tmp_path / "page.toml").write_text(f"{conditions}[figures]\nthreshold = {{ high = '1 %' }}\n", encoding="utf-8")
     assert oil_temperatures(given, load_specification(tmp_path / "page.toml")) == told
     assert oil_temperatures("30 degC", None) == [30.0]
+
+
+def test_a_verdict_says_which_test_shows_the_figure():
+    limit = Limit(figure="hysteresis", high=0.03)
+    shown_by = [FigureOfMerit(name, 0.02, "1", "") for name in ("flow.hysteresis", "pressure-gain.hysteresis")]
+    flow = Limit(figure="rated_flow", low=30.0 / 6e4)
+    shown_by.append(FigureOfMerit("flow-load.rated_flow_negative", 33.0 / 6e4, "m^3/s", ""))
+    judged = judge(Specification(limits=(limit, flow)), [(one, {}) for one in shown_by])
+    names = [row[0] for row in judgement_rows(judged)]
+    assert names == ["hysteresis (flow)", "hysteresis (pressure-gain)", "rated flow (flow-load negative)"]
+    absent = judge(Specification(limits=(flow,)), [])
+    assert judgement_rows(absent)[0][0] == "rated flow"

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from picture_texts import check_texts
 from scipy import signal
 
 import valvesim as vs
@@ -12,10 +13,13 @@ from valvesim.characterisation.acceptance.coil import coil_figures
 from valvesim.characterisation.acceptance.measured_threshold import measured_threshold
 from valvesim.characterisation.acceptance.record import AcceptanceRecord
 from valvesim.characterisation.figure_of_merit import Absent
-from valvesim.characterisation.measured_valve import load_measured_valve
+from valvesim.characterisation.measured_valve import load_measured_valve, measured_tests
+from valvesim.characterisation.spectral_response import spectral_response
+from valvesim.cli.judging import judged_by
 from valvesim.cli.main import cli
 from valvesim.errors import InputError
 from valvesim.identification.from_figures.measured_figures import measured_limits, model_figures, with_measurements
+from valvesim.reports.measured_valve import draw_result
 
 RATED, GAIN, HYSTERESIS, NULL = 10e-3, 2.0 / 6e4 / 1e-3, 0.2e-3, 0.1e-3  # A, m^3/s/A, A, A
 FREQUENCY, DAMPING = 120.0, 0.7
@@ -184,6 +188,88 @@ def test_the_command_writes_the_page_and_ends_with_three_where_a_figure_fails(fo
     assert places == sorted(places) and "serial number 7" in page and "Fails" in page
     rows = json.loads(CliRunner().invoke(cli, [*command, "--format", "json"]).stdout)
     assert {row["verdict"] for row in rows} == {None, "pass", "fail"}
+
+
+SINGLE = """[figures]
+phase_lag = [{ high = "60 deg", frequency = "60 Hz" }, { high = "40 deg", frequency = "60 Hz" },
+             { high = "60 deg", frequency = "900 Hz" }]
+amplitude_ratio = { low = "-1 dB", high = "1 dB", frequency = "60 Hz" }
+"""
+
+
+def second_order_at(frequency):
+    """(dB, degrees of lag) of the system that made the records."""
+    r = frequency / FREQUENCY
+    gain = 1.0 / (1.0 - r * r + 2j * DAMPING * r)
+    return 20.0 * np.log10(abs(gain)), -np.rad2deg(np.angle(gain))
+
+
+def judged_by_single_frequencies(measured, path):
+    path.write_text(SINGLE, encoding="utf-8")
+    return judged_by(vs.load_specification(path), measured_tests(measured, vs.load_specification(path)))
+
+
+def test_a_chirp_is_judged_at_single_frequencies(measured, tmp_path):
+    judged = judged_by_single_frequencies(measured, tmp_path / "spec.toml")
+    assert [one.verdict.value for one in judged] == ["pass", "fail", "not measured", "pass"]
+    ratio, lag = second_order_at(60.0)
+    assert judged[0].measured.value == pytest.approx(lag, abs=0.2)
+    assert judged[3].measured.value == pytest.approx(ratio, abs=0.2)  # its reference is the edge of the band
+    assert "900 Hz is outside the response" in judged[2].measured.reason
+
+
+def test_sines_are_judged_at_single_frequencies_between_them(folder, tmp_path):
+    t = np.arange(20000) / 2e4
+    frequencies = (5.0, 50.0, 70.0, 200.0)
+    for f in frequencies:
+        i = 4e-3 * np.sin(2.0 * np.pi * f * t)
+        write(tmp_path, f"sine_{f:g}.csv", t=t[10000:], i=i[10000:], x=second_order(t, 0.04 * i)[10000:])
+    listed = "".join(
+        f'[[records]]\nfile = "sine_{f:g}.csv"\ntest = "sine"\nfrequency = "{f:g} Hz"\n' for f in frequencies
+    )
+    (tmp_path / "acceptance.toml").write_text(HEAD + listed, encoding="utf-8")
+    judged = judged_by_single_frequencies(load_measured_valve(tmp_path), tmp_path / "spec.toml")
+    assert [one.verdict.value for one in judged] == ["pass", "fail", "not measured", "pass"]
+    assert judged[0].measured.value == pytest.approx(second_order_at(60.0)[1], abs=1.0)
+
+
+def test_a_measured_amplitude_need_not_be_the_page_s_to_the_last_digit(measured):
+    limit = vs.Limit(figure="frequency_minus_90_deg", low=50.0, conditions={"amplitude": 0.4})
+    (both,) = with_measurements(vs.Specification(limits=(limit,)), measured).of("frequency_minus_90_deg")
+    assert both.source == "measured" and both.conditions["amplitude"] != 0.4
+
+
+def test_the_picture_of_every_test_can_be_read(measured):
+    for test in measured.tests:
+        check_texts(draw_result(test))
+
+
+def test_columns_that_are_no_channel_are_named_and_may_be_stated(folder):
+    path = folder / "acceptance.toml"
+    good = path.read_text(encoding="utf-8")
+    listed = HEAD + '[[records]]\nfile = "odd.csv"\ntest = "flow"\n'
+    text = (folder / "flow.csv").read_text(encoding="utf-8").replace("current [mA]", "AI 0", 1)
+    (folder / "odd.csv").write_text(text.replace("[L/min]", "(lpm)", 1), encoding="utf-8")
+    try:
+        path.write_text(listed, encoding="utf-8")
+        with pytest.raises(InputError, match=r"records.file: odd.csv: no column 'current'.*no channel: AI 0; state"):
+            load_measured_valve(folder)
+        path.write_text(listed + '[records.columns]\ncurrent = { column = "AI 0", unit = "mA" }\n', encoding="utf-8")
+        stated = load_measured_valve(folder)
+        path.write_text(listed + "[records.columns]\ncurrant = 2\n", encoding="utf-8")
+        with pytest.raises(InputError, match="line 10: records.columns: unknown channel 'currant'"):
+            load_measured_valve(folder)
+    finally:
+        path.write_text(good, encoding="utf-8")
+    assert figure(stated, "flow.flow_gain_positive").value == pytest.approx(GAIN, rel=2e-3)
+
+
+def test_an_amplitude_ratio_has_no_reference_where_a_chirp_begins_too_high():
+    t = np.arange(60000) / 1e4
+    i = 4e-3 * signal.chirp(t, 60.0, 6.0, 400.0, method="linear")
+    ratio, lag = spectral_response(t, i, second_order(t, 0.04 * i)).figures_at(100.0)
+    assert isinstance(ratio, Absent) and "to which it refers, is too near" in ratio.reason
+    assert lag.value == pytest.approx(second_order_at(100.0)[1], abs=0.5)
 
 
 @pytest.mark.parametrize(

@@ -502,6 +502,14 @@ def test_a_channel_that_stops_under_one_level_alone_may_stand_at_a_stop(session)
     assert loaded.records[0].usable["spool_position"].all()
 
 
+@pytest.mark.parametrize("top, saturated", [(0.13, True), (1.0, False)])
+def test_crests_that_are_cut_for_a_few_samples_each_are_saturated(session, top, saturated):
+    fast = np.sin(2.0 * np.pi * 11.0 * TIME / TIME[-1])  # a dozen samples to a turn
+    read = np.round(np.minimum(0.2 * fast, top) / 1e-3) * 1e-3
+    loaded = session("[sensors.spool_position]\nresolution = '1 um'", a=columns(**{CURRENT: fast, SPOOL: read}))
+    assert np.array_equal(loaded.records[0].usable["spool_position"], read < (top - 5e-4 if saturated else 1.0))
+
+
 def test_levels_that_a_coarse_sensor_rounds_alike_are_no_flat_top(session):
     levels = np.repeat([0.9, 0.1, 0.965, 0.4], 50)
     coarse = np.round(0.2 * levels / 0.03) * 0.03

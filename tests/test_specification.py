@@ -65,6 +65,13 @@ def test_limits_have_values_conditions_and_sources_in_si(read):
         ("[conditions]\nload_pressure = '1 bar'\n", "conditions: unknown key 'load_pressure'"),
         ("[figures]\nrated_flow = [3, '5 L/min']\n", "figures.rated_flow.1.value: 3 has no unit"),
         ("[figures]\nrated_flow = true\n", "expected a quantity such as"),
+        ("[figures]\nhysteresis = '< 3 %'\n",
+         "line 2: figures.hysteresis.value: '< 3 %' is a limit: write { high = '3 %' }"),
+        ("[figures]\nrated_flow = '>= 9 L/min'\n", "write { low = '9 L/min' }"),
+        ("[figures]\nrated_flow = { value = '9 L/min', pressure_drop = '35 bar per land' }\n",
+         "line 2: figures.rated_flow.pressure_drop: '35 bar per land' is of one land: write twice that"),
+        ("[figures]\nrated_current = ['20 mA', '40 mA']\n", "line 2: figures.rated_current is given more than once"),
+        ("[figures]\nrated_flow = '5 gpm'\n", "did you mean 'gal/min'?"),
     ],
 )  # fmt: skip
 def test_a_bad_specification_is_refused_with_its_place(read, text, message):

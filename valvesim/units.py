@@ -57,7 +57,8 @@ def _unit(text: str) -> Any:
 _MEANT = {
     "C": "degC", "c": "degC", "F": "degF", "mpa": "MPa", "Mpa": "MPa", "kpa": "kPa", "Kpa": "kPa", "KPa": "kPa",
     "pa": "Pa", "Bar": "bar", "BAR": "bar", "PSI": "psi", "Psi": "psi", "ma": "mA", "MA": "mA", "hz": "Hz",
-    "HZ": "Hz", "khz": "kHz", "lpm": "L/min", "LPM": "L/min", "l/m": "L/min", "cst": "cSt", "S": "s", "sec.": "s",
+    "HZ": "Hz", "khz": "kHz", "lpm": "L/min", "LPM": "L/min", "l/m": "L/min",
+    "gpm": "gal/min", "GPM": "gal/min", "cis": "in^3/s", "CIS": "in^3/s", "cst": "cSt", "S": "s", "sec.": "s",
     "Sec": "s", "v": "V", "Ohm": "ohm", "MM": "mm", "Mm": "mm", "mn": "mN", "nm": "N*m", "n": "N",
 }  # fmt: skip
 _ABSOLUTE = {"psia": "psi", "bara": "bar", "bar(a)": "bar", "bar_a": "bar"}

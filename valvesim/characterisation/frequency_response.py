@@ -8,14 +8,14 @@ Amplitudes are peak, from the mean. Time s, temperatures °C, all else SI; angle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from valvesim.characterisation.dither import NO_DITHER, SAMPLES, Dither
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
 from valvesim.characterisation.held_scenario import (
     Source,
     command_of,
@@ -101,26 +101,45 @@ class FrequencyResponse:
             if len(f) < 2 or not f[0] <= frequency <= f[-1]:
                 told.append(Absent(name, f"{frequency:.4g} Hz is outside the response"))
                 continue
+            gap = self._gap_before(max(int(np.searchsorted(f, frequency)), 1))
+            if reason := gap or (self._near_reference() if name == "amplitude_ratio" else ""):
+                told.append(Absent(name, reason))
+                continue
             value = float(PchipInterpolator(np.log(f), values[self.credible])(np.log(frequency)))
             told.append(FigureOfMerit(name, value, unit, f"at {frequency:.4g} Hz"))
         return tuple(told)
 
     def _minus_3_db(self) -> FigureOfMerit | Absent:
         """The -3 dB frequency, absent where the lowest frequency, its reference, is too near to it."""
-        found = self._cross("frequency_minus_3_db", -self.amplitude_ratio, 3.0, "dB", "amplitude ratio at -3 dB")
+        near, found = self._near_reference(), self._fall_to_minus_3_db()
+        return Absent(found.name, near) if near else found
+
+    def _fall_to_minus_3_db(self) -> FigureOfMerit | Absent:
+        return self._cross("frequency_minus_3_db", -self.amplitude_ratio, 3.0, "dB", "amplitude ratio at -3 dB")
+
+    def _near_reference(self) -> str:
+        """Why the lowest frequency is no reference of amplitude ratios; empty where it is one."""
+        found = self._fall_to_minus_3_db()
         if isinstance(found, Absent):
-            return found
+            return ""
         lowest, highest = float(self.frequency[self.credible][0]), self.options.highest_reference * found.value
         if lowest <= highest:
-            return found
+            return ""
         told = f"{lowest:.3g} Hz, to which it refers, is too near: a longer record, or {highest:.2g} Hz and lower"
-        return Absent(found.name, f"the lowest frequency of {told}")
+        return f"the lowest frequency of {told}"
+
+    def _gap_before(self, k: int) -> str:
+        """Why nothing is told between the credible points k - 1 and k; empty where they are neighbours."""
+        f, count = self.frequency[self.credible], np.flatnonzero(self.credible)
+        if count[k] - count[k - 1] == 1 or f[k] <= 1.1 * f[k - 1]:
+            return ""
+        return self._incoherent(f"between {f[k - 1]:.4g} and {f[k]:.4g} Hz")
 
     def _cross(self, name: str, fall: np.ndarray, level: float, unit: str, doc: str) -> FigureOfMerit | Absent:
         """Where `fall` first rises through `level`, on the credible points."""
         if not np.any(self.credible):
             return Absent(name, self._incoherent("at every frequency"))
-        f, fall, count = self.frequency[self.credible], fall[self.credible], np.flatnonzero(self.credible)
+        f, fall = self.frequency[self.credible], fall[self.credible]
         beyond = np.flatnonzero(fall >= level)
         if not len(beyond):
             return Absent(name, f"not reached up to {f[-1]:.4g} Hz (there {fall[-1]:.3g} of {level:g} {unit})")
@@ -130,8 +149,8 @@ class FrequencyResponse:
                 name, f"already {fall[0]:.4g} {unit} at the lowest frequency of {f[0]:.4g} Hz: start lower, and see "
                 "that the output has the sign of the input"
             )  # fmt: skip
-        if count[k] - count[k - 1] > 1 and f[k] > 1.1 * f[k - 1]:
-            return Absent(name, self._incoherent(f"between {f[k - 1]:.4g} and {f[k]:.4g} Hz"))
+        if gap := self._gap_before(k):
+            return Absent(name, gap)
         return FigureOfMerit(name, _first_root(np.log(f), fall, level, k), "Hz", doc)
 
     def _incoherent(self, where: str) -> str:
@@ -150,6 +169,15 @@ class FrequencyResponse:
             return Absent("largest_distortion", f"{why}: take steady sines")
         doc = "greatest harmonic distortion (harmonics 2 to 5)"
         return FigureOfMerit("largest_distortion", 100.0 * float(np.nanmax(self.distortion)), "%", doc)
+
+
+def at_single_frequencies(
+    title: str, conditions: Mapping[str, float], response: FrequencyResponse, frequencies: Sequence[float]
+) -> list[tuple[str, dict[str, float], FiguresOfMerit]]:  # fmt: skip
+    """A test at each of several frequencies (Hz): title, conditions, `figures_at` it."""
+    return [
+        (f"{title}, at {f:g} Hz", {**conditions, "frequency": f}, response.figures_at(f)) for f in frequencies
+    ]  # fmt: skip
 
 
 def _first_root(x: np.ndarray, y: np.ndarray, level: float, k: int) -> float:

@@ -6,9 +6,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit, merit_cells
-from valvesim.characterisation.specification import CONDITIONS, Judgement, Limit, Verdict
-from valvesim.units import DISPLAY, symbol
+from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit, merit_cells, unit_shown
+from valvesim.characterisation.specification import CONDITIONS, FIGURES, Judgement, Limit, Verdict
 
 Tests = Sequence[tuple[str, Mapping[str, float], FiguresOfMerit]]
 """Tests: title, conditions in SI, figures."""
@@ -24,15 +23,17 @@ def value_cells(value: float, unit: str, uncertainty: float | None = None) -> tu
 
 
 def interval_text(value: float, low: float, high: float, unit: str) -> tuple[str, str, str]:
-    """(value, its 95 % interval, unit) of a parameter as text: three digits of half of it, small lengths in um."""
-    shown_unit, factor = DISPLAY.get(unit, (unit, 1.0))
+    """(value, its 95 % interval, unit) of a parameter or figure as text: three digits of half of it, small lengths in
+    um.
+    """  # fmt: skip
+    shown_unit, factor = ("", 1.0) if unit == "1" else unit_shown(unit)
     if unit == "m" and max(abs(low), abs(high)) < 1e-4:
         shown_unit, factor = "um", 1e6
     digits = int(2 - math.floor(math.log10((high - low) / 2.0 * factor))) if high > low else 6
-    texts = [f"{round(v * factor, digits):.{max(digits, 0)}f}" for v in (value, low, high)]
+    texts = [f"{round(v * factor, digits) + 0.0:.{max(digits, 0)}f}" for v in (value, low, high)]
     if digits > 6:
         texts = [f"{v * factor:.3g}" for v in (value, low, high)]
-    return texts[0], f"{texts[1]} to {texts[2]}", "" if shown_unit == "1" else symbol(shown_unit)
+    return texts[0], f"{texts[1]} to {texts[2]}", shown_unit
 
 
 def limit_text(limit: Limit) -> str:
@@ -72,12 +73,22 @@ def judgement_rows(judged: Sequence[Judgement], common: Iterable[str] = ()) -> l
     rows: list[tuple[str, ...]] = []
     for one in judged:
         limit = one.limit
-        told = (limit.figure.replace("_", " "), condition_text(limit.conditions, common), limit_text(limit))
+        told = (_judged_name(one), condition_text(limit.conditions, common), limit_text(limit))
         if isinstance(one.measured, Absent):
             rows.append((*told, one.measured.reason, "", "", one.verdict.value))
         else:
             rows.append((*told, *merit_cells(one.measured), one.verdict.value))
     return rows
+
+
+def _judged_name(judged: Judgement) -> str:
+    """The figure in words; of one that several tests or polarities show, which of them, such as `flow gain (flow
+    positive)`.
+    """  # fmt: skip
+    figure = judged.limit.figure
+    shown_as = judged.measured.name.replace(figure, "").replace(".", " ").replace("_", " ").split()
+    several = len(FIGURES[figure].shown_by) > 1 and shown_as
+    return figure.replace("_", " ") + (f" ({' '.join(shown_as)})" if several else "")
 
 
 def rows_of(tests: Tests, judged: Sequence[Judgement] = ()) -> list[dict[str, Any]]:

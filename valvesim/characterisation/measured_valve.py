@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,14 +32,16 @@ from valvesim.characterisation.acceptance.measured_threshold import measured_thr
 from valvesim.characterisation.acceptance.record import ACCEPTANCE_CHANNELS, AcceptanceRecord
 from valvesim.characterisation.dither import dither_of
 from valvesim.characterisation.figure_of_merit import Absent, FigureOfMerit, FiguresOfMerit
-from valvesim.characterisation.frequency_response import join_points
+from valvesim.characterisation.frequency_response import FrequencyResponse, at_single_frequencies, join_points
+from valvesim.characterisation.judgement_table import Tests
 from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, CharacterisationOptions
 from valvesim.characterisation.sine_point import fit_sine
-from valvesim.characterisation.specification import HELD, read_condition
+from valvesim.characterisation.specification import HELD, Specification, read_condition
 from valvesim.characterisation.spectral_response import spectral_response
 from valvesim.characterisation.step_response import step_figures
 from valvesim.errors import InputError, unknown_name
 from valvesim.io import check_known, check_printable, check_tables, located, read_names, read_toml
+from valvesim.measurement.columns_table import Statements, statements_of, statements_of_record
 from valvesim.measurement.headings import MEASURED_UNITS
 from valvesim.measurement.recording import read_recording
 from valvesim.units import parse
@@ -63,8 +65,8 @@ _EXACT = ("dead_zone", "meter_resolution", "polarity", "flow_exponent", "lag", "
 @dataclass(frozen=True, kw_only=True)
 class MeasuredResult:
     """One test: which of `RECORD_TESTS`, its `conditions` by the names of a specification's (SI), figures named as
-    bench and response do, and the columns (n,) in SI that they were reduced from; or of several sines their joint
-    response.
+    bench and response do, and the columns (n,) in SI that they were reduced from; of a chirp or several sines also
+    `response`.
     """
 
     test: str
@@ -73,6 +75,7 @@ class MeasuredResult:
     figures: FiguresOfMerit
     values: Mapping[str, np.ndarray]
     notes: tuple[str, ...] = ()
+    response: FrequencyResponse | None = None
 
     @property
     def title(self) -> str:
@@ -97,6 +100,16 @@ class MeasuredValve:
         return [(figure, test.conditions) for test in self.tests for figure in test.figures]
 
 
+def measured_tests(measured: MeasuredValve, specification: Specification | None = None) -> Tests:
+    """Every test; responses also at the single frequencies that a specification has limits at."""
+    frequencies = () if specification is None else specification.single_frequencies
+    tests = [(test.title, test.conditions, test.figures) for test in measured.tests]
+    for test in measured.tests:
+        if test.response is not None:
+            tests += at_single_frequencies(test.title, test.conditions, test.response, frequencies)
+    return tests
+
+
 def load_measured_valve(
     folder: str | Path, *, options: CharacterisationOptions = DEFAULT_CHARACTERISATION
 ) -> MeasuredValve:
@@ -113,9 +126,10 @@ def load_measured_valve(
 
 
 def _read(table: dict[str, Any], folder: Path, options: CharacterisationOptions) -> MeasuredValve:
-    known = ("title", "serial_number", "rated_current", "conditions", "instruments", "records")
+    known = ("title", "serial_number", "rated_current", "conditions", "instruments", "columns", "csv", "records")
     check_known(table, known, "acceptance")
     check_tables(table, ("conditions", "instruments"))
+    columns = statements_of(table.get("columns", {}), table.get("csv", {}))
     words = {key: table.get(key, "") for key in ("title", "serial_number")}
     for key, text in words.items():
         check_printable(text, key)
@@ -136,7 +150,7 @@ def _read(table: dict[str, Any], folder: Path, options: CharacterisationOptions)
         raise InputError("expected [[records]], one for each test", key="records")
     instruments = {**INSTRUMENTS, **stated}
     results = [
-        _reduce(entry, f"records.{k}" if len(records) > 1 else "records", folder, common, rated, options)
+        _reduce(entry, f"records.{k}" if len(records) > 1 else "records", folder, common, rated, columns, options)
         for k, entry in enumerate(records, start=1)
     ]
     results = _join_sines(results, rated, options)
@@ -154,14 +168,15 @@ def _in_order(tests: Sequence[MeasuredResult]) -> tuple[MeasuredResult, ...]:
 
 # ---------------------------------------------------------------- one record
 
-_STATED = {"lag": "s", "dead_zone": "m^3/s", "resolution": ""}
+_METER = {"lag": "s", "dead_zone": "m^3/s"}
 
 
 def _reduce(
     entry: Mapping[str, Any], where: str, folder: Path, common: Mapping[str, float], rated: float,
-    options: CharacterisationOptions,
+    columns: Statements, options: CharacterisationOptions,
 ) -> MeasuredResult:  # fmt: skip
-    check_known(entry, ("file", "files", "test", "frequency", *HELD, "pressure_drop", "lag", "dead_zone"), where)
+    known = ("file", "files", "test", "frequency", *HELD, "pressure_drop", *_METER, "columns", "csv")
+    check_known(entry, known, where)
     test = entry.get("test")
     if not isinstance(test, str) or test not in RECORD_TESTS:
         raise unknown_name("test", str(test), RECORD_TESTS, f"{where}.test")
@@ -173,22 +188,32 @@ def _reduce(
         check_inside(name, folder, f"{where}.file")
     may = (*HELD, "pressure_drop", "frequency")
     own = {n: read_condition(n, entry[n], f"{where}.{n}") for n in may if n in entry}
-    meter = {n: parse(entry[n], _STATED[n], f"{where}.{n}") for n in ("lag", "dead_zone") if n in entry}
+    meter = {n: parse(entry[n], _METER[n], f"{where}.{n}") for n in _METER if n in entry}
     wanted = ("voltage", "current") if test == "coil" else (*ACCEPTANCE_CHANNELS, "spool_position")
-    recording = read_recording([folder / name for name in names], wanted)
+    stated = statements_of_record(entry, columns, where)
+    recording = read_recording([folder / name for name in names], wanted, stated=stated)
     there = np.all([np.isfinite(column) for column in recording.values.values()], axis=0)
     values = {"time": recording.time[there]} | {name: column[there] for name, column in recording.values.items()}
     at = {**common, **own}
     try:
-        figures, more = _REDUCTIONS[test](names[0], values, at, meter, rated, options)
+        reduced = _REDUCTIONS[test](names[0], values, at, meter, rated, options)
     except InputError as error:
-        raise error if error.key or error.file else InputError(str(error), key=f"{where}.file") from None
+        if error.key or error.file:
+            raise
+        others = f"; no channel: {', '.join(recording.left_out)}; state them in [columns]" if recording.left_out else ""
+        raise InputError(f"{error}{others}", key=f"{where}.file") from None
     return MeasuredResult(
-        test=test, source=names[0], conditions=at | more, figures=figures, values=values, notes=recording.notes
+        test=test, source=names[0], conditions={**at, **reduced.conditions}, figures=reduced.figures, values=values,
+        notes=recording.notes, response=reduced.response,
     )  # fmt: skip
 
 
-Reduced = tuple[FiguresOfMerit, dict[str, float]]
+class Reduced(NamedTuple):
+    """What a record gives: figures, conditions that it tells itself, and its frequency response."""
+
+    figures: FiguresOfMerit
+    conditions: Mapping[str, float] = {}
+    response: FrequencyResponse | None = None
 
 
 def _named(test: str, figures: FiguresOfMerit) -> FiguresOfMerit:
@@ -204,8 +229,8 @@ def _cycle(test: str) -> Callable[..., Reduced]:
         figures = tuple(one for one in figures if one.name != "threshold")  # of a record of its own
         if test == "flow-load":
             figures = tuple(replace(one, name=f"{one.name}_positive") for one in figures)
-            return _named(test, figures), {"pressure_drop": 7e6}
-        return _named(test, figures), {}
+            return Reduced(_named(test, figures), {"pressure_drop": 7e6})
+        return Reduced(_named(test, figures))
 
     return reduce
 
@@ -225,7 +250,7 @@ def _needs(source: str, values: Mapping[str, np.ndarray], name: str) -> np.ndarr
 
 def _threshold(source, values, at, meter, rated, options) -> Reduced:
     record = AcceptanceRecord(source=source, values=dither_of(at).means(values), options=options.acceptance)
-    return _named("flow", (measured_threshold(record, _output(source, values), rated_current=rated),)), {}
+    return Reduced(_named("flow", (measured_threshold(record, _output(source, values), rated_current=rated),)))
 
 
 def _step(source, values, at, meter, rated, options) -> Reduced:
@@ -234,15 +259,13 @@ def _step(source, values, at, meter, rated, options) -> Reduced:
     current, moved = (dither.taken_off(values["time"], column, last) for column in (current, values[output]))
     amplitude = abs(float(np.median(current[-3:]) - np.median(current[:3]))) / rated
     figures = step_figures(values["time"], current, moved, unit=MEASURED_UNITS[output])
-    return figures, {"amplitude": amplitude}
+    return Reduced(figures, {"amplitude": amplitude})
 
 
 def _chirp(source, values, at, meter, rated, options) -> Reduced:
     current, output = _needs(source, values, "current"), _output(source, values)
-    response = spectral_response(
-        values["time"], current, values[output], channel=output, options=options.response
-    )
-    return response.figures, {"amplitude": response.amplitude / rated}
+    response = spectral_response(values["time"], current, values[output], channel=output, options=options.response)
+    return Reduced(response.figures, {"amplitude": response.amplitude / rated}, response)
 
 
 def _sine(source, values, at, meter, rated, options) -> Reduced:
@@ -256,7 +279,7 @@ def _sine(source, values, at, meter, rated, options) -> Reduced:
                       "amplitude of output over current"),
         FigureOfMerit("phase_lag", lag + 360.0 * (lag < -90.0), "deg", "output behind the current"),
     )
-    return figures, {"amplitude": point.input_amplitude / rated}
+    return Reduced(figures, {"amplitude": point.input_amplitude / rated})
 
 
 def _fitted_beside(at: Mapping[str, float]) -> float:
@@ -269,7 +292,7 @@ def _coil(source, values, at, meter, rated, options) -> Reduced:
         values["time"], _needs(source, values, "voltage"), _needs(source, values, "current"),
         temperature=at.get("oil_temperature"), options=options.acceptance,
     )  # fmt: skip
-    return _named("coil", figures), {}
+    return Reduced(_named("coil", figures))
 
 
 _REDUCTIONS: dict[str, Callable[..., Reduced]] = {name: _cycle(name) for name in CYCLE_TESTS} | {
@@ -302,10 +325,9 @@ def _join_sines(
             )  # fmt: skip
         response = join_points(points, share=group[0].conditions["amplitude"], options=options.response)
         at = {name: value for name, value in group[0].conditions.items() if name != "frequency"}
-        values = {"frequency": response.frequency, "amplitude_ratio": response.amplitude_ratio,
-                  "phase_lag": response.phase_lag}  # fmt: skip
         joined.append(MeasuredResult(
-            test="sine", source=f"{len(group)} records", conditions=at, figures=response.figures, values=values
+            test="sine", source=f"{len(group)} records", conditions=at, figures=response.figures, values={},
+            response=response,
         ))  # fmt: skip
     return joined
 

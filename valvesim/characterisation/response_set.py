@@ -10,7 +10,12 @@ import numpy as np
 
 from valvesim.characterisation.dither import NO_DITHER, Dither
 from valvesim.characterisation.figure_of_merit import FiguresOfMerit
-from valvesim.characterisation.frequency_response import FREQUENCIES, FrequencyResponse, frequency_response
+from valvesim.characterisation.frequency_response import (
+    FREQUENCIES,
+    FrequencyResponse,
+    at_single_frequencies,
+    frequency_response,
+)
 from valvesim.characterisation.held_scenario import Source, held, held_oil_temperature, rated_command
 from valvesim.characterisation.options import DEFAULT_CHARACTERISATION, ResponseOptions
 from valvesim.characterisation.specification import Specification
@@ -121,8 +126,7 @@ def response_tests(
 
     Sweeps also at the single frequencies that a specification has limits at.
     """
-    limits = () if specification is None else (*specification.of("amplitude_ratio"), *specification.of("phase_lag"))
-    frequencies = sorted({limit.conditions["frequency"] for limit in limits})
+    frequencies = () if specification is None else specification.single_frequencies
     supply, back, _ = (float(evaluate(command, 0.0)) for command in held(source).pressures())
     tests = []
     for one in sets:
@@ -137,6 +141,5 @@ def response_tests(
                 conditions = at | {"amplitude": abs(test.share)}
                 tests.append((title, conditions, test.figures))
                 if isinstance(test, FrequencyResponse):
-                    at_one = {f: conditions | {"frequency": f} for f in frequencies}
-                    tests += [(f"{title}, at {f:g} Hz", given, test.figures_at(f)) for f, given in at_one.items()]
+                    tests += at_single_frequencies(title, conditions, test, frequencies)
     return tests

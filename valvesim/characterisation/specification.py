@@ -227,6 +227,12 @@ class Specification:
         """The limits of one figure."""
         return tuple(limit for limit in self.limits if limit.figure == figure)
 
+    @property
+    def single_frequencies(self) -> tuple[float, ...]:
+        """The frequencies, Hz, at which it limits amplitude ratio or phase lag."""
+        limits = (*self.of("amplitude_ratio"), *self.of("phase_lag"))
+        return tuple(sorted({limit.conditions["frequency"] for limit in limits}))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
@@ -305,6 +311,9 @@ def _read(table: dict[str, Any], folder: Path) -> Specification:
         for k, entry in enumerate(several, start=1):
             where = f"figures.{name}" + (f".{k}" if len(several) > 1 else "")
             limits.append(_read_limit(name, entry, where, conditions))
+    if len({limit.value for limit in limits if limit.figure == "rated_current"}) > 1:
+        problem = "is given more than once: coils in series and in parallel are two valves, each with its resistance"
+        raise InputError(problem, key="figures.rated_current", joint=" ")
     oil = read_oil_table(table.get("oil", {}), folder)
     return Specification(title=title, limits=tuple(limits), conditions=conditions, oil=oil)
 
@@ -312,6 +321,8 @@ def _read(table: dict[str, Any], folder: Path) -> Specification:
 def read_condition(name: str, text: Any, where: str) -> float:
     """A condition in SI from text with its unit, within its bounds."""
     condition = CONDITIONS[name]
+    if name == "pressure_drop" and isinstance(text, str) and "land" in text:
+        raise InputError(f"{text!r} is of one land: write twice that, of both lands together", key=where)
     value, (low, high) = parse(text, condition.unit, where), condition.bounds
     if not low <= value <= high:
         problem = f"{text!r} is outside [{low:g}, {high:g}] {condition.unit} ({condition.doc})"
@@ -329,7 +340,10 @@ def _read_limit(name: str, entry: Any, where: str, common: Mapping[str, float]) 
     source = table.get("source", "")
     check_printable(source, f"{where}.source")
     unit = "1" if figure.unit == "-" else figure.unit
-    stated = {key: parse(table[key], unit, f"{where}.{key}") for key in ("value", "low", "high") if key in table}
+    stated = {
+        key: parse(_without_sign(table[key], f"{where}.{key}"), unit, f"{where}.{key}")
+        for key in ("value", "low", "high") if key in table
+    }  # fmt: skip
     if not stated:
         raise InputError("needs a value, or a limit low or high", key=where, joint=" ")
     if "tolerance" in table:
@@ -350,6 +364,15 @@ def _read_limit(name: str, entry: Any, where: str, common: Mapping[str, float]) 
     if missing := [key for key in figure.conditions if key not in conditions]:
         raise InputError(f"needs {missing[0]} ({CONDITIONS[missing[0]].doc})", key=where, joint=" ")
     return replace(limit, conditions=conditions)
+
+
+def _without_sign(text: Any, where: str) -> Any:
+    """The text of a quantity; one with a sign of comparison is refused, since it is a limit."""
+    for signs, key in (("<≤", "high"), (">≥", "low")):
+        if isinstance(text, str) and text.lstrip()[:1] in tuple(signs):
+            bare = text.strip().lstrip(f"{signs}= ")
+            raise InputError(f"{text!r} is a limit: write {{ {key} = '{bare}' }}", key=where)
+    return text
 
 
 def _within_tolerance(name: str, stated: Mapping[str, float], text: Any, where: str) -> dict[str, float]:

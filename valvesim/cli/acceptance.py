@@ -25,7 +25,7 @@ def acceptance(records: Path, spec: Path | None, valve: str | None, output: Path
     Writes acceptance.html in the order of ISO 10770-1: identification, conditions, instruments, verdicts, results,
     pictures. Exit code 3 where a figure fails.
     """
-    from valvesim.characterisation.measured_valve import load_measured_valve
+    from valvesim.characterisation.measured_valve import load_measured_valve, measured_tests
     from valvesim.identification.from_figures.measured_figures import model_figures
     from valvesim.reports.measured_valve import measured_valve_report
     from valvesim.valve.valve_file import load_valve
@@ -36,7 +36,7 @@ def acceptance(records: Path, spec: Path | None, valve: str | None, output: Path
     with all_or_nothing(output) as folder, progress_bar() as bar:
         bar.add_task("reducing the records", total=None)
         measured = load_measured_valve(records)
-        tests = [(test.title, test.conditions, test.figures) for test in measured.tests]
+        tests = measured_tests(measured, limits)
         judged = judged_by(limits, tests)
         page = measured_valve_report(
             measured, folder, judged=judged, date=date.today(),

@@ -13,6 +13,7 @@ from valvesim.cli.options import format_option, output_file_option
 from valvesim.cli.output_folder import check_free_file
 
 if TYPE_CHECKING:
+    from valvesim.characterisation.specification import Limit
     from valvesim.identification.from_figures.identify import Identification
 
 
@@ -33,13 +34,15 @@ def identify(specification: Path, output: Path, records: Path | None, seed: int,
     from valvesim.characterisation.measured_valve import load_measured_valve
     from valvesim.characterisation.specification import load_specification
     from valvesim.identification.from_figures.identify import identify as find
+    from valvesim.io import located
     from valvesim.simulation.batch import cores
     from valvesim.valve.valve_file import save_valve
 
     check_free_file(output)
     read = load_specification(specification)
     measured = None if records is None else load_measured_valve(records)
-    with progress_bar() as bar:
+    place = located(specification, specification.read_text(encoding="utf-8"), document="specification")
+    with place, progress_bar() as bar:
         stage = bar.add_task("identifying", total=1.0)
         found = find(
             read, measured=measured, seed=seed, workers=cores(),
@@ -65,6 +68,10 @@ def _print(found: Identification) -> None:
     )
     from valvesim.characterisation.specification import COMMON
 
+    def named(limit: Limit) -> str:
+        at = condition_text(limit.conditions, COMMON)
+        return limit.figure.replace("_", " ") + (f" ({at})" if at else "")
+
     common, rows = found.specification.conditions.items(), []
     for one in found.figures:
         limit = one.asked.limit
@@ -84,16 +91,21 @@ def _print(found: Identification) -> None:
     for conflict in found.conflicts:
         limit = conflict.figure.limit
         value, _, unit = value_cells(conflict.reached, limit.unit)
-        others = " or ".join(a.limit.figure.replace("_", " ") for a in conflict.against)
+        others = " or ".join(named(a.limit) for a in conflict.against)
         against = f"; it goes once {others} is given up" if others else ""
-        missed = f"{limit.figure.replace('_', ' ')} of {limit_text(limit)} is not reached ({value} {unit}){against}"
+        missed = f"{named(limit)} of {limit_text(limit)} is not reached ({value} {unit}){against}"
         screen.print(escape(f"conflict: {missed}: {conflict.reason}"))
-    for following in found.next_figures[:1]:
-        name = following.limit.figure.replace("_", " ")
+    further = []
+    for following in found.next_figures:
+        value, interval, unit = interval_text(following.expected, *following.interval, following.limit.unit)
         at = condition_text(following.limit.conditions, COMMON)
+        further.append((following.limit.figure.replace("_", " "), at, value, interval, unit))
+    if further:
+        print_table("expected of what was not told", ("figure", "condition", "value", "value, 95 %", "unit"), further)
+    for following in found.next_figures[:1]:
         value, error, unit = value_cells(following.expected, following.limit.unit, following.deviation)
         screen.print(escape(
-            f"measure next: {name}{f' ({at})' if at else ''}, expected {value} ± {error} {unit}; it narrows "
+            f"measure next: {named(following.limit)}, expected {value} ± {error} {unit}; it narrows "
             f"{following.narrows.replace('_', ' ')} to {following.after / following.before:.0%} of what is open"
         ))  # fmt: skip
     for note in found.notes:
@@ -125,7 +137,7 @@ def _records(found: Identification) -> list[dict[str, Any]]:
                              "value": c.reached, "unit": c.figure.limit.unit, "note": c.reason})  # fmt: skip
     for n in found.next_figures:
         at = ", ".join(f"{name}={value:g}" for name, value in n.limit.conditions.items())
+        low, high = n.interval
         rows.append(blank | {"kind": "next figure", "name": n.limit.figure, "conditions": at, "value": n.expected,
-                             "unit": n.limit.unit, "low": n.expected - 1.96 * n.deviation,
-                             "high": n.expected + 1.96 * n.deviation, "note": f"gain {n.gain:.3g}"})  # fmt: skip
+                             "unit": n.limit.unit, "low": low, "high": high, "note": f"gain {n.gain:.3g}"})
     return rows

@@ -242,21 +242,19 @@ def _common_top(
 def _crowded_top(
     records: Sequence[Record], sensor: Sensor, side: float, top: float, *, options: IdentificationOptions
 ) -> bool:
-    """Whether far more readings stand at the very top than at any value next to it, while the command moves.
+    """Whether far more readings stand at the very top for a few samples than at any value next to it.
 
-    The crests of a sine come to two and a half times as many.
+    The crests of a sine come to two and a half times as many. Longer stays at the top are `_flat_top`'s.
     """
     span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
-    asked = max(float(np.ptp(record.values[record.command])) for record in records)
-    width = max(sensor.resolution, options.audit.crowd_width * span)
-    below = np.empty(0)
+    if _SIGN[sensor.channel] == 0.0 or span == 0.0:
+        return False
+    width, count, below = max(sensor.resolution, options.audit.crowd_width * span), 0, np.empty(0)
     for record in records:
-        command = record.values[record.command]
-        reach = np.abs(command[4:] - command[:-4]) > options.audit.flat_reach * asked
-        moving = np.convolve(np.pad(reach, 2), np.ones(5), "same") > 0.0
-        values = side * record.values[sensor.channel][record.usable[sensor.channel] & moving]
-        below = np.append(below, np.round((top - values) / width, 6))
-    count = np.count_nonzero(below == 0.0)
+        values, usable = side * record.values[sensor.channel], record.usable[sensor.channel]
+        stays = np.diff(_runs_at(values, top, usable))
+        count += int(stays[stays < options.audit.flat_samples].sum())
+        below = np.append(below, np.round((top - values[usable]) / width, 6))
     beside, _ = np.histogram(below[below > 0.0], np.arange(6) + 1e-3)
     return bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
 

@@ -32,7 +32,7 @@ from valvesim.identification.record_audit import (
 )
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session
 from valvesim.io import check_known, check_printable, check_tables, located, read_toml
-from valvesim.measurement.columns_table import NOTHING_STATED, Statements, statements_of
+from valvesim.measurement.columns_table import NOTHING_STATED, Statements, statements_of, statements_of_record
 from valvesim.measurement.formats import LISTED
 from valvesim.measurement.recording import Recording, read_recording
 from valvesim.simulation.scenario_toml import ScenarioReader, valve_argument
@@ -226,15 +226,7 @@ def _listed(folder: Path, records: Any, columns: Statements) -> list[ListedRecor
             raise unknown_name("role", str(role), _ROLES, f"{where}.role")
         if repeats is not None and not isinstance(repeats, str):
             raise InputError(f"expected a label in quotes, got {repeats!r}", key=f"{where}.repeats")
-        own = columns
-        if "columns" in entry or "csv" in entry:
-            try:
-                mine = statements_of(entry.get("columns", {}), entry.get("csv", {}))
-            except InputError as error:
-                raise error.at(key=f"{where}.{error.key}") from None
-            own = Statements(
-                columns={**columns.columns, **mine.columns}, dialect=mine.dialect if "csv" in entry else columns.dialect
-            )
+        own = statements_of_record(entry, columns, where)
         listed.append(ListedRecord(files=files, role=role, repeats=repeats, columns=own))
     return listed
 

@@ -75,6 +75,17 @@ def statements_of(columns: Any, csv: Any) -> Statements:
     )
 
 
+def statements_of_record(entry: Mapping[str, Any], common: Statements, where: str) -> Statements:
+    """The statements of one of `[[records]]`, at `where`: its own tables upon the `common` ones."""
+    try:
+        own = statements_of(entry.get("columns", {}), entry.get("csv", {}))
+    except InputError as error:
+        raise error.at(key=f"{where}.{error.key}") from None
+    return Statements(
+        columns={**common.columns, **own.columns}, dialect=own.dialect if "csv" in entry else common.dialect
+    )  # fmt: skip
+
+
 def _statement(channel: str, given: Any) -> ColumnStatement:
     where = f"columns.{channel}"
     if given is False:

@@ -43,7 +43,8 @@ ALIASES = {
 """Other names in use, as `plain` writes them but for capitals, spaces and signs."""
 
 _SPELLED = {
-    "m3s": "m^3/s", "m3/s": "m^3/s", "m³/s": "m^3/s", "lmin": "L/min", "lpm": "L/min", "l/m": "L/min", "grad c": "degC",
+    "m3s": "m^3/s", "m3/s": "m^3/s", "m³/s": "m^3/s", "lmin": "L/min", "lpm": "L/min", "l/m": "L/min",
+    "gpm": "gal/min", "cis": "in^3/s", "grad c": "degC",
     "c": "degC", "°c": "degC", "ºc": "degC", "deg c": "degC", "°f": "degF", "deg f": "degF", "sec": "s", "sek": "s",
     "msec": "ms", "usec": "us", "amp": "A", "amps": "A", "volt": "V", "volts": "V", "ltr/min": "L/min",
     "bar abs": "bar", "bara": "bar", "psia": "psi", "µs": "us", "μs": "us",

@@ -15,7 +15,7 @@ from valvesim.characterisation.judgement_table import VERDICT_HEADINGS, conditio
 from valvesim.characterisation.specification import COMMON, Judgement, Verdict
 from valvesim.reports.acceptance import draw_test
 from valvesim.reports.html_page import Banner, Picture, Section, Table, Terms, Text, section, write_html
-from valvesim.reports.plotting import COLOURS, Figure, png, styled
+from valvesim.reports.plotting import COLOURS, Figure, label_decades, png, styled
 from valvesim.reports.title_block import TitleBlock
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def _sentence(text: str) -> str:
 
 @styled
 def draw_result(test: MeasuredResult) -> Figure:
-    """The record of a test: output over current of slow cycles, gain and phase of sines, else columns over time."""
+    """The record of a test: output over current of slow cycles, Bode of a response, else columns over time."""
     figure = Figure(figsize=(9, 4.6))
     figure.subplots_adjust(left=0.09, right=0.97, top=0.92, bottom=0.12, hspace=0.25)
     values = test.values
@@ -109,10 +109,14 @@ def draw_result(test: MeasuredResult) -> Figure:
         scale, unit = (1.0, "°C") if name == "oil_temperature" else (1e-5, "bar")
         axis.plot(values[name] * scale, values["null_bias"] * 100.0, "o-", color=COLOURS[0])
         axis.set(xlabel=f"{name.replace('_', ' ')} [{unit}]", ylabel="null [% of rated current]")
-    elif "frequency" in values:
+    elif test.response is not None:
         above, below = figure.subplots(2, 1, sharex=True)
-        above.semilogx(values["frequency"], values["amplitude_ratio"], "o-", color=COLOURS[0], ms=3)
-        below.semilogx(values["frequency"], values["phase_lag"], "o-", color=COLOURS[0], ms=3)
+        keep = test.response.credible
+        curves = ((above, test.response.amplitude_ratio, -3.0), (below, test.response.phase_lag, 90.0))
+        for axis, curve, level in curves:
+            axis.semilogx(test.response.frequency[keep], curve[keep], "o-", color=COLOURS[0], ms=3)
+            axis.axhline(level, color="0.5", lw=0.8, ls="--")
+        label_decades(below.xaxis)
         above.set(ylabel="amplitude ratio [dB]")
         below.set(xlabel="frequency [Hz]", ylabel="phase lag [degrees]")
     else:

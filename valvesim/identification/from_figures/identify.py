@@ -99,9 +99,10 @@ def identify(
     tell = progress if progress is not None else lambda share: None
     flow, current = (_needed(specification, name) for name in ("rated_flow", "rated_current"))
     conditions = {**ASSUMED_CONDITIONS, **specification.conditions}
+    coils = [limit.nominal for limit in specification.of("coil_resistance") if not math.isnan(limit.nominal)]
     similar = similar_valves(
         rated_flow=flow.nominal, pressure_drop=flow.conditions["pressure_drop"], rated_current=current.nominal,
-        conditions=conditions, oil=specification.oil, options=options,
+        conditions=conditions, oil=specification.oil, coil_resistance=next(iter(coils), None), options=options,
     )  # fmt: skip
     asked = tuple(asked_of(limit) for limit in specification.limits if limit.figure in FITTED)
     predictor = FigurePredictor(asked, conditions, specification.oil, workers, options)

@@ -60,14 +60,19 @@ def _known(name: str) -> tuple[str, ...]:
     return ("supply_pressure", "return_pressure", "oil_temperature", *FIGURES[name].conditions)
 
 
+def _place(limit: Limit) -> tuple[str, float]:
+    """The figure and its amplitude, which a record has to a percent of rated current."""
+    return limit.figure, round(limit.conditions.get("amplitude", 0.0), 2)
+
+
 def with_measurements(
     specification: Specification, measured: MeasuredValve, *,
     options: MeasurementOptions = DEFAULT_FROM_FIGURES.measurement,
 ) -> Specification:  # fmt: skip
     """The specification with measured figures in the place of its own, where they are told of the same conditions."""
     limits = measured_limits(measured, options=options)
-    told = {(limit.figure, limit.conditions.get("amplitude")) for limit in limits}
-    kept = [one for one in specification.limits if (one.figure, one.conditions.get("amplitude")) not in told]
+    told = {_place(limit) for limit in limits}
+    kept = [limit for limit in specification.limits if _place(limit) not in told]
     if not specification.of("rated_current"):
         kept.append(Limit(figure="rated_current", value=measured.rated_current, source="acceptance.toml"))
     hysteresis = [f.value for f, _ in measured.figures if f.name == "flow.hysteresis" and isinstance(f, FigureOfMerit)]

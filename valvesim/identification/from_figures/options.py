@@ -84,9 +84,9 @@ class PosteriorOptions:
     )
     evaluations: int = option(25, "1", "evaluations of the fit, each with a Jacobian", JUDGEMENT)
     ftol: float = option(1e-3, "1", "relative reduction of the penalised chi-square that ends it", JUDGEMENT)
-    restarts: int = option(2, "1", "starts from drawn points where a fit is inadequate", JUDGEMENT)
-    adequate: float = option(
-        2.0, "1", "deviations of a chi-square above its mean that a fit may have", "q with sqrt(2 q)"
+    drawn_starts: int = option(
+        4, "1", "starts drawn from the prior, beside similarity",
+        "where a flapper meets its nozzles, valves of two kinds may fit",
     )
     no_valve: float = option(1e3, "1", "deviations: the misfit of a point at which there is no valve", JUDGEMENT)
     identified: float = option(
@@ -101,6 +101,14 @@ class ConflictOptions:
     most_left_out: int = option(6, "1", "figures that are each left out once", JUDGEMENT)
     evaluations: int = option(12, "1", "evaluations of a fit without one of the figures", JUDGEMENT)
     far: float = option(2.5, "1", "prior deviations from similarity that are worth a word", JUDGEMENT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextFigureOptions:
+    """What is expected of figures that were not told."""
+
+    rounds: int = option(8, "1", "predictions at most until they are of sines and steps about them", JUDGEMENT)
+    settled: float = option(1e-3, "1", "relative change from one to the next that ends it", JUDGEMENT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +128,7 @@ class FromFiguresOptions:
     dynamic: DynamicOptions = DynamicOptions()
     posterior: PosteriorOptions = PosteriorOptions()
     conflict: ConflictOptions = ConflictOptions()
+    next_figure: NextFigureOptions = NextFigureOptions()
     measurement: MeasurementOptions = MeasurementOptions()
 
 

@@ -10,6 +10,7 @@ Jacobian costs little more than a prediction (`identification.least_squares` is 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -50,6 +51,11 @@ class Posterior:
         return _covariance(whitened)
 
     @property
+    def log_evidence(self) -> float:
+        """ln of the posterior's mass about the point: how well it fits, and how many valves about it do."""
+        return -0.5 * self.chi_square + 0.5 * float(np.linalg.slogdet(self.covariance)[1])
+
+    @property
     def deviations(self) -> np.ndarray:
         """One standard deviation (q,) of each figure by what all figures together say, SI."""
         C = _covariance(_whitened(self.asked, self.predicted, self.slopes, self.turns_slopes))
@@ -64,20 +70,19 @@ def fit(
     similar: SimilarValves, predictor: FigurePredictor, *, seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Posterior:  # fmt: skip
-    """The maximum a posteriori, started from similarity and, where its chi-square is more than the figures' errors
-    would make it, from drawn points.
+    """Of the maxima a posteriori that lie downhill of similarity and of drawn points, that of greatest evidence.
 
     Raises SolveError where no point near similarity is a valve that runs.
     """
-    n, draw, options = len(UNKNOWNS), np.random.default_rng(seed), predictor.options.posterior
-    best = descend(similar, predictor, np.zeros(n), progress)
-    expected = len(best.asked)
-    for _ in range(options.restarts):
-        if best.chi_square <= expected + options.adequate * np.sqrt(2.0 * expected):
-            break
-        other = descend(similar, predictor, 0.7 * draw.normal(size=n), progress)
-        best = other if other.chi_square < best.chi_square else best
-    return best
+    n = len(UNKNOWNS)
+    found: list[Posterior] = []
+    drawn = np.random.default_rng(seed).normal(size=(predictor.options.posterior.drawn_starts, n))
+    starts = np.vstack([np.zeros(n), drawn])
+    for k, start in enumerate(starts):
+        tell = None if progress is None else lambda share, k=k: progress((k + share) / len(starts))
+        with contextlib.suppress(*((SolveError, InputError) if found else ())):
+            found.append(descend(similar, predictor, start, tell))
+    return max(found, key=lambda one: one.log_evidence)
 
 
 def descend(

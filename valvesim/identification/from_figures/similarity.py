@@ -7,7 +7,8 @@ valve's. Larger and smaller valves follow from the port area at full stroke, a l
     pilot: diameters and gap ~ l, so that its flow keeps its share of the rated one (2 to 4 % in print)
     torque motor: lengths ~ m = l^(1/3), since series 30 to 35 weigh 5 times as much at 14 times the flow; its torques
     at rated current ~ m^2, and its inertia ~ m^2.5
-    coils of one series: i^2 R and i^2 L constant
+    coils of one series: i^2 R and i^2 L constant; in print i^2 R is 0.1 to 3.6 W, so that a resistance that is told
+    sets both
 
 What is fitted is the logarithm of each, or what lies around zero in units of its spread. Full stroke at rated current
 takes the place of the coils' turns, and the armature's net stiffness that of its spring tube: a valve of any such
@@ -167,9 +168,10 @@ def _turns(valve: Valve, stroke, conditions: Mapping[str, float], oil: Oil) -> n
 
 def similar_valves(
     *, rated_flow: float, pressure_drop: float, rated_current: float, conditions: Mapping[str, float], oil: Oil,
-    options: FromFiguresOptions = DEFAULT_FROM_FIGURES,
+    coil_resistance: float | None = None, options: FromFiguresOptions = DEFAULT_FROM_FIGURES,
 ) -> SimilarValves:  # fmt: skip
-    """The valves of a rated flow (m^3/s) at a pressure drop (Pa, both lands) and rated current (A).
+    """The valves of a rated flow (m^3/s) at a pressure drop (Pa, both lands) and rated current (A), with a coil
+    resistance (ohm) where it is told.
 
     Raises InputError for a flow or current that no two-stage nozzle-flapper valve has.
     """
@@ -189,12 +191,13 @@ def similar_valves(
     area = rated_flow / (anchor.port_flow_coefficient * np.sqrt(pressure_drop / density))
     scale = float(np.sqrt(area / (anchor.port_width * ANCHOR_STROKE)))
     motor = scale ** (1.0 / 3.0)
+    resistance = common.coil_power / rated_current**2 if coil_resistance is None else coil_resistance
     own = {field.name: getattr(anchor, field.name) for field in fields(anchor)}
     own |= {
         "full_stroke": ANCHOR_STROKE, "net_stiffness": ANCHOR_STIFFNESS, "orifice_ratio": 1.0,
         "land_opening_at_null": common.null_opening, "lap": 0.0,
-        "coil_resistance": common.coil_power / rated_current**2,
-        "coil_inductance": common.coil_power / rated_current**2 * anchor.coil_inductance / anchor.coil_resistance,
+        "coil_resistance": resistance,
+        "coil_inductance": resistance * anchor.coil_inductance / anchor.coil_resistance,
     }  # fmt: skip
     medians = np.array([own[u.name] * scale ** u.powers[0] * motor ** u.powers[1] for u in UNKNOWNS])
     base = replace(
