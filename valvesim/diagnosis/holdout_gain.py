@@ -13,9 +13,11 @@ from valvesim.diagnosis.answer_tables import CHANNEL_UNITS
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import Gain, Trace
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.between_samples import EdgeTime, edges_of
+from valvesim.identification.between_samples import EdgeTime, Wave, edges_of
 from valvesim.identification.fit import Fit
 from valvesim.identification.input_choice import edge_time
+from valvesim.identification.input_waves import fitted_waves, wave_parameters
+from valvesim.identification.instrument_errors import SHIFTED, has_instrument_errors, input_shifts
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import linearise_record
@@ -49,7 +51,7 @@ def holdout_gain(
     for record in session.locked:
         try:
             predictor = prepare_record(session, record, universe, options=options.identification)
-            reads = [_read_with_edges(study, predictor, variant) for variant in variants]
+            reads = [_read_with_inputs(study, predictor, variant) for variant in variants]
         except (InputError, SolveError) as reason:  # what was found in the others stands all the same
             failed.append(f"no gain is measured on a locked record that cannot be simulated: {reason}")
             continue
@@ -82,26 +84,40 @@ def holdout_gain(
     return tuple(gains), claimed, offered and not failed, tuple(traces), failed
 
 
-def _read_with_edges(study: Study, predictor: RecordPredictor, variant: ModelVariant) -> dict[str, np.ndarray]:
-    """What a variant reads in a locked record; where edges of the training records were fitted, those of this one are
-    too: when its command jumped is nothing that a model of the valve could know.
+def _read_with_inputs(study: Study, predictor: RecordPredictor, variant: ModelVariant) -> dict[str, np.ndarray]:
+    """What a variant reads in a locked record, its inputs fitted as those of the training records were: when its
+    command jumped, or how its supply rippled, is nothing that a model of the valve could know.
     """
-    record = predictor.record
-    edges: tuple[NuisanceParameter, ...] = ()
-    if any(isinstance(p.input, EdgeTime) for p in study.nominal.parameters):
-        found = edges_of(record.name, record.command, record.values[record.command], options=study.options)
-        edges = tuple(edge_time(record, edge) for edge in found[: study.options.input.most_edges])
-    point = np.zeros(len(edges))
-    own = NominalModel(variant, edges, options=study.options)
-    for _ in range(study.options.input.holdout_steps if edges else 0):
+    inputs = _own_inputs(study, predictor.record)
+    point = np.zeros(len(inputs))
+    own = NominalModel(variant, inputs, options=study.options)
+    for _ in range(study.options.input.holdout_steps if inputs else 0):
         now = own.at(point)
         linear = linearise_record(predictor, now)
         sensitivities = parameter_sensitivities(linear, own, perturbed_variants(own, now))
+        record = predictor.record
         J, r = _white(study, record, sensitivities), _white(study, record, residual_of(record, linear.readings))[:, 0]
         step = bounded_step(J.T @ J + np.eye(len(point)), J.T @ r - point, own.limits - point)
         point = point + step
     final = own.at(point)
     return predictor.readings(predictor.run(final), final)
+
+
+def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:
+    """The parameters of a record's inputs, of the kinds that the training records have."""
+    fitted, session = study.nominal.parameters, study.session
+    inputs: list[NuisanceParameter] = []
+    if any(isinstance(p.input, EdgeTime) for p in fitted):
+        found = edges_of(record.name, record.command, record.values[record.command], options=study.options)
+        inputs += [edge_time(record, edge) for edge in found[: study.options.input.most_edges]]
+    for wave in fitted_waves(study.nominal).values():
+        if isinstance(one := wave[0].input, Wave):
+            inputs += wave_parameters([record], one.column, one.frequency, wave[0].deviation)
+    if has_instrument_errors(fitted):
+        for column in SHIFTED:
+            for growing in (False, True):
+                inputs += input_shifts(session, column, growing, study.options, [record])
+    return tuple(inputs)
 
 
 def _white(study: Study, record: Record, columns: dict[str, np.ndarray]) -> np.ndarray:
@@ -144,7 +160,8 @@ def _traces(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]
         key = _nearest_noise_key(study, name, record.pace)
         found.append(
             Trace(record=record.name, channel=name, unit=CHANNEL_UNITS[name], role=record.role, time=record.time,
-                  measured=record.values[name], base=reads[0][name], extended=reads[1][name],
+                  measured=np.where(record.usable[name], record.values[name], np.nan),
+                  base=reads[0][name], extended=reads[1][name],
                   noise=study.noise[key].deviation if key is not None else 0.0)
         )  # fmt: skip
     return found

@@ -170,7 +170,10 @@ class Term:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """A record for the pictures: measured, nominal and extended readings of one channel, (n,) each, in SI."""
+    """A record for the pictures: measured, nominal and extended readings of one channel, (n,) each, in SI.
+
+    Measured is NaN where there is no reading, or none that counts.
+    """
 
     record: str
     channel: str

@@ -14,7 +14,7 @@ import numpy as np
 from valvesim.identification.between_samples import InputShift, Wave
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NuisanceParameter, ToleratedSensorError, measured_channels
-from valvesim.identification.session import Session
+from valvesim.identification.session import Record, Session
 from valvesim.valve.effect import Parameter
 
 
@@ -32,9 +32,15 @@ SHIFTED = {"oil_temperature": "delta_degC", "supply_pressure": "Pa"}
 
 
 def input_shifts(
-    session: Session, column: str, growing: bool, options: IdentificationOptions
+    session: Session,
+    column: str,
+    growing: bool,
+    options: IdentificationOptions,
+    records: Sequence[Record] | None = None,
 ) -> tuple[NuisanceParameter, ...]:
-    """What an input is off by in each training record: throughout, or where `growing` by so much at the end."""
+    """What an input is off by in each training record, or in other `records`: throughout, or where `growing` by so much
+    at the end.
+    """
     size = {
         "oil_temperature": options.instrument.oil_temperature,
         "supply_pressure": options.instrument.supply_pressure * float(session.valve.supply_pressure),
@@ -42,7 +48,7 @@ def input_shifts(
     return tuple(
         NuisanceParameter(f"shift@{record.name}:{column}:{growing}", SHIFTED[column], 0.0, size,
                           (-4.0 * size, 4.0 * size), input=InputShift(record.name, column, growing))
-        for record in session.training
+        for record in (session.training if records is None else records)
     )  # fmt: skip
 
 

@@ -97,7 +97,7 @@ def thin(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if len(t) <= MOST_POINTS:
         return t, y
     starts = np.linspace(0, len(t), MOST_POINTS // 2, endpoint=False).astype(int)
-    extremes = np.column_stack([np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)])
+    extremes = np.column_stack([np.fmin.reduceat(y, starts), np.fmax.reduceat(y, starts)])
     return np.append(np.repeat(t[starts], 2), t[-1]), np.append(extremes.ravel(), y[-1])
 
 

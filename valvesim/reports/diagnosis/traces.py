@@ -66,7 +66,7 @@ def draw_traces(diagnosis: Diagnosis) -> Figure | None:
     axes = figure.subplots(2, len(traces), squeeze=False, gridspec_kw={"height_ratios": [1.5, 1.0]})
     lines: dict[str, Any] = {}
     for trace, (top, below) in zip(traces, axes.T, strict=True):
-        unit, factor = unit_of(trace.unit, float(np.max(np.abs(trace.measured))))
+        unit, factor = unit_of(trace.unit, float(np.nanmax(np.abs(trace.measured))))
         extended = len(trace.extended) == len(trace.time) and not np.array_equal(trace.extended, trace.base)
         part = _stretch(trace)
         t, measured = trace.time[part], factor * trace.measured[part]
