@@ -98,7 +98,8 @@ def diagnosed(seed: int, hidden: str | None, imperfections: tuple[str, ...]) -> 
 
 def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
     """d' of what is hidden in the training records: what the noise-free readings change by, in the meters' noise, less
-    what valve, instruments and the ripple may take up by the linear equations about the nominal valve.
+    what valve, instruments and the ripple may take up by the linear equations about the nominal valve; and no more than
+    a figure of the valve would be off, in prior deviations, that does the same.
     """
     quiet = replace(case, meters=tuple(replace(meter, noise=0.0, colour=0.0) for meter in case.meters))
     with_it, without = (bench_records(quiet, bench, strength) for strength in (1.0, 0.0))
@@ -121,7 +122,15 @@ def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
     moved = study.stack(change)[:, 0]
     taken = J.T @ moved
     projection = inverse_of(J.T @ J + np.eye(J.shape[1]))
-    return round(float(np.sqrt(max(moved @ moved - taken @ projection @ taken, 0.0))), 1)
+    most = float(np.sqrt(max(moved @ moved - taken @ projection @ taken, 0.0)))
+    ((hidden, figures),) = truth(case)["parameters"].items()
+    for candidate in study.candidates:
+        if candidate.effect is not None and candidate.effect.name == hidden:
+            amplitude = candidate.effect.amplitude
+            above = figures[amplitude.name] - (amplitude.neutral or 0.0)
+            shared = candidate.share(candidate.apply_to(study.nominal.variant, above), study.nominal.variant)
+            most = most if shared is None else min(most, abs(shared[1]))
+    return round(most, 1)
 
 
 def run(name: str, count: int | None, single: bool, part: tuple[int, int], results: Path) -> None:
