@@ -37,11 +37,11 @@ from valvesim.identification.input_waves import (
 from valvesim.identification.instrument_errors import (
     SHIFTED,
     clock_rates,
+    fastest_drift,
     has_instrument_errors,
     input_shifts,
     instrument_errors,
     meter_drifts,
-    time_of_span,
 )
 from valvesim.identification.nominal_fit import (
     NominalFit,
@@ -222,5 +222,5 @@ def _clock_words(values: np.ndarray) -> str:
 
 def _drift_words(parameter: NuisanceParameter, session: Session) -> Callable[[np.ndarray], str]:
     channel = parameter.sensor.channel if parameter.sensor is not None else ""
-    over = time_of_span(session, channel)
-    return lambda values: f"{channel} as read drifts by {100.0 * abs(values[0]) * over:.2g} % of its span in a record"
+    whole = fastest_drift(session, channel)
+    return lambda values: f"{channel} as read drifts by {100.0 * abs(values[0]) / whole:.2g} % of its span in a record"

@@ -62,14 +62,16 @@ def clock_rates(session: Session, options: IdentificationOptions) -> tuple[Nuisa
 
 def meter_drifts(session: Session, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
     """How fast each meter's reading drifts within a record."""
-    sizes = {name: options.instrument.meter_drift / time_of_span(session, name) for name in measured_channels(session)}
-    return tuple(_sensor_error(METER_DRIFT, name, size, (-4.0 * size, 4.0 * size)) for name, size in sizes.items())
+    sizes = {name: options.instrument.meter_drift * fastest_drift(session, name) for name in measured_channels(session)}
+    return tuple(
+        _sensor_error(METER_DRIFT, name, size, (-4.0 * size, 4.0 * size)) for name, size in sizes.items() if size > 0.0
+    )
 
 
-def time_of_span(session: Session, channel: str) -> float:
-    """The time over span (s per unit of the channel) in which a drift is told: the longest record, the widest span."""
+def fastest_drift(session: Session, channel: str) -> float:
+    """The drift (unit of the channel per s) that takes the longest record to its widest span."""
     span = max(float(np.ptp(r.values[channel])) for r in session.training if channel in r.outputs)
-    return max(r.duration for r in session.training) / span
+    return span / max(r.duration for r in session.training)
 
 
 def _sensor_error(
