@@ -114,7 +114,7 @@ def test_any_verdict_is_a_success(call, found, session, tmp_path, verdict):
 def test_figures_are_said_in_the_units_of_people(call, found, session, tmp_path):
     estimate = replace(PLAIN.parameters[0], name="half_play", value=5e-6, low=4e-6, high=6e-6, unit="m")
     found(replace(PLAIN, parameters=(estimate,)))
-    assert "half_play = 0.005 mm (95 %: 0.004 to 0.006)" in call(session, "-o", tmp_path / "out")[1]
+    assert "half_play = 5 µm (95 %: 4 to 6)" in call(session, "-o", tmp_path / "out")[1]
 
 
 def test_what_is_ambiguous_comes_with_the_next_test(call, found, session, tmp_path):

@@ -99,16 +99,16 @@ def _print_diagnosis(found: Any) -> None:
     """Verdict, causes with their figures, next test and gain, a line each."""
     from rich.markup import escape
 
-    from valvesim.units import DISPLAY, symbol
+    from valvesim.reports.diagnosis.words import unit_of, with_unit
 
     screen = console()
     screen.print(f"[bold]{found.verdict.replace('_', ' ')}[/bold]: {escape(found.summary)}")
     if found.location:
         screen.print(escape(f"where: {found.location}"))
     for e in found.parameters:
-        unit, factor = DISPLAY.get(e.unit, (e.unit, 1.0))
+        unit, factor = unit_of(e.unit, e.value, e.name)
         value, low, high = (f"{figure * factor:.4g}" for figure in (e.value, e.low, e.high))
-        screen.print(escape(f"  {e.cause}: {e.name} = {value} {symbol(unit)} (95 %: {low} to {high})"))
+        screen.print(escape(f"  {e.cause}: {e.name} = {with_unit(value, unit)} (95 %: {low} to {high})"))
     if found.term is not None:
         term = f"{found.term.port} as a function of {found.term.variable}".replace("_", " ")
         formula = f": {found.term.formula}" if found.term.formula else ""
