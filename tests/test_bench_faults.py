@@ -10,7 +10,7 @@ from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
 import valvesim as vs
 from valvesim.diagnosis import apart
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import _shift_words
+from valvesim.diagnosis.bench_faults import _shift_words, _waves_apart
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -43,6 +43,14 @@ def test_a_wave_has_any_amplitude_and_phase_in_each_record_and_is_told_by_its_am
     assert first**2 + second**2 == pytest.approx(1.0)
     said = _shift_words("oil_temperature", growing=True)(np.array([1.0, -3.0]))
     assert said.startswith("the oil temperature is off by up to 3 ") and said.endswith("within a record")
+
+
+def test_of_waves_too_close_to_be_told_apart_one_is_told():
+    waves = [wave_parameters(RECORDS, column, frequency, 1e6)
+             for column, frequency in (("supply_pressure", 64.86), ("supply_pressure", 65.52), ("current", 65.52))]
+    nominal = SimpleNamespace(parameters=tuple(p for wave in waves for p in wave))
+    study = SimpleNamespace(nominal=nominal, session=SimpleNamespace(training=RECORDS))
+    assert _waves_apart(study) == [waves[0], waves[2]]
 
 
 def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():

@@ -160,7 +160,7 @@ def in_si(value: Any, unit: str, where: str = "", *, several: bool = False) -> A
     return float(converted) if np.ndim(converted) == 0 else np.asarray(converted, dtype=float)
 
 
-_NUMBERS = {float, int}  # of a long table of these none is looked at
+_NUMBERS = {float, int, np.float64, np.int64}  # of a long table of these none is looked at
 
 
 def has_unit(value: Any) -> bool:

@@ -191,7 +191,7 @@ def _hypotheses(study: Study, scores: ScoreTest) -> list[tuple[NuisanceParameter
 def _known_faults(study: Study) -> list[BenchFault]:
     """What a bench may do, as it is told; the waves are those of the study."""
     session, options = study.session, study.options
-    waves = [BenchFault(wave, _wave_words(wave), _wave_advice(wave)) for wave in fitted_waves(study.nominal).values()]
+    waves = [BenchFault(wave, _wave_words(wave), _wave_advice(wave)) for wave in _waves_apart(study)]
     shifts = [
         BenchFault(input_shifts(session, column, growing, options), _shift_words(column, growing), OF_INPUT[column])
         for column in SHIFTED
@@ -201,13 +201,26 @@ def _known_faults(study: Study) -> list[BenchFault]:
     return [*waves, *shifts, BenchFault(clock_rates(session, options), _clock_words, CLOCKS), *drifts]
 
 
+def _waves_apart(study: Study) -> list[tuple[NuisanceParameter, ...]]:
+    """The waves of a study, of those too close to be told apart in its longest record the one that was found first."""
+    longest = max(record.duration for record in study.session.training)
+    found: list[tuple[Wave, tuple[NuisanceParameter, ...]]] = []
+    for parameters in fitted_waves(study.nominal).values():
+        wave = parameters[0].input
+        if isinstance(wave, Wave) and not any(
+            wave.column == other.column and abs(wave.frequency - other.frequency) * longest < 1.0 for other, _ in found
+        ):
+            found.append((wave, parameters))
+    return [parameters for _, parameters in found]
+
+
 def _wave_words(wave: Sequence[NuisanceParameter]) -> Callable[[np.ndarray], str]:
     return lambda values: wave_words(wave, values)
 
 
 def _wave_advice(wave: Sequence[NuisanceParameter]) -> Advice:
     deviation = wave[0].input
-    return OF_WAVE.get(deviation.column, HUM) if isinstance(deviation, Wave) else HUM
+    return OF_WAVE.get(deviation.column, HUM) if deviation is not None else HUM
 
 
 def _shift_words(column: str, growing: bool) -> Callable[[np.ndarray], str]:
