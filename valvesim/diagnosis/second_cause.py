@@ -27,7 +27,7 @@ def with_second_cause(
         z, level = final.z(), final.level(final.options.detection.false_alarm)
         best = found[0]
         bearable = final.options.detection.doubtful_share * (nominal.fit.chi_square - best.fit.chi_square)
-        if beyond_noise(final.fit, nominal.study, options=final.options) > bearable:
+        if beyond_noise(final.fit, nominal.study, options=final.options) > 0.0:
             bearable = 0.0
         bearable = max(bearable, final.options.bench.unexplained_share * explained_by_bench(final))
         if z.max(initial=0.0) ** 2 < max(level**2, bearable):
