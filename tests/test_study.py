@@ -329,6 +329,20 @@ def test_a_step_to_a_limit_is_the_least_squares_step_inside_it(entries, residual
     assert predict_reduction(J.T @ J, J.T @ r, limits) == pytest.approx(r @ r - left, abs=1e-9)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(2, 30))
+def test_a_step_in_a_box_is_the_least_squares_step_inside_it(seed, n):
+    """Against scipy's bounded-variable least squares, columns of very different size and two all but alike."""
+    rng = np.random.default_rng(seed)
+    J = np.vstack([rng.normal(size=(n + 10, n)) * 10.0 ** rng.uniform(-2.0, 2.0, n), np.eye(n)])
+    J[: n + 10, 0] = J[: n + 10, -1] + 1e-3 * J[: n + 10, 0]
+    r = np.append(10.0 * rng.normal(size=n + 10), np.zeros(n))
+    limits = np.array([-rng.uniform(0.0, 1.0, n), rng.uniform(0.0, 1.0, n)])
+    step = bounded_step(J.T @ J, J.T @ r, limits)
+    best = lsq_linear(J, r, limits, method="bvls", tol=1e-14).x
+    assert np.all((step >= limits[0]) & (step <= limits[1]))
+    assert np.sum((r - J @ step) ** 2) == pytest.approx(np.sum((r - J @ best) ** 2), rel=1e-9)
+
+
 def test_room_is_up_to_the_limits_of_an_amplitude_and_a_stride_of_a_shape(biased):
     hysteresis = next(c for c in biased[0].study.candidates if c.label == "magnetic_hysteresis")
     (shape,) = hysteresis.shapes()

@@ -77,9 +77,16 @@ def is_inadequate(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -
 
 def nuisance_covariance(scores: ScoreTest) -> np.ndarray:
     """The covariance (p, p) of the nuisance parameters of a fit, in prior deviations, its candidates being free."""
+    p = scores.gram.parameters
+    return inverse_of(_normal_equations_at(scores)[0])[:p, :p]
+
+
+def _normal_equations_at(scores: ScoreTest) -> tuple[np.ndarray, np.ndarray]:
+    """(H, gradient) of a fit with respect to its nuisance parameters, with their priors, and then its candidates."""
     G, p, own = scores.gram.total, scores.gram.parameters, len(scores.own)
     free = [*range(1, 1 + p), *(1 + p + j for j in scores.own)]
-    return inverse_of(G[np.ix_(free, free)] + np.diag([1.0] * p + [0.0] * own))[:p, :p]
+    H = G[np.ix_(free, free)] + np.diag([1.0] * p + [0.0] * own)
+    return H, G[free, 0] - np.append(scores.gram.prior_now, np.zeros(own))
 
 
 def wald_statistic(scores: ScoreTest, which: Sequence[int], covariance: np.ndarray | None = None) -> float:
@@ -110,10 +117,8 @@ def rests_on_limits(final: ScoreTest) -> float:
     """
     if not at_limit(final.fit, final.study).any():
         return 0.0
-    G, p, own = final.gram.total, final.gram.parameters, len(final.own)
-    free = [*range(1, 1 + p), *(1 + p + j for j in final.own)]
-    H = G[np.ix_(free, free)] + np.diag([1.0] * p + [0.0] * own)
-    gradient = G[free, 0] - np.append(final.gram.prior_now, np.zeros(own))
+    p, own = final.gram.parameters, len(final.own)
+    H, gradient = _normal_equations_at(final)
     falls = []
     for share in (1.0, 0.5):
         ends = np.append(np.full(p, share * final.study.options.prior.reach), np.full(own, np.inf))
