@@ -21,7 +21,8 @@ from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import start_points
 from valvesim.identification.between_samples import Wave
-from valvesim.identification.fit import rescored
+from valvesim.identification.down_weighting import down_weight_peaks
+from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import fit_hypothesis
 from valvesim.identification.input_waves import (
@@ -33,6 +34,7 @@ from valvesim.identification.input_waves import (
     wave_parameters,
     wave_size,
     wave_words,
+    with_parameters,
 )
 from valvesim.identification.instrument_errors import (
     SHIFTED,
@@ -47,6 +49,8 @@ from valvesim.identification.nominal_fit import (
     NominalFit,
     assembled,
     fit_nominal_near,
+    linearise_nominal,
+    reweighted,
     with_inputs_beside,
     with_inputs_reviewed,
 )
@@ -91,31 +95,49 @@ def with_bench_faults(
 
 def with_faults_beside_cause(
     nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
-) -> tuple[NominalFit, ScoreTest]:
+) -> tuple[NominalFit, ScoreTest, Fit | None]:
     """The same by what the likeliest cause leaves, fitted a little: what the nominal valve leaves is all of the cause
-    where it is inadequate.
+    where it is inadequate. Last the fit of that cause beside what the bench did, if there was anything to be fitted.
     """
+    starts, few = start_points(scores, frozenset())[:1], options.isolation.near_linearisations
+    if not starts or not is_far(nominal, options=options):
+        return nominal, scores, None
+    at, fit = nominal, fit_hypothesis(nominal, starts[0], linearisations=few)
     for _ in range(options.bench.most_faults):
-        starts = start_points(scores, frozenset())[:1]
-        if not starts or nominal.fit.chi_square < options.identification.fit.inadequate_ratio * nominal.fit.rows:
-            break
-        fit = fit_hypothesis(nominal, starts[0], linearisations=options.isolation.near_linearisations)
         if fit is None:
             break
-        beside = score_test(nominal, fit, options=options)
-        likeliest = _likeliest(nominal, beside, options=options)
-        better = _extended(nominal, likeliest.parameters) if likeliest is not None else nominal
-        at_fit = assembled(nominal.study, fit, beside.linearised, beside.columns)
-        better = with_inputs_beside(nominal, at_fit) if better is nominal else better
-        if better is nominal:
+        beside = score_test(at, fit, options=options)
+        likeliest = _likeliest(at, beside, options=options)
+        if likeliest is not None:
+            at, more = _widened(at, likeliest.parameters), np.zeros(len(likeliest.parameters))
+            fit = fit_hypothesis(at, fit.fitted, np.append(fit.point, more), few)
+            continue
+        better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
+        if better is at:
             break
-        nominal, scores = better, score_test(better, better.fit, options=options)
-    return nominal, scores
+        at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
+    if at is nominal:
+        return nominal, scores, fit
+    nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=not nominal.study.weights)
+    return nominal, score_test(nominal, nominal.fit, options=options), fit
+
+
+def is_far(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
+    """Whether a nominal fit is inadequate: what it leaves is all of a cause."""
+    return nominal.fit.chi_square > options.identification.fit.inadequate_ratio * nominal.fit.rows
+
+
+def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:
+    """The nominal fit with more parameters, at nothing of them."""
+    study = with_parameters(nominal.study.unweighted(), parameters)
+    point = np.append(nominal.fit.point, np.zeros(len(parameters)))
+    wide = linearise_nominal(study, evaluate_fit(study, point, ()))
+    return reweighted(down_weight_peaks(study, wide.linearised), wide) if nominal.study.weights else wide
 
 
 def _extended(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:
     """The nominal fit with more parameters."""
-    prepared = nominal.study.unweighted().with_nominal(nominal.study.nominal.extended(parameters))
+    prepared = with_parameters(nominal.study.unweighted(), parameters)
     point = np.append(nominal.fit.point, np.zeros(len(parameters)))
     return fit_nominal_near(prepared, point, full_weight=not nominal.study.weights)
 

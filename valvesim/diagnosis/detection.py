@@ -25,6 +25,15 @@ def detect(scores: ScoreTest) -> tuple[bool, float]:
     return bool(shows or stretched or beyond_noise(scores.fit, scores.study, options=scores.options) > 0.0), level
 
 
+def is_certain(scores: ScoreTest, level: float) -> bool:
+    """Whether an alarm needs no fit to bear it out: more than noise is left, or a figure is beyond all tolerance.
+
+    A score test is linear, and its columns err by some hundredths; what no fit explains is no evidence (likelihood
+    ratio).
+    """
+    return largest_shift(scores.fit) > level or beyond_noise(scores.fit, scores.study, options=scores.options) > 0.0
+
+
 def beyond_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> float:
     """The chi-square that a fit leaves beyond the noise where that is verified, and beyond what that may be off."""
     chi_square, rows = verified_chi_square(fit, study)

@@ -9,6 +9,7 @@ leave. A cause is named only where nothing else explains the data nearly as well
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from valvesim.diagnosis.answer_tables import (
 )
 from valvesim.diagnosis.apart import odd_test
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
-from valvesim.diagnosis.detection import is_inadequate
+from valvesim.diagnosis.detection import is_certain, is_inadequate
 from valvesim.diagnosis.experiment_design import design
 from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain
@@ -91,8 +92,11 @@ def _answer(isolation: Isolation) -> Diagnosis:
     recovered: RecoveredTerm | None = None
     odd = ""
     if isolation.alarm and not inadequate and (unknown_reason or not in_set):
-        odd = "" if in_set else odd_test(nominal, options=options)
+        borne_out = bool(isolation.found) or is_certain(scores, level)
+        odd = odd_test(nominal, options=options) if borne_out and not in_set else ""
         recovered = None if odd else recover_term(nominal, scores)
+        if recovered is None and not borne_out:  # neither a cause nor a term explains what the score tests showed
+            isolation = replace(isolation, alarm=False)
         if recovered is not None and (entry := as_catalogue_entry(isolation, recovered)) is not isolation:
             isolation, recovered = entry, None
             best, chosen, in_set, unknown_reason = _hypotheses(isolation, options=options)

@@ -16,7 +16,7 @@ from valvesim.errors import InputError, SolveError
 from valvesim.identification.between_samples import EdgeTime, Wave, edges_of
 from valvesim.identification.fit import Fit
 from valvesim.identification.input_choice import edge_time
-from valvesim.identification.input_waves import fitted_waves, wave_parameters
+from valvesim.identification.input_waves import fitted_waves, settled, wave_parameters
 from valvesim.identification.instrument_errors import SHIFTED, has_instrument_errors, input_shifts
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.least_squares import bounded_step
@@ -49,6 +49,7 @@ def holdout_gain(
     for predictor, *reads in zip(study.predictors, before.readings, readings, strict=True):
         traces += _traces(study, predictor.record, reads)
     for record in session.locked:
+        record = settled(record, options=study.options) if fitted_waves(study.nominal) else record
         try:
             predictor = prepare_record(session, record, universe, options=options.identification)
             reads = [_read_with_inputs(study, predictor, variant) for variant in variants]

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.bench_faults import (
+    is_far,
     told_faults,
     with_bench_faults,
     with_faults_beside_cause,
 )
-from valvesim.diagnosis.detection import detect, explained_by_bench, is_inadequate, unexplained_share
+from valvesim.diagnosis.detection import beyond_noise, detect, explained_by_bench, is_inadequate, unexplained_share
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
@@ -43,7 +44,7 @@ from valvesim.diagnosis.starts import single_starts, start_points
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit
 from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
-from valvesim.identification.nominal_fit import NominalFit, refit_nominal, unweighted
+from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance, refit_nominal, unweighted
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +76,12 @@ def isolate(
     """
     progress("looking for causes", 0.0)
     scores = score_test(nominal, nominal.fit, options=options)
+    beside = list[Fit]()
+    if detect(scores)[0] and is_far(nominal, options=options):
+        nominal, scores, fit = with_faults_beside_cause(nominal, scores, options=options)
+        beside = [fit] if fit is not None else []
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)
-    if detect(scores)[0]:
-        nominal, scores = with_faults_beside_cause(nominal, scores, options=options)
     bench = told_faults(scores, options=options)
     if bench and detect(scores)[0]:
         # no model is the plant: what is little beside what the bench explains may be the bench too
@@ -89,7 +92,7 @@ def isolate(
         ):
             level = scores.level(options.detection.false_alarm)
             return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
-    isolation = _isolated(nominal, scores, progress, known, options=options)
+    isolation = _isolated(nominal, scores, progress, known, beside, options=options)
     return replace(isolation, bench=told_faults(isolation.final, options=options))
 
 
@@ -98,6 +101,7 @@ def _isolated(
     scores: ScoreTest,
     progress: Callable[[str, float], None],
     known: Sequence[Fit],
+    beside: Sequence[Fit],
     *,
     options: DiagnosisOptions,
 ) -> Isolation:
@@ -106,7 +110,7 @@ def _isolated(
         if not alarm or (is_inadequate(nominal, nominal.fit, options=options) and _none_comes_near(nominal, scores)):
             return Isolation(nominal, scores, scores, [], [], "", alarm, level)
         found, likeliest = _first_hypotheses(
-            nominal, scores, known, lambda share: progress("refitting", 0.15 + 0.6 * share)
+            nominal, scores, known, beside, lambda share: progress("refitting", 0.15 + 0.6 * share)
         )
         better = _better_nominal(nominal, found) if again else None
         if better is None:
@@ -191,21 +195,37 @@ def unknown_reason_of(best: FittedHypothesis, left: float) -> str:
 
 
 def _first_hypotheses(
-    nominal: NominalFit, scores: ScoreTest, known: Sequence[Fit], progress: Callable[[float], None]
+    nominal: NominalFit,
+    scores: ScoreTest,
+    known: Sequence[Fit],
+    beside: Sequence[Fit],
+    progress: Callable[[float], None],
 ) -> tuple[list[FittedHypothesis], str]:
-    """Hypotheses of one and of two candidates, refitted, and the likeliest of them before."""
+    """Hypotheses of one and of two candidates, refitted, and the likeliest of them before.
+
+    Those `known` are the only ones; those `beside` which the bench was looked at are among them.
+    """
     found, likeliest, failed = _known_hypotheses(nominal, known, progress, options=scores.options), "", set[str]()
     if found:
         return found, likeliest
+    point = clipped_to_tolerance(nominal) if _is_bent(nominal, options=scores.options) else None
+    begun = _known_hypotheses(nominal, beside, lambda share: None, options=scores.options)
+    labels = {one.label for one in begun}
     while starts := start_points(scores, failed):
-        found, likeliest = (
-            fit_starts(nominal, starts, progress=progress, options=scores.options),
-            starts[0][0].candidate.label,
-        )
+        likeliest, pairs = starts[0][0].candidate.label, [start for start in starts if len(start) > 1]
+        alone = [start for start in starts if len(start) == 1 and start[0].candidate.label not in labels]
+        found = [*begun, *fit_starts(nominal, alone, point, progress, options=scores.options)]
+        if all(beyond_noise(one.fit, nominal.study, options=scores.options) > 0.0 for one in found):
+            found += fit_starts(nominal, pairs, point, progress, options=scores.options)
         if any(likeliest == candidate.label for one in found for candidate in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
     return found, likeliest
+
+
+def _is_bent(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
+    """Whether an inadequate nominal fit has gone far for want of a cause: fits of causes start within tolerance then."""
+    return is_far(nominal, options=options) and largest_shift(nominal.fit) > options.isolation.shifted
 
 
 def _known_hypotheses(

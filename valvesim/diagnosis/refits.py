@@ -85,11 +85,11 @@ def _restarted_within_tolerance(nominal: NominalFit, fit: Fit, *, options: Diagn
         ):
             break
         reached = best.chi_square
-        again = (
-            fit_hypothesis(nominal, best.fitted, clipped_to_tolerance(nominal)),
-            fit_from_prior(nominal, best.fitted),
-        )
-        tried += [one for one in again if one is not None]
+        again = fit_hypothesis(nominal, best.fitted, clipped_to_tolerance(nominal))
+        tried += [again] if again is not None else []
+        if again is None or again.predicted_reduction >= unconverged(nominal, again):
+            again = fit_from_prior(nominal, best.fitted)
+            tried += [again] if again is not None else []
     return [FittedHypothesis(one, options=options) for one in tried[1:]]
 
 

@@ -7,6 +7,8 @@ the spectrum of what a fit leaves; amplitude and phase are nuisance parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,11 +17,13 @@ from valvesim.identification.down_weighting import robust_weights
 from valvesim.identification.fit import Fit, rescored
 from valvesim.identification.input_choice import added_columns
 from valvesim.identification.linearised_record import LinearisedRecord
+from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import UNITS, Record, value_text
-from valvesim.identification.study import PreparedSession, Study, residual_of
+from valvesim.identification.study import PreparedSession, Study, residual_of, with_records
 
+Prepared = TypeVar("Prepared", bound=PreparedSession)
 Readings = Sequence[dict[str, np.ndarray]]
 
 
@@ -73,9 +77,23 @@ def fitted_waves(model: NominalModel) -> dict[str, tuple[NuisanceParameter, ...]
     return found
 
 
+def with_parameters(prepared: Prepared, parameters: Sequence[NuisanceParameter]) -> Prepared:
+    """A prepared session with more nuisance parameters. Beside waves the first samples of each record do not count."""
+    prepared = prepared.with_nominal(prepared.nominal.extended(parameters))
+    if not fitted_waves(prepared.nominal):
+        return prepared
+    return with_records(prepared, [settled(r, options=prepared.options) for r in prepared.session.training], ())
+
+
+def settled(record: Record, *, options: IdentificationOptions) -> Record:
+    """A record without its first samples: a run begins at rest, and under a wave no valve has been at rest before."""
+    late = record.time - record.time[0] >= options.wave.settling
+    return replace(record, usable={name: good & late for name, good in record.usable.items()})
+
+
 def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: float) -> list[float]:
     """The few frequencies (Hz) at which what is left stands furthest above what is left beside them, by a ratio of at
-    least `peak`.
+    least `peak`, and those in the middle between two of them.
     """
     wave = study.options.wave
     longest = max(predictor.record.duration for predictor in study.predictors)
@@ -97,7 +115,9 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: fl
                 fine = best + reach * np.linspace(-1.0, 1.0, 41) / longest
                 best = float(fine[int(np.argmax(_power(study, readings, fine)))])
             found.append(best)
-    return found
+    # a reading in which the command modulates a wave shows its sidebands, and the wave in the middle
+    middles = [(one + other) / 2.0 for k, one in enumerate(found) for other in found[:k]]
+    return [*found, *middles]
 
 
 def _power(study: PreparedSession, readings: Readings, frequencies: np.ndarray) -> np.ndarray:

@@ -13,7 +13,12 @@ import numpy as np
 
 from valvesim.identification.between_samples import InputShift, Wave
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.prior import NuisanceParameter, ToleratedSensorError, measured_channels
+from valvesim.identification.prior import (
+    NuisanceParameter,
+    ToleratedSensorError,
+    ToleratedTimeError,
+    measured_channels,
+)
 from valvesim.identification.session import Record, Session
 from valvesim.valve.effect import Parameter
 
@@ -96,7 +101,7 @@ def _apart(reading, p):
     return np.interp(reading.time * (1.0 - p.rate), reading.time, reading.values)
 
 
-CLOCK_RATE = ToleratedSensorError(
+CLOCK_RATE = ToleratedTimeError(
     name="clock_rate",
     doc="the channel's clock runs fast or slow",
     location="sensor",

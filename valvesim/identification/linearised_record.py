@@ -10,10 +10,10 @@ import numpy as np
 
 from valvesim.channels import Signals
 from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory
-from valvesim.identification.prior import ToleratedSensorError
+from valvesim.identification.prior import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.tangent_linear import TangentLinear, first_order_response, linearise_along
 from valvesim.units import quantities
-from valvesim.valve.effect import ActiveEffect
+from valvesim.valve.effect import ActiveEffect, Reading
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath, joint_path
 from valvesim.valve.valve_model import ValveModel
@@ -70,12 +70,16 @@ class LinearisedRecord:
         response = self.tangent.response(forcing)
         out = {}
         for name, own in self.trajectory.at_valve.items():
-            if self.predictor.lags.get(name, 0.0) <= 0.0 and not self._altered(name):
+            plain, late = self.predictor.lags.get(name, 0.0) <= 0.0 and not self._altered(name), self._time_errors(name)
+            if plain and not late:
                 out[name] = self.tangent.channel(name, response, direct.get(name), self.predictor.oversampling)
                 continue
             moved = self.tangent.channel(name, response, direct.get(name))
+            if plain:
+                out[name] = _read_at(self.predictor.times, moved, self._read_times(late))
+                continue
             faults = tuple(a for a in self.variant.effects if not isinstance(a.effect, ToleratedSensorError))
-            variant = replace(self.variant, effects=faults)
+            variant = replace(self.variant, effects=(*faults, *late))
             own = own[
                 :: self.predictor.sensor_oversampling
             ]  # coarse for the sensor's corners: they are in both and cancel
@@ -91,6 +95,20 @@ class LinearisedRecord:
         return any(
             a.effect.channel == channel and not isinstance(a.effect, ToleratedSensorError) for a in self.variant.effects
         )
+
+    def _time_errors(self, channel: str) -> list[ActiveEffect]:
+        """The errors within tolerance of when a channel is read."""
+        acting = [a for a in self.variant.effects if isinstance(a.effect, ToleratedTimeError)]
+        return [a for a in acting if a.effect.channel == channel]
+
+    def _read_times(self, late: Sequence[ActiveEffect]) -> np.ndarray:
+        """The times (n_samples,) at which a channel with such errors is read: what it would read of a clock."""
+        times = self.predictor.times
+        clock, oil = times, self.trajectory.oil[:: self.predictor.sensor_oversampling]
+        for active in late:
+            assert active.effect.reading is not None  # noqa: S101 - it errs in what it reads
+            clock = active.effect.reading(Reading(times, clock, oil), active.values)
+        return clock[:: self.predictor.oversampling]
 
     def argument(self, variable: Any, states: tuple) -> np.ndarray:
         """A variable of a term (n,) along the trajectory."""
@@ -224,6 +242,18 @@ class LinearisedRecord:
             a, b = np.broadcast_to(zero, mid[0].shape), np.broadcast_to(zero - one, mid[0].shape)
             memories.append(first_order_response(a, b, h))
         return memories
+
+
+def _read_at(times: np.ndarray, columns: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Columns (n, k) on an even grid at other times (m,), by cubics through the four points about each (Lagrange)."""
+    first = np.clip(np.searchsorted(times, at, "right") - 2, 0, len(times) - 4)
+    s = (at - times[first]) / (times[1] - times[0])
+    found = np.zeros((len(at), columns.shape[1]))
+    for j in range(4):
+        others = [i for i in range(4) if i != j]
+        weight = np.prod([(s - i) / (j - i) for i in others], axis=0)
+        found += weight[:, None] * columns[first + j]
+    return found
 
 
 def _at(values: Any, rows: np.ndarray) -> Any:

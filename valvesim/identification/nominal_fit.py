@@ -21,7 +21,8 @@ from valvesim.identification.input_choice import (
     input_notes,
     input_spread,
 )
-from valvesim.identification.input_waves import dominant_wave, fitted_waves
+from valvesim.identification.input_waves import dominant_wave, fitted_waves, with_parameters
+from valvesim.identification.instrument_errors import instrument_errors
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
@@ -65,20 +66,23 @@ def _robust_with_inputs(
     prepared: PreparedSession, ahead: Callable[[float], None]
 ) -> tuple[PreparedSession, InputChoice, NominalFit]:
     """A robust start under what the inputs do that no sample tells: the session with the waves upon them among its
-    parameters, how its commands go between their samples, and the fit with both.
+    parameters, how its commands go between their samples, and the fit with both. Where there is a wave, the errors of
+    the instruments are among the parameters too: the bench is no ideal one.
     """
-    start = _at_nominal(prepared, {})
-    wave, near = dominant_wave(start.study, start.fit, start.linearised, start.columns), dict[str, float]()
+    choice = _plain_choice(prepared)
+    start, near = _at_nominal(_with_inputs(prepared, choice), {}), dict[str, float]()
+    wave = dominant_wave(start.study, start.fit, start.linearised, start.columns)
     if wave:
-        prepared, near = _with_waves(prepared, wave, ahead)
-        start = _at_nominal(prepared, near)
+        prepared, near = _with_waves(prepared, choice, wave, ahead)
+        prepared = with_parameters(prepared, instrument_errors(prepared.session, options=prepared.options))
+        start = _at_nominal(_with_inputs(prepared, choice), near)
     choice = _choice_at_start(start)
     nominal = _robustly_fitted(_with_inputs(prepared, choice), near, ahead)
     for _ in range(prepared.options.wave.most):
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
             break
-        prepared = prepared.with_nominal(prepared.nominal.extended(wave))
+        prepared = with_parameters(prepared, wave)
         nominal = _robustly_fitted(_with_inputs(prepared, choice), _point_by_name(nominal), ahead)
         weighted = replace(nominal, study=down_weight_peaks(nominal.study, nominal.linearised))
         _, _, better = _reviewed_choice(weighted)
@@ -97,16 +101,38 @@ def _at_nominal(prepared: PreparedSession, near: Mapping[str, float]) -> Nominal
     return assembled(study, fit, *linearise_fit(study, fit))
 
 
+def _plain_choice(prepared: PreparedSession) -> InputChoice:
+    """How the commands go between their samples, edges left aside, by a robust start from nominal under each way.
+
+    Where the nominal valve comes near the records, linear answers tell as well, and more cheaply.
+    """
+    best, least = STRAIGHT, np.inf
+    for choice in input_choices(prepared.session, options=prepared.options):
+        if choice.parameters:
+            continue
+        nominal = _at_nominal(_with_inputs(prepared, choice), {})
+        if choice is STRAIGHT and nominal.fit.chi_square < prepared.options.fit.inadequate_ratio * nominal.fit.rows:
+            break
+        fit, _, _ = robust_start(nominal.study, nominal.fit)
+        chi_square = rescored(replace(nominal.study, spread={}), fit).chi_square
+        if chi_square < least - prepared.options.input.minimum_gain:
+            best, least = choice, chi_square
+    return best
+
+
 def _with_waves(
-    prepared: PreparedSession, wave: tuple[NuisanceParameter, ...], ahead: Callable[[float], None]
+    prepared: PreparedSession,
+    choice: InputChoice,
+    wave: tuple[NuisanceParameter, ...],
+    ahead: Callable[[float], None],
 ) -> tuple[PreparedSession, dict[str, float]]:
     """The prepared session with a wave upon its inputs that the nominal valve shows already, and those that show beside
     it; and their components in prior deviations, by name.
     """
     near = dict[str, float]()
     for _ in range(prepared.options.wave.most):
-        prepared = prepared.with_nominal(prepared.nominal.extended(wave))
-        nominal = _robustly_fitted(prepared, near, ahead)
+        prepared = with_parameters(prepared, wave)
+        nominal = _robustly_fitted(_with_inputs(prepared, choice), near, ahead)
         near = _point_by_name(nominal)
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
@@ -158,7 +184,7 @@ def _choice_at_start(start: NominalFit) -> InputChoice:
     """
     readings = start.fit.readings
     study = robust_weights(start.study.with_noise(identify_noise(start.study, readings)), readings)
-    return choose_inputs(study, start.fit.point, start.linearised, start.columns)
+    return _reviewed_choice(replace(start, study=study))[2]
 
 
 def _with_inputs(prepared: PreparedSession, choice: InputChoice) -> PreparedSession:

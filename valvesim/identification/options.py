@@ -158,6 +158,9 @@ class WaveOptions:
         0.3, "1", "share of the excess chi-square from which a wave is fitted before any cause is sought", JUDGEMENT
     )
     most: int = option(3, "1", "waves that are fitted so", JUDGEMENT)
+    settling: float = option(
+        0.01, "s", "start of a record that does not count beside a wave", "pilot chambers fill within a millisecond"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

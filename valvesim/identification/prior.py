@@ -225,14 +225,17 @@ class ToleratedSensorError(Effect):
     """A sensor's error within its tolerance: a nuisance parameter, not a fault."""
 
 
+class ToleratedTimeError(ToleratedSensorError):
+    """One of when it reads. What the reading does is read as late."""
+
+
 def _either_way(effect: Effect) -> Effect:
     """The effect with an amplitude that may go below neutral as far as above: a clock may also be early."""
     amplitude = effect.amplitude
     wide = replace(amplitude, bounds=(-amplitude.bounds[1], amplitude.bounds[1]))
     parameters = tuple(wide if p is amplitude else p for p in effect.parameters)
-    return ToleratedSensorError(
-        **{**{f.name: getattr(effect, f.name) for f in fields(effect)}, "parameters": parameters}
-    )
+    kind = ToleratedTimeError if effect.name == SENSOR_DELAY.name else ToleratedSensorError
+    return kind(**{**{f.name: getattr(effect, f.name) for f in fields(effect)}, "parameters": parameters})
 
 
 def measured_channels(session: Session) -> tuple[str, ...]:
