@@ -66,17 +66,17 @@ def score_test_of(nominal, fit, *, options=DIAGNOSIS):
     )
 
 
-@pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e6, False)])
+@pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e7, False)])
 def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch, beside, alarm):
     base, found = nominal(5600.0), []
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
-    monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores))
+    monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores, None))
     monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
     monkeypatch.setattr(isolation, "explained_by_bench", lambda scores: beside)
 
-    def isolated(nominal, scores, progress, known, *, options):
+    def isolated(nominal, scores, progress, known, beside, *, options):
         return isolation.Isolation(nominal, scores, scores, found, [], "", True, 4.0)
 
     monkeypatch.setattr(isolation, "_isolated", isolated)
@@ -88,7 +88,7 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     base, better = nominal(9000.0), nominal(5000.0)
     searched = []
 
-    def first(nominal, scores, known, progress):
+    def first(nominal, scores, known, beside, progress):
         searched.append((nominal, scores.nominal))
         return [hypothesis(4990.0, "spool_lap")], "spool_lap"
 
@@ -98,7 +98,9 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     monkeypatch.setattr(isolation, "_first_hypotheses", first)
     monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found: better if nominal is base else None)
     monkeypatch.setattr(isolation, "restarted", lambda nominal, found, likeliest, options: [])
-    ended = isolation._isolated(base, score_test_of(base, base.fit), lambda stage, share: None, (), options=DIAGNOSIS)
+    ended = isolation._isolated(
+        base, score_test_of(base, base.fit), lambda stage, share: None, (), (), options=DIAGNOSIS
+    )
     assert searched == [(base, base), (better, better)] and ended.nominal is better
     assert ended.alarm and not ended.found and not ended.answer_set  # 10 are no gain at a level of 4
 
@@ -144,16 +146,16 @@ def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_other
         asked.append(set(failed))
         return [fitted(name) for name in ("spool_lap", "entrained_air") if name not in failed]
 
-    def fits(nominal, starts, progress, options):
+    def fits(nominal, starts, point, progress, options):
         return [hypothesis(5000.0, "entrained_air") for (one,) in starts if one.candidate.name == "entrained_air"]
 
     monkeypatch.setattr(isolation, "start_points", starts)
     monkeypatch.setattr(isolation, "fit_starts", fits)
-    found, likeliest = isolation._first_hypotheses(base, score_test_of(base, base.fit), (), lambda share: None)
+    found, likeliest = isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)
     assert [one.label for one in found] == ["entrained_air"] and likeliest == "entrained_air"
     assert asked == [set(), {"spool_lap"}]
-    monkeypatch.setattr(isolation, "fit_starts", lambda nominal, starts, progress, options: [])
-    assert isolation._first_hypotheses(base, score_test_of(base, base.fit), (), lambda share: None)[0] == []
+    monkeypatch.setattr(isolation, "fit_starts", lambda nominal, starts, point, progress, options: [])
+    assert isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)[0] == []
 
 
 def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit(monkeypatch):

@@ -10,7 +10,7 @@ What is told of it in the end goes by a Wald statistic, beside the cause that is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from valvesim.identification.between_samples import Wave
 from valvesim.identification.down_weighting import down_weight_peaks
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
-from valvesim.identification.hypothesis_fit import fit_hypothesis
+from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (
     fitted_waves,
     linear_gain,
@@ -51,6 +51,7 @@ from valvesim.identification.nominal_fit import (
     fit_nominal_near,
     linearise_nominal,
     reweighted,
+    under_other_inputs,
     with_inputs_beside,
     with_inputs_reviewed,
 )
@@ -102,7 +103,7 @@ def with_faults_beside_cause(
     starts, few = start_points(scores, frozenset())[:1], options.isolation.near_linearisations
     if not starts or not is_far(nominal, options=options):
         return nominal, scores, None
-    at, fit = nominal, fit_hypothesis(nominal, starts[0], linearisations=few)
+    at, fit, tried = nominal, fit_hypothesis(nominal, starts[0], linearisations=few), False
     for _ in range(options.bench.most_faults):
         if fit is None:
             break
@@ -113,13 +114,31 @@ def with_faults_beside_cause(
             fit = fit_hypothesis(at, fit.fitted, np.append(fit.point, more), few)
             continue
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
-        if better is at:
+        if better is not at:
+            at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
+        elif not tried and fit.chi_square > options.identification.fit.inadequate_ratio * fit.rows:
+            (at, fit), tried = _best_inputs(at, fit, few), True
+        else:
             break
-        at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
     if at is nominal:
         return nominal, scores, fit
     nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=not nominal.study.weights)
     return nominal, score_test(nominal, nominal.fit, options=options), fit
+
+
+def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, Fit]:
+    """A nominal fit and a fit of causes beside it, or both under another way of the commands by which this explains
+    far more from within tolerance: linear answers do not tell where a fit has gone astray under a wrong one.
+    """
+    best, least = (nominal, fit), np.inf
+    for other in (nominal, *under_other_inputs(nominal)):
+        tried = fit_from_prior(other, fit.fitted, few)
+        if tried is None:
+            continue
+        chi_square = rescored(replace(other.study, spread={}), tried).chi_square
+        if chi_square < (1.0 - nominal.study.options.input.gain_share) * least:
+            best, least = (other, tried), chi_square
+    return best
 
 
 def is_far(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:

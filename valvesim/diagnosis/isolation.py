@@ -224,7 +224,7 @@ def _first_hypotheses(
 
 
 def _is_bent(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
-    """Whether an inadequate nominal fit has gone far for want of a cause: fits of causes start within tolerance then."""
+    """Whether an inadequate nominal fit has gone far for want of a cause: fits of causes begin within tolerance."""
     return is_far(nominal, options=options) and largest_shift(nominal.fit) > options.isolation.shifted
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -21,9 +20,8 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import UNITS, Record, value_text
-from valvesim.identification.study import PreparedSession, Study, residual_of, with_records
+from valvesim.identification.study import Prepared, PreparedSession, Study, residual_of, with_records
 
-Prepared = TypeVar("Prepared", bound=PreparedSession)
 Readings = Sequence[dict[str, np.ndarray]]
 
 

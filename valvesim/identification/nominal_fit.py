@@ -27,7 +27,7 @@ from valvesim.identification.least_squares import bounded_step, levenberg_marqua
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
 from valvesim.identification.prior import NominalModel, NuisanceParameter
-from valvesim.identification.study import PreparedSession, Study, with_records
+from valvesim.identification.study import Prepared, PreparedSession, Study, with_records
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ def _choice_at_start(start: NominalFit) -> InputChoice:
     return _reviewed_choice(replace(start, study=study))[2]
 
 
-def _with_inputs(prepared: PreparedSession, choice: InputChoice) -> PreparedSession:
+def _with_inputs(prepared: Prepared, choice: InputChoice) -> Prepared:
     """The prepared session with its commands between their samples as chosen, and notes on it."""
     if choice.name == STRAIGHT.name:
         return prepared
@@ -196,16 +196,11 @@ def _with_inputs(prepared: PreparedSession, choice: InputChoice) -> PreparedSess
     return replace(found, spread=input_spread(found))
 
 
-def _reviewed_choice(
-    nominal: NominalFit, fitted: tuple[FittedCandidate, ...] = ()
-) -> tuple[Study, InputChoice, InputChoice]:
-    """The session of a fit without what it took of the commands between their samples; what that was; and the same or
-    a better one by the figures of the fit, with candidates that are `fitted` beside it.
-    """
-    study, model = nominal.study, nominal.study.nominal
+def _without_choice(study: Study) -> tuple[Study, InputChoice]:
+    """A session without what was taken of its commands between their samples, and what that was."""
+    model = study.nominal
     edges = {p.name for p in model.parameters if isinstance(p.input, EdgeTime)}
-    own = [k for k, p in enumerate(model.parameters) if p.name not in edges]
-    plain = replace(model, parameters=tuple(model.parameters[k] for k in own),
+    plain = replace(model, parameters=tuple(p for p in model.parameters if p.name not in edges),
                     variant=replace(model.variant, deviations=()))  # fmt: skip
     now = next(
         choice
@@ -214,7 +209,18 @@ def _reviewed_choice(
     )
     taken = () if now.name == STRAIGHT.name else input_notes(study.session, now)
     session = replace(study.session, notes=tuple(note for note in study.session.notes if note not in taken))
-    without = replace(study, nominal=plain, session=session, spread={})
+    return replace(study, nominal=plain, session=session, spread={}), now
+
+
+def _reviewed_choice(
+    nominal: NominalFit, fitted: tuple[FittedCandidate, ...] = ()
+) -> tuple[Study, InputChoice, InputChoice]:
+    """The session of a fit without what it took of the commands between their samples; what that was; and the same or
+    a better one by the figures of the fit, with candidates that are `fitted` beside it.
+    """
+    without, now = _without_choice(nominal.study)
+    names = {p.name for p in without.nominal.parameters}
+    own = [k for k, p in enumerate(nominal.study.nominal.parameters) if p.name in names]
     columns = [{name: each[:, own] for name, each in one.items()} for one in nominal.columns]
     return without, now, choose_inputs(
         without, nominal.fit.point[own], nominal.linearised, columns, now, fitted
@@ -247,6 +253,25 @@ def with_inputs_beside(nominal: NominalFit, beside: NominalFit) -> NominalFit:
     """
     without, now, better = _reviewed_choice(beside, beside.fit.fitted)
     return nominal if better.name == now.name else _near_under(without, better, nominal, punctual=False)
+
+
+def under_other_inputs(nominal: NominalFit) -> list[NominalFit]:
+    """A nominal fit within tolerance, not fitted again, under each other way of its commands: with edges where they
+    jump.
+    """
+    without, now = _without_choice(nominal.study)
+    near = dict(zip(_point_by_name(nominal), clipped_to_tolerance(nominal), strict=True))
+    found = []
+    choices = input_choices(without.session, options=without.options)
+    jump = any(choice.parameters for choice in choices)
+    for choice in choices:
+        if choice.name == now.name or (jump and not choice.parameters and choice.name != HELD_NAME):
+            continue
+        study = _with_inputs(without.unweighted(), choice)
+        other = linearise_nominal(study, evaluate_fit(study, _named_point(study.nominal, near), ()))
+        weighted = down_weight_peaks(study, other.linearised) if nominal.study.weights else study
+        found.append(reweighted(weighted, other))
+    return found
 
 
 def _near_under(without: Study, choice: InputChoice, nominal: NominalFit, *, punctual: bool) -> NominalFit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -110,6 +110,9 @@ class Study(PreparedSession):
         )
 
 
+Prepared = TypeVar("Prepared", bound=PreparedSession)
+
+
 def each(function: Callable, *over: Sequence) -> list:
     """The function over sequences, on threads where there are cores for them: the integration lets others work."""
     threads = min(cores(), len(over[0]))
@@ -171,7 +174,7 @@ def restricted_session(whole: PreparedSession, records: Sequence[Record]) -> Pre
     )
 
 
-def with_records(prepared: PreparedSession, records: Sequence[Record], notes: Sequence[str]) -> PreparedSession:
+def with_records(prepared: Prepared, records: Sequence[Record], notes: Sequence[str]) -> Prepared:
     """The same with other samples usable in the training records, in their order, and more notes."""
     session = prepared.session
     found = {record.name: record for record in records}
