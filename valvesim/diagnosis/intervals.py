@@ -1,6 +1,7 @@
 """Confidence intervals of amplitudes and shapes: Laplace's approximation, widened by a sandwich over segments.
 
-Segments that disagree widen an interval, for no model is the plant (White 1980; few segments: Student's t).
+Segments that disagree widen an interval, for no model is the plant (White 1980; few segments: Student's t), and so does
+the error of an effect's law, of which another may have another amplitude.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimat
             declared = next(q for q in effect.parameters if q.name == shape)
             value = dict(member.shapes)[shape]
             half = np.log(final.options.identification.sensitivity.shape_ratio) * half_width(np.eye(len(at))[p + k])
+            half = float(np.hypot(half, effect.law_error))
             low, high = value * np.exp(-half), value * np.exp(half)
         else:
             declared = effect.amplitude
@@ -76,7 +78,7 @@ def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimat
                 j = names.index(candidate.label)
                 combine[j] = nominal.study.nominal.parameters[j].deviation
                 value += fit.point[j] * combine[j]
-            half = half_width(combine)
+            half = float(np.hypot(half_width(combine), effect.law_error * member.above_neutral))
             low, high = value - half, value + half
         low, high = max(low, declared.bounds[0]), min(high, declared.bounds[1])
         found.append(

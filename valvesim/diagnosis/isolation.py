@@ -28,7 +28,7 @@ from valvesim.diagnosis.model_selection import (
     with_minimum_gain,
 )
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.refits import fit_starts, largest_shift, reduced_hypotheses, restarted
+from valvesim.diagnosis.refits import fit_starts, largest_shift, reduced_hypotheses, refined_hypotheses, restarted
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.rival_term import rival_terms
 from valvesim.diagnosis.score_test import ScoreTest, score_test
@@ -44,7 +44,14 @@ from valvesim.diagnosis.starts import single_starts, start_points
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit
 from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
-from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance, refit_nominal, unweighted
+from valvesim.identification.nominal_fit import (
+    NominalFit,
+    clipped_to_tolerance,
+    linearise_nominal,
+    refit_nominal,
+    unweighted,
+)
+from valvesim.identification.refinement import refined
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +89,16 @@ def isolate(
         beside = [fit] if fit is not None else []
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)
+    if detect(scores)[0] and not is_far(nominal, options=options):
+        nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
+        scores = score_test(nominal, nominal.fit, options=options)
     bench = told_faults(scores, options=options)
     if bench and detect(scores)[0]:
         # no model is the plant: what is little beside what the bench explains may be the bench too
         explained = explained_by_bench(scores)
         if (
             float(np.max(scores.z(), initial=0.0)) ** 2 < options.bench.unexplained_share * explained
-            and nominal.fit.chi_square - nominal.fit.rows < options.bench.excess_share * explained
+            and beyond_noise(nominal.fit, nominal.study, options=options) <= options.bench.excess_share * explained
         ):
             level = scores.level(options.detection.false_alarm)
             return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
@@ -117,6 +127,7 @@ def _isolated(
             break
         nominal, scores = better, score_test(better, better.fit, options=options)
     found += restarted(nominal, found, likeliest, options=options)
+    found = refined_hypotheses(nominal, found, options=options)
     found = with_minimum_gain(
         nominal, reduced_hypotheses(nominal, distinct(found, options=options), options=options), level, options=options
     )

@@ -12,6 +12,7 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
+from valvesim.identification.refinement import refined
 
 
 def restarted(
@@ -85,7 +86,8 @@ def _restarted_within_tolerance(nominal: NominalFit, fit: Fit, *, options: Diagn
         ):
             break
         reached = best.chi_square
-        again = fit_hypothesis(nominal, best.fitted, clipped_to_tolerance(nominal))
+        far = nominal.fit.chi_square > options.identification.fit.inadequate_ratio * nominal.fit.rows
+        again = None if far else fit_hypothesis(nominal, best.fitted, clipped_to_tolerance(nominal))
         tried += [again] if again is not None else []
         if again is None or again.predicted_reduction >= unconverged(nominal, again):
             again = fit_from_prior(nominal, best.fitted)
@@ -113,6 +115,18 @@ def fit_starts(
             fits.append(fit_hypothesis(nominal, more, fit.point))
         found += [FittedHypothesis(one, options=options) for one in fits if one is not None]
     return found
+
+
+def refined_hypotheses(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The found, the few best that come near the records refined."""
+    adequate = options.identification.fit.inadequate_ratio * nominal.fit.rows
+    best = distinct(found, options=options)[: options.isolation.refined]
+    near = {id(one) for one in best if one.fit.chi_square < adequate}
+    return [
+        FittedHypothesis(refined(nominal.study, one.fit), options=options) if id(one) in near else one for one in found
+    ]
 
 
 def reduced_hypotheses(

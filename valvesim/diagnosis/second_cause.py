@@ -11,7 +11,7 @@ from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, 
 from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts
-from valvesim.identification.fit import FittedCandidate
+from valvesim.identification.fit import FittedCandidate, rescored
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.nominal_fit import NominalFit, unweighted
 
@@ -166,6 +166,10 @@ def at_full_weight(
     What tells a second cause from none may be in them.
     """
     full, near = unweighted(nominal), answer_set_of(nominal, found, options=final.options)
+    limits = final.options.identification.fit
+    best = rescored(full.study, found[0].fit)
+    if best.chi_square > limits.peak_ratio * limits.inadequate_ratio * best.rows:  # no step follows peaks so far off
+        return nominal, found, final
     again = distinct(
         [each for one in near for each in fit_starts(full, [one.fit.fitted], one.fit.point, options=final.options)],
         options=final.options,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.between_samples import EdgeTime, InputDeviation
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.fit import Fit, FittedCandidate, predict_readings, step_limits, whitened_residual
 from valvesim.identification.jacobian import candidate_sensitivities, parameter_sensitivities, perturbed_variants
 from valvesim.identification.linearised_record import LinearisedRecord, linearise_record
 from valvesim.identification.options import IdentificationOptions
@@ -54,6 +57,42 @@ def jacobian_of(
         np.log(study.options.sensitivity.shape_ratio) if shape else perturbation(member) for member, shape in fit.layout
     ]
     return np.column_stack([J, own / sizes])
+
+
+def simulated_jacobian(
+    study: Study, fit: Fit, linearised: Sequence[LinearisedRecord], columns: Sequence[dict[str, np.ndarray]]
+) -> np.ndarray:
+    """`jacobian_of` with differences of runs where the linearised equations err by some hundredths: for the valve's
+    quantities, the times of edges, and the fitted candidates.
+
+    What errs in a column meets the noise in the gradient, and moves what the records hardly see by deviations.
+    """
+    J, p = jacobian_of(study, fit, linearised, columns), len(fit.point)
+    low, high = step_limits(fit, study.nominal, options=study.options)
+    for k, parameter in enumerate(study.nominal.parameters):
+        if parameter.is_of_valve or isinstance(parameter.input, EdgeTime):
+            by = study.options.sensitivity.refined_step * (1.0 if high[k] > -low[k] else -1.0)
+            moved = replace(fit, point=fit.point + by * np.eye(p)[k])
+            with suppress(SolveError, InputError):
+                J[:, k] = (fit.residual - _moved_residual(study, fit, moved, parameter.input)) / by
+    sizes = [
+        np.log(study.options.sensitivity.shape_ratio) if shape else perturbation(member) for member, shape in fit.layout
+    ]
+    for k, (size, (_, moved)) in enumerate(zip(sizes, perturbed_fits(fit, options=study.options), strict=True)):
+        with suppress(SolveError, InputError):
+            J[:, p + k] = (fit.residual - _moved_residual(study, fit, moved, None)) / size
+    return J
+
+
+def _moved_residual(study: Study, fit: Fit, moved: Fit, own: InputDeviation | None) -> np.ndarray:
+    """The whitened residual (rows,) of a fit moved, by running its records: of an input, its `own` alone."""
+    variant, readings = moved.variant(study.nominal), list(fit.readings)
+    if own is None:
+        return whitened_residual(study, predict_readings(study, variant))
+    for k, predictor in enumerate(study.predictors):
+        if predictor.record.name == own.record:
+            readings[k] = predictor.readings(predictor.run(variant), variant)
+    return whitened_residual(study, readings)
 
 
 def added_jacobian_of(

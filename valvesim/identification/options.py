@@ -216,6 +216,9 @@ class SensitivityOptions:
     simulated_step: float = option(
         0.3, "1", "prior deviations by which a parameter is moved whose sensitivity is simulated", JUDGEMENT
     )
+    refined_step: float = option(
+        0.1, "1", "the same where a fit is refined by differences of runs", "the solver's noise is a hundredth of it"
+    )
     fast: float = option(
         1e-3, "s", "what acts sooner is held while trajectories are kept at the samples alone", "a sample at 1 kHz"
     )
@@ -320,6 +323,7 @@ class FitOptions:
     )
     linearisations: int = option(4, "1", "linearisations of a hypothesis that does not come near", JUDGEMENT)
     most_linearisations: int = option(12, "1", "linearisations of a hypothesis that does", JUDGEMENT)
+    refinements: int = option(2, "1", "times that a fit is refined by differences of runs", JUDGEMENT)
     hypothesis_ftol: float = option(
         2.0,
         "1",
