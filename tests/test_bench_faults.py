@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
+from hidden_plant import truth
 
 import valvesim as vs
 from valvesim.diagnosis import apart
@@ -16,15 +17,20 @@ from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
 from valvesim.diagnosis.wording import summary_text
+from valvesim.identification.fit import evaluate_fit
 from valvesim.identification.input_waves import (
     fitted_waves,
     linear_gain,
     outstanding_frequencies,
     wave_parameters,
     wave_words,
+    with_parameters,
 )
+from valvesim.identification.instrument_errors import meter_drifts
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
+from valvesim.identification.refinement import refined
 from valvesim.identification.session import Record
+from valvesim.identification.study import prepare_session
 from valvesim.inputs import evaluate
 from valvesim.units import quantities
 from valvesim.valve.additive_term import PORTS
@@ -65,6 +71,40 @@ def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
     quiet = [SimpleNamespace(record=replace(p.record, values={**p.record.values, "spool_position": own}))
              for p, own in zip(predictors, noise, strict=True)]  # fmt: skip
     assert outstanding_frequencies(SimpleNamespace(predictors=quiet, options=IDENTIFICATION), readings, 15.0) == []
+
+
+def test_a_ripple_that_the_command_modulates_is_thought_of_between_its_sidebands():
+    rng, predictors = np.random.default_rng(3), []
+    for record in RECORDS:
+        swing = np.sin(2.0 * np.pi * 4.0 * TIME) * np.sin(2.0 * np.pi * 94.6 * TIME + rng.uniform(0.0, 6.0))
+        values = {**record.values, "spool_position": 2.0 * swing + rng.normal(size=len(TIME))}
+        predictors.append(SimpleNamespace(record=replace(record, values=values)))
+    readings = [{"spool_position": 0.0 * TIME}] * 2
+    found = outstanding_frequencies(SimpleNamespace(predictors=predictors, options=IDENTIFICATION), readings, 15.0)
+    assert sorted(found) == pytest.approx([90.6, 94.6, 98.6], abs=0.05)
+
+
+def test_beside_a_wave_the_start_of_each_record_does_not_count(biased_session):
+    prepared = prepare_session(biased_session)
+    wave = wave_parameters(prepared.session.training, "supply_pressure", 37.0, 1e6)
+    drift = meter_drifts(prepared.session, prepared.options)
+    plain, waving = with_parameters(prepared, drift), with_parameters(prepared, (*drift, *wave))
+    assert waving.nominal.parameters == (*prepared.nominal.parameters, *drift, *wave)
+    for before, one, other in zip(prepared.predictors, plain.predictors, waving.predictors, strict=True):
+        late = before.record.time - before.record.time[0] >= prepared.options.wave.settling
+        assert not late.all()
+        for name, usable in before.record.usable.items():
+            assert np.array_equal(one.record.usable[name], usable)
+            assert np.array_equal(other.record.usable[name], usable & late)
+
+
+def test_a_fit_is_refined_towards_its_best_and_a_long_one_left(biased_fit):
+    study, best = biased_fit.study, biased_fit.fit
+    k = [p.name for p in study.nominal.parameters].index("nozzle_diameter")
+    off = evaluate_fit(study, best.point + 0.5 * np.eye(len(best.point))[k], ())
+    near = refined(study, off)
+    assert off.chi_square - near.chi_square > 0.9 * (off.chi_square - best.chi_square) > 100.0
+    assert refined(replace(study, is_long=True), off) is off
 
 
 def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
@@ -164,6 +204,19 @@ def test_an_answer_without_a_cause_says_what_to_do_too():
     assert "units, sign and wiring" in other.inspect and nothing.part == "not located"
     noise = SimpleNamespace(candidates=(), label="nothing but noise")
     assert [one.label for one in advice_on_causes([noise], "a reason")] == [noise.label, "none of the known causes"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed, hidden", [(800_011, "null_gap_asymmetry"), (800_025, "spool_lap")])
+def test_a_cause_on_a_bench_with_all_imperfections_is_named(tmp_path, seed, hidden):
+    """Held commands at 500 Hz, a ripple of 3 bar that starts with the record, and all the rest."""
+    rest = tuple(each for each in IMPERFECTIONS if each not in ("edges", "hold"))
+    case, bench = draw_bench(seed, "effect", name=hidden, imperfections=("hold", *rest))
+    write_bench_session(case, bench, tmp_path)
+    found = vs.diagnose(tmp_path)
+    assert found.causes == (hidden,) and any("ripples" in fault for fault in found.bench)
+    (amplitude,) = truth(case)["parameters"][hidden].values()
+    assert found.parameters[0].low <= amplitude <= found.parameters[0].high
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from test_prediction import UNIVERSE, bench_of, nominal_variant, small_session
 
 from valvesim.errors import InputError
 from valvesim.identification.candidates import Candidate, candidates_of
+from valvesim.identification.instrument_errors import clock_rates
 from valvesim.identification.jacobian import (
     candidate_sensitivities,
     is_simulated,
@@ -367,6 +368,23 @@ def test_columns_of_base_parameters_are_differences_of_true_runs(nominal, linear
         for channel in shown:
             error = rms(columns[channel][:, k] - truth[channel])
             assert error <= (0.2 if p.name == "chamber_volume" else 0.05) * rms(truth[channel]), (p.name, channel)
+
+
+def test_columns_of_a_channel_that_reads_late_are_late_too(nominal):
+    """By a millisecond here; a clock that runs apart is late, too."""
+    arm = next(p for p in nominal.parameters if p.name == "nozzle_arm")
+    late = next(p for p in nominal.parameters if p.name == "sensor_delay@armature_angle")
+    clock = next(p for p in clock_rates(small_session(), OPTIONS) if p.name == "clock_rate@armature_angle")
+    some = replace(nominal, parameters=(arm,))
+    variant = nominal_variant().with_effect(late.sensor(delay=1e-3)).with_effect(clock.sensor(rate=2e-4))
+    truth = {}
+    for name, at in (("late", variant), ("punctual", nominal_variant())):
+        about = linearise_record(bench_of("fast"), at)
+        high, low = (about.simulated_difference(arm.moved(at, by)) for by in (0.1, -0.1))
+        truth[name] = (high["armature_angle"] - low["armature_angle"]) / 0.2
+        columns = parameter_sensitivities(about, some, perturbed_variants(some, at))["armature_angle"][:, 0]
+        assert rms(columns - truth[name]) <= 0.03 * rms(truth[name])
+    assert rms(truth["late"] - truth["punctual"]) > 0.06 * rms(truth["punctual"])
 
 
 def test_columns_of_sensors_are_what_their_errors_do_on_their_channel(nominal, linear):

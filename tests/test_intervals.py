@@ -1,5 +1,6 @@
 """Confidence intervals of what was fitted: what the records know of a figure, and where their parts disagree."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.fit_jacobian import perturbation
 from valvesim.identification.prior import NETWORK, NuisanceParameter
 from valvesim.identification.projection import GramMatrix
+from valvesim.valve.catalogue import CATALOGUE
 
 SEGMENTS, ROWS = 60, 50
 NOISE = np.random.default_rng(4).normal(size=(SEGMENTS, ROWS))
@@ -54,3 +56,18 @@ def test_parts_that_disagree_widen_the_interval():
 
 def test_a_figure_of_the_heat_paths_is_told_in_words():
     assert interval(f"{NETWORK}oil_to_spool", "W/K").doc == "heat transfer from oil to spool"
+
+
+def test_what_another_law_would_say_of_an_amplitude_widens_its_interval():
+    def half(law_error):
+        effect = replace(CATALOGUE["magnetic_hysteresis"], law_error=law_error)
+        member = FittedCandidate(Candidate("magnetic_hysteresis", effect=effect), 2e-4)
+        shows = np.column_stack([NOISE[0], np.zeros(ROWS), perturbation(member) * np.full(ROWS, 1e8)])
+        gram = GramMatrix(np.array([shows.T @ shows] * 2), np.ones(1), (ROWS,) * 2)
+        fit = Fit(np.zeros(1), (member,), 0.0, (), np.zeros(0), 2.0 * ROWS)
+        model = SimpleNamespace(parameters=(NuisanceParameter("spool_area", "m^2", 2.0, 0.1, (0.1, 10.0)),))
+        final = SimpleNamespace(fit=fit, own=(0,), options=DIAGNOSIS, gram=gram)
+        found = confidence_intervals(SimpleNamespace(study=SimpleNamespace(nominal=model)), final)[0]
+        return found.high - found.value
+
+    assert half(0.2) == pytest.approx(np.hypot(half(0.0), 0.2 * 2e-4), rel=1e-6)

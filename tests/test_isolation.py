@@ -98,6 +98,7 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     monkeypatch.setattr(isolation, "_first_hypotheses", first)
     monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found: better if nominal is base else None)
     monkeypatch.setattr(isolation, "restarted", lambda nominal, found, likeliest, options: [])
+    monkeypatch.setattr(isolation, "refined_hypotheses", lambda nominal, found, options: found)
     ended = isolation._isolated(
         base, score_test_of(base, base.fit), lambda stage, share: None, (), (), options=DIAGNOSIS
     )

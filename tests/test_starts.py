@@ -172,11 +172,15 @@ def test_causes_that_cannot_be_simulated_are_none(monkeypatch):
     assert restarted(NOMINAL, [], "", options=DIAGNOSIS) == []
 
 
-@pytest.mark.parametrize("ends, stands", [(1000.0, "full"), (1e9, "weighted"), (None, "weighted")])
-def test_samples_count_in_full_where_the_best_can_follow_their_peaks(fitted, monkeypatch, ends, stands):
+@pytest.mark.parametrize(
+    "ends, peaks, stands",
+    [(1000.0, 4000.0, "full"), (1e9, 4000.0, "weighted"), (None, 4000.0, "weighted"), (1000.0, 1e6, "weighted")],
+)
+def test_samples_count_in_full_where_the_best_can_follow_their_peaks(fitted, monkeypatch, ends, peaks, stands):
     weighted = SimpleNamespace(**vars(NOMINAL), name="weighted")
     full = SimpleNamespace(**vars(NOMINAL), name="full")
     monkeypatch.setattr(second_cause, "unweighted", lambda nominal: full)
+    monkeypatch.setattr(second_cause, "rescored", lambda study, fit: replace(fit, chi_square=peaks))
     fitted.ends |= {} if ends is None else {"spool_lap": ends}
     found = [hypothesis(1900.0, LAP)]
     before = scores({AIR: 0.1}, found[0].fit)
