@@ -82,28 +82,43 @@ def isolate(
     only ones to begin with. `progress(stage, share)` is called with what is being done.
     """
     progress("looking for causes", 0.0)
-    scores = score_test(nominal, nominal.fit, options=options)
+    scores, beside = score_test(nominal, nominal.fit, options=options), list[Fit]()
+    if detect(scores)[0]:
+        nominal, scores, beside = _with_bench(nominal, scores, options=options)
+    bench = told_faults(scores, options=options)
+    if bench and detect(scores)[0] and _may_be_bench(nominal, scores, options=options):
+        level = scores.level(options.detection.false_alarm)
+        return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
+    isolation = _isolated(nominal, scores, progress, known, beside, options=options)
+    return replace(isolation, bench=told_faults(isolation.final, options=options))
+
+
+def _with_bench(
+    nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
+) -> tuple[NominalFit, ScoreTest, list[Fit]]:
+    """The nominal fit with what the bench did, refined where that still leaves an alarm; what it leaves; and the fits
+    of causes beside which the bench was looked at.
+    """
     beside = list[Fit]()
-    if detect(scores)[0] and is_far(nominal, options=options):
+    if is_far(nominal, options=options):
         nominal, scores, fit = with_faults_beside_cause(nominal, scores, options=options)
         beside = [fit] if fit is not None else []
+    known = nominal.study.nominal.parameters
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)
+    if nominal.study.nominal.parameters[: len(known)] != known:  # other edges: those fits are not of this model
+        beside = []
     if detect(scores)[0] and not is_far(nominal, options=options):
         nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
         scores = score_test(nominal, nominal.fit, options=options)
-    bench = told_faults(scores, options=options)
-    if bench and detect(scores)[0]:
-        # no model is the plant: what is little beside what the bench explains may be the bench too
-        explained = explained_by_bench(scores)
-        if (
-            float(np.max(scores.z(), initial=0.0)) ** 2 < options.bench.unexplained_share * explained
-            and beyond_noise(nominal.fit, nominal.study, options=options) <= options.bench.excess_share * explained
-        ):
-            level = scores.level(options.detection.false_alarm)
-            return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
-    isolation = _isolated(nominal, scores, progress, known, beside, options=options)
-    return replace(isolation, bench=told_faults(isolation.final, options=options))
+    return nominal, scores, beside
+
+
+def _may_be_bench(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> bool:
+    """Whether what shows is little beside what the bench explains: no model is the plant."""
+    explained, left = explained_by_bench(scores), beyond_noise(nominal.fit, nominal.study, options=options)
+    most = float(np.max(scores.z(), initial=0.0))
+    return most**2 < options.bench.unexplained_share * explained and left <= options.bench.excess_share * explained
 
 
 def _isolated(
