@@ -62,7 +62,7 @@ class BenchOptions:
         5.0, "1", "times the spectrum beside it at which a wave is thought of", "a cause hides it: the gain decides"
     )
     unexplained_share: float = option(
-        5e-5, "1", "share of what the bench explains that a candidate or a term may show of it", "no model is the plant"
+        2e-5, "1", "share of what the bench explains that a candidate or a term may show of it", "no model is the plant"
     )
     excess_share: float = option(
         1e-4, "1", "share of it that may be left beyond the noise without an alarm", "no model is the plant"

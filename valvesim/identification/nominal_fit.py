@@ -322,9 +322,14 @@ def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None]) -> N
 
 
 def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float], None]) -> NominalFit:
-    """A preliminary fit continued at full weight; with peaks down-weighted where the model cannot follow them."""
+    """A preliminary fit continued at full weight; with peaks down-weighted where the model cannot follow them, or
+    where what the inputs do is not known to the microseconds that a peak takes.
+    """
     study = study.with_noise(nominal.study.noise)
     near = linearise_nominal(study, rescored(study, nominal.fit))
+    weighted = reweighted(down_weight_peaks(study, near.linearised), near)
+    if study.nominal.variant.deviations or any(p.input is not None for p in study.nominal.parameters):
+        return _converge(weighted, study.options.fit.nominal_ftol, progress)
     full = _converge(near, study.options.fit.nominal_ftol, progress)
     left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
     follows = left <= study.options.fit.peak_ratio * max(left_between, 0.0) + 0.1 * full.fit.rows
