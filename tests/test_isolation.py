@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from valvesim.diagnosis import diagnose as diagnosing
-from valvesim.diagnosis import isolation
+from valvesim.diagnosis import detection, isolation
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -63,7 +63,8 @@ def test_where_the_nominal_fit_is_exchanged_its_own_score_test_takes_the_place_o
 def score_test_of(nominal, fit, *, options=DIAGNOSIS):
     """The score test of a fit in which nothing shows."""
     return SimpleNamespace(
-        nominal=nominal, fit=fit, options=options, z=lambda: np.zeros(1), level=lambda probability: 4.0
+        nominal=nominal, study=nominal.study, fit=fit, options=options, z=lambda: np.zeros(1),
+        level=lambda probability: 4.0,
     )
 
 
@@ -75,7 +76,8 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
     monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores, None))
     monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
-    monkeypatch.setattr(isolation, "explained_by_bench", lambda scores: beside)
+    for module in (isolation, detection):
+        monkeypatch.setattr(module, "explained_by_bench", lambda scores: beside)
 
     def isolated(nominal, scores, progress, known, beside, *, options):
         return isolation.Isolation(nominal, scores, scores, found, [], "", True, 4.0)

@@ -115,6 +115,13 @@ def explained_by_bench(scores: ScoreTest) -> float:
     return wald_statistic(scores, [k for k, p in enumerate(parameters) if is_of_bench(p)])
 
 
+def bearable_beside_bench(scores: ScoreTest) -> float:
+    """The chi-square that a cause may explain beside what the bench explains, and yet be the bench: no model is the
+    plant.
+    """
+    return scores.options.bench.unexplained_share * explained_by_bench(scores)
+
+
 def at_limit(fit: Fit, study: Study) -> np.ndarray:
     """(p,) True for the figures that a fit has as far off as it may: the part would be another one."""
     return np.abs(fit.point) > (1.0 - 1e-6) * study.options.prior.reach
@@ -158,5 +165,4 @@ def unexplained_share(nominal: NominalFit, final: ScoreTest) -> float:
     ) > final.level(final.options.detection.false_alarm):
         over.append(third**2)
     gained = max(nominal.fit.chi_square - final.fit.chi_square, 1.0)
-    bearable = final.options.bench.unexplained_share * explained_by_bench(final)
-    return max(max(over) - bearable, 0.0) / gained
+    return max(max(over) - bearable_beside_bench(final), 0.0) / gained

@@ -18,7 +18,14 @@ from valvesim.diagnosis.bench_faults import (
     with_bench_faults,
     with_faults_beside_cause,
 )
-from valvesim.diagnosis.detection import beyond_noise, detect, explained_by_bench, is_inadequate, unexplained_share
+from valvesim.diagnosis.detection import (
+    bearable_beside_bench,
+    beyond_noise,
+    detect,
+    explained_by_bench,
+    is_inadequate,
+    unexplained_share,
+)
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
@@ -116,9 +123,9 @@ def _with_bench(
 
 def _may_be_bench(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> bool:
     """Whether what shows is little beside what the bench explains: no model is the plant."""
-    explained, left = explained_by_bench(scores), beyond_noise(nominal.fit, nominal.study, options=options)
-    most = float(np.max(scores.z(), initial=0.0))
-    return most**2 < options.bench.unexplained_share * explained and left <= options.bench.excess_share * explained
+    left = beyond_noise(nominal.fit, nominal.study, options=options)
+    shows = float(np.max(scores.z(), initial=0.0)) ** 2
+    return shows < bearable_beside_bench(scores) and left <= options.bench.excess_share * explained_by_bench(scores)
 
 
 def _isolated(
@@ -143,9 +150,8 @@ def _isolated(
         nominal, scores = better, score_test(better, better.fit, options=options)
     found += restarted(nominal, found, likeliest, options=options)
     found = refined_hypotheses(nominal, found, options=options)
-    found = with_minimum_gain(
-        nominal, reduced_hypotheses(nominal, distinct(found, options=options), options=options), level, options=options
-    )
+    found = reduced_hypotheses(nominal, distinct(found, options=options), options=options)
+    found = with_minimum_gain(nominal, found, level, bearable_beside_bench(scores), options=options)
     progress("checking", 0.75)
     nominal, scores, found, final = _verified(nominal, scores, level, found)
     level = scores.level(options.detection.false_alarm)

@@ -100,12 +100,16 @@ def is_negligible(member: FittedCandidate, share: float) -> bool:
 
 
 def with_minimum_gain(
-    nominal: NominalFit, found: Sequence[FittedHypothesis], level: float, *, options: DiagnosisOptions
+    nominal: NominalFit,
+    found: Sequence[FittedHypothesis],
+    level: float,
+    of_bench: float = 0.0,
+    *,
+    options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
-    """Those that explain enough to be hypotheses at all."""
-    return [
-        one for one in found if nominal.fit.chi_square - one.fit.chi_square > options.selection.minimum_gain * level**2
-    ]
+    """Those that explain enough to be hypotheses at all: more than chance, and than what may be `of_bench`."""
+    least = options.selection.minimum_gain * level**2 + of_bench
+    return [one for one in found if nominal.fit.chi_square - one.fit.chi_square > least]
 
 
 def answer_set_width(nominal: NominalFit, best: FittedHypothesis, more: float = 0.0) -> float:

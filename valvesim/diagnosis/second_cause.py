@@ -6,7 +6,7 @@ from collections.abc import Sequence, Set
 
 import numpy as np
 
-from valvesim.diagnosis.detection import beyond_noise, explained_by_bench
+from valvesim.diagnosis.detection import bearable_beside_bench, beyond_noise
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, distinct, with_minimum_gain
 from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses
 from valvesim.diagnosis.score_test import ScoreTest, score_test
@@ -29,7 +29,7 @@ def with_second_cause(
         bearable = final.options.detection.doubtful_share * (nominal.fit.chi_square - best.fit.chi_square)
         if beyond_noise(final.fit, nominal.study, options=final.options) > 0.0:
             bearable = 0.0
-        bearable = max(bearable, final.options.bench.unexplained_share * explained_by_bench(final))
+        bearable = max(bearable, bearable_beside_bench(final))
         if z.max(initial=0.0) ** 2 < max(level**2, bearable):
             break
         near = best_of_labels(final, z, final.options.isolation.second_share * z.max())[
@@ -97,7 +97,11 @@ def with_singles_from_prior(
         [
             *found,
             *with_minimum_gain(
-                nominal, [FittedHypothesis(fit, options=scores.options) for fit in fits], level, options=scores.options
+                nominal,
+                [FittedHypothesis(fit, options=scores.options) for fit in fits],
+                level,
+                bearable_beside_bench(scores),
+                options=scores.options,
             ),
         ],
         options=scores.options,
