@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis import detection, isolation
+from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS

@@ -22,7 +22,7 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import start_points
 from valvesim.identification.between_samples import Wave
 from valvesim.identification.down_weighting import down_weight_peaks
-from valvesim.identification.fit import Fit, evaluate_fit, rescored
+from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (
@@ -101,7 +101,7 @@ def with_faults_beside_cause(
     where it is inadequate. Last the fit of that cause beside what the bench did, if there was anything to be fitted.
     """
     starts, few = start_points(scores, frozenset())[:1], options.isolation.near_linearisations
-    if not starts or not is_far(nominal, options=options):
+    if not starts or is_adequate(nominal.fit, options=options.identification):
         return nominal, scores, None
     at, fit, tried = nominal, fit_hypothesis(nominal, starts[0], linearisations=few), False
     for _ in range(options.bench.most_faults):
@@ -116,7 +116,7 @@ def with_faults_beside_cause(
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:
             at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
-        elif not tried and fit.chi_square > options.identification.fit.inadequate_ratio * fit.rows:
+        elif not tried and not is_adequate(fit, options=options.identification):
             (at, fit), tried = _best_inputs(at, fit, few), True
         else:
             break
@@ -139,11 +139,6 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
         if chi_square < (1.0 - nominal.study.options.input.gain_share) * least:
             best, least = (other, tried), chi_square
     return best
-
-
-def is_far(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
-    """Whether a nominal fit is inadequate: what it leaves is all of a cause."""
-    return nominal.fit.chi_square > options.identification.fit.inadequate_ratio * nominal.fit.rows
 
 
 def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:

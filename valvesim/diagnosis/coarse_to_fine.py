@@ -16,7 +16,7 @@ from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.bad_samples import without_outliers
-from valvesim.identification.fit import Fit
+from valvesim.identification.fit import Fit, is_adequate
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near
 from valvesim.identification.session import Record
 from valvesim.identification.study import PreparedSession, restricted_session
@@ -50,7 +50,7 @@ def fit_coarse_to_fine(
 
 def _without_outliers(nominal: NominalFit) -> NominalFit:
     """The nominal fit without single readings far off it, if there are such; an inadequate fit errs itself."""
-    if nominal.fit.chi_square > nominal.study.options.fit.inadequate_ratio * nominal.fit.rows:
+    if not is_adequate(nominal.fit, options=nominal.study.options):
         return nominal
     own = nominal.study.unweighted()
     cleaned = without_outliers(own, own, nominal.fit, nominal.linearised)

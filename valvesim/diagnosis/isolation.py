@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.bench_faults import (
-    is_far,
     told_faults,
     with_bench_faults,
     with_faults_beside_cause,
@@ -49,7 +48,7 @@ from valvesim.diagnosis.second_cause import (
 )
 from valvesim.diagnosis.starts import single_starts, start_points
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import Fit, evaluate_fit
+from valvesim.identification.fit import Fit, evaluate_fit, is_adequate
 from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
 from valvesim.identification.nominal_fit import (
     NominalFit,
@@ -107,7 +106,7 @@ def _with_bench(
     of causes beside which the bench was looked at.
     """
     beside = list[Fit]()
-    if is_far(nominal, options=options):
+    if not is_adequate(nominal.fit, options=options.identification):
         nominal, scores, fit = with_faults_beside_cause(nominal, scores, options=options)
         beside = [fit] if fit is not None else []
     known = nominal.study.nominal.parameters
@@ -115,7 +114,7 @@ def _with_bench(
         nominal, scores = with_bench_faults(nominal, scores, options=options)
     if nominal.study.nominal.parameters[: len(known)] != known:  # other edges: those fits are not of this model
         beside = []
-    if detect(scores)[0] and not is_far(nominal, options=options):
+    if detect(scores)[0] and is_adequate(nominal.fit, options=options.identification):
         nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
         scores = score_test(nominal, nominal.fit, options=options)
     return nominal, scores, beside
@@ -201,7 +200,7 @@ def _verified(
         found, final = with_other_pairs(nominal, found, final)
         if (
             nominal.study.weights
-            and nominal.fit.chi_square > scores.options.identification.fit.inadequate_ratio * nominal.fit.rows
+            and not is_adequate(nominal.fit, options=scores.options.identification)
         ):
             full, found, final = at_full_weight(nominal, found, final)
             if full is not nominal:  # what is told of scores, limits and terms is of the fit that stands
@@ -257,7 +256,8 @@ def _first_hypotheses(
 
 def _is_bent(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
     """Whether an inadequate nominal fit has gone far for want of a cause: fits of causes begin within tolerance."""
-    return is_far(nominal, options=options) and largest_shift(nominal.fit) > options.isolation.shifted
+    adequate = is_adequate(nominal.fit, options=options.identification)
+    return not adequate and largest_shift(nominal.fit) > options.isolation.shifted
 
 
 def _known_hypotheses(

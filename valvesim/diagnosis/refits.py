@@ -9,7 +9,7 @@ import numpy as np
 
 from valvesim.diagnosis.model_selection import FittedHypothesis, distinct, is_negligible
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.fit import Fit, FittedCandidate, is_adequate
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
 from valvesim.identification.refinement import refined
@@ -25,7 +25,7 @@ def restarted(
     least = min((one.fit for one in (*found, *more)), key=lambda fit: fit.chi_square)
     more += _from_best_point(nominal, [*found, *more], least, options=options)
     renewed = (
-        options.isolation.restarts if least.chi_square < options.identification.fit.inadequate_ratio * least.rows else 0
+        options.isolation.restarts if is_adequate(least, options=options.identification) else 0
     )  # times that a promise may be; far off none holds
     for one in [*found, *more]:
         if (
@@ -86,8 +86,8 @@ def _restarted_within_tolerance(nominal: NominalFit, fit: Fit, *, options: Diagn
         ):
             break
         reached = best.chi_square
-        far = nominal.fit.chi_square > options.identification.fit.inadequate_ratio * nominal.fit.rows
-        again = None if far else fit_hypothesis(nominal, best.fitted, clipped_to_tolerance(nominal))
+        near = is_adequate(nominal.fit, options=options.identification)
+        again = fit_hypothesis(nominal, best.fitted, clipped_to_tolerance(nominal)) if near else None
         tried += [again] if again is not None else []
         if again is None or again.predicted_reduction >= unconverged(nominal, again):
             again = fit_from_prior(nominal, best.fitted)
@@ -121,12 +121,10 @@ def refined_hypotheses(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
     """The found, the few best that come near the records refined."""
-    adequate = options.identification.fit.inadequate_ratio * nominal.fit.rows
     best = distinct(found, options=options)[: options.isolation.refined]
-    near = {id(one) for one in best if one.fit.chi_square < adequate}
-    return [
-        FittedHypothesis(refined(nominal.study, one.fit), options=options) if id(one) in near else one for one in found
-    ]
+    near = [one for one in best if is_adequate(one.fit, options=options.identification)]
+    better = [FittedHypothesis(refined(nominal.study, one.fit), options=options) for one in near]
+    return [*better, *(one for one in found if not any(one is other for other in near))]
 
 
 def reduced_hypotheses(

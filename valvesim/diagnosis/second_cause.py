@@ -11,7 +11,7 @@ from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, 
 from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts
-from valvesim.identification.fit import FittedCandidate, rescored
+from valvesim.identification.fit import FittedCandidate, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.nominal_fit import NominalFit, unweighted
 
@@ -178,7 +178,7 @@ def at_full_weight(
         [each for one in near for each in fit_starts(full, [one.fit.fitted], one.fit.point, options=final.options)],
         options=final.options,
     )
-    if not again or again[0].fit.chi_square > final.options.identification.fit.inadequate_ratio * again[0].fit.rows:
+    if not again or not is_adequate(again[0].fit, options=final.options.identification):
         return nominal, found, final
     found = reduced_hypotheses(full, again, options=final.options)
     found, final = with_second_cause(full, score_test(full, found[0].fit, options=final.options), found)

@@ -99,6 +99,11 @@ def _run(study: PreparedSession, variant: ModelVariant) -> list[tuple[Trajectory
     return study.each(run, study.predictors)
 
 
+def is_adequate(fit: Fit, *, options: IdentificationOptions) -> bool:
+    """Whether a fit leaves little more than noise: linear answers about another one are worth little."""
+    return fit.chi_square <= options.fit.inadequate_ratio * fit.rows
+
+
 def whitened_residual(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
     """(rows,) of all training records."""
     return study.stack([residual_of(b.record, r) for b, r in zip(study.predictors, readings, strict=True)])[:, 0]

@@ -53,10 +53,7 @@ def jacobian_of(
     if not fit.fitted:
         return J
     own = study.stack(fitted_sensitivities(study, fit, linearised, columns))
-    sizes = [
-        np.log(study.options.sensitivity.shape_ratio) if shape else perturbation(member) for member, shape in fit.layout
-    ]
-    return np.column_stack([J, own / sizes])
+    return np.column_stack([J, own / _step_sizes(fit, options=study.options)])
 
 
 def simulated_jacobian(
@@ -75,9 +72,7 @@ def simulated_jacobian(
             moved = replace(fit, point=fit.point + by * np.eye(p)[k])
             with suppress(SolveError, InputError):
                 J[:, k] = (fit.residual - _moved_residual(study, fit, moved, parameter.input)) / by
-    sizes = [
-        np.log(study.options.sensitivity.shape_ratio) if shape else perturbation(member) for member, shape in fit.layout
-    ]
+    sizes = _step_sizes(fit, options=study.options)
     for k, (size, (_, moved)) in enumerate(zip(sizes, perturbed_fits(fit, options=study.options), strict=True)):
         with suppress(SolveError, InputError):
             J[:, p + k] = (fit.residual - _moved_residual(study, fit, moved, None)) / size
@@ -138,6 +133,12 @@ def perturbed_fits(fit: Fit, *, options: IdentificationOptions) -> list[tuple[Ca
             moved.append(replace(member, shapes=shapes))
         steps += [(member.candidate, fit.with_fitted((*fit.fitted[:k], m, *fit.fitted[k + 1 :]))) for m in moved]
     return steps
+
+
+def _step_sizes(fit: Fit, *, options: IdentificationOptions) -> list[float]:
+    """By how much each of `perturbed_fits` moves its component of `Fit.vector`."""
+    by = float(np.log(options.sensitivity.shape_ratio))
+    return [by if shape else perturbation(member) for member, shape in fit.layout]
 
 
 def perturbation(member: FittedCandidate) -> float:

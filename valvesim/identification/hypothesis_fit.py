@@ -9,7 +9,15 @@ import numpy as np
 
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
-from valvesim.identification.fit import Fit, FittedCandidate, amplitude_limits, evaluate_fit, rescored, step_limits
+from valvesim.identification.fit import (
+    Fit,
+    FittedCandidate,
+    amplitude_limits,
+    evaluate_fit,
+    is_adequate,
+    rescored,
+    step_limits,
+)
 from valvesim.identification.fit_jacobian import all_candidate_sensitivities, jacobian_of, linearise_fit
 from valvesim.identification.least_squares import (
     bounded_step,
@@ -79,7 +87,7 @@ def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandida
             )
         ),
     )
-    if fit.chi_square > nominal.study.options.fit.inadequate_ratio * fit.rows:
+    if not is_adequate(fit, options=nominal.study.options):
         return _fit_robustly(nominal, fit, linearisations)
     return _iterate(nominal.study, fit, jacobian, _ending(nominal), linearisations, _worthwhile(nominal))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
-from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, rescored
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
 from valvesim.identification.input_choice import (
     HELD_NAME,
@@ -111,7 +111,7 @@ def _plain_choice(prepared: PreparedSession) -> InputChoice:
         if choice.parameters:
             continue
         nominal = _at_nominal(_with_inputs(prepared, choice), {})
-        if choice is STRAIGHT and nominal.fit.chi_square < prepared.options.fit.inadequate_ratio * nominal.fit.rows:
+        if choice is STRAIGHT and is_adequate(nominal.fit, options=prepared.options):
             break
         fit, _, _ = robust_start(nominal.study, nominal.fit)
         chi_square = rescored(replace(nominal.study, spread={}), fit).chi_square
@@ -308,7 +308,7 @@ def refit_nominal(nominal: NominalFit, fit: Fit) -> NominalFit:
     """The nominal model fitted at full weight from where another fit without candidates is."""
     study = nominal.study.unweighted()
     start = rescored(study, fit)
-    if start.chi_square > nominal.study.options.fit.inadequate_ratio * start.rows:
+    if not is_adequate(start, options=study.options):
         return fit_nominal_from(study, fit)
     return _converge(linearise_nominal(study, start), nominal.study.options.fit.nominal_ftol)
 
@@ -333,7 +333,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     full = _converge(near, study.options.fit.nominal_ftol, progress)
     left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
     follows = left <= study.options.fit.peak_ratio * max(left_between, 0.0) + 0.1 * full.fit.rows
-    if follows and full.fit.chi_square < study.options.fit.inadequate_ratio * full.fit.rows:
+    if follows and is_adequate(full.fit, options=study.options):
         return full
     return _converge(
         reweighted(replace(study, weights=nominal.study.weights), near), study.options.fit.nominal_ftol, progress
