@@ -99,7 +99,7 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "is_inadequate", lambda nominal, fit, options: False)
     monkeypatch.setattr(isolation, "_first_hypotheses", first)
-    monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found: better if nominal is base else None)
+    monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: better if nominal is base else None)
     monkeypatch.setattr(isolation, "restarted", lambda nominal, found, likeliest, options: [])
     monkeypatch.setattr(isolation, "refined_hypotheses", lambda nominal, found, options: found)
     ended = isolation._isolated(
@@ -169,7 +169,7 @@ def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit
     base, lap = nominal(9000.0), hypothesis(5000.0, "spool_lap")
     monkeypatch.setattr(isolation, "evaluate_fit", evaluate_fit)
     assert isolation._known_hypotheses(base, [lap.fit], lambda share: None, options=DIAGNOSIS) == []
-    assert isolation._better_nominal(base, [lap]) is None
+    assert isolation._better_nominal(base, [lap], options=DIAGNOSIS) is None
 
 
 def test_where_nothing_is_found_about_a_nominal_fit_far_out_single_causes_are_fitted_from_within(monkeypatch):

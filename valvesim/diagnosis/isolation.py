@@ -48,14 +48,13 @@ from valvesim.diagnosis.second_cause import (
 )
 from valvesim.diagnosis.starts import single_starts, start_points
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import Fit, evaluate_fit, is_adequate
+from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
 from valvesim.identification.nominal_fit import (
     NominalFit,
     clipped_to_tolerance,
     linearise_nominal,
     refit_nominal,
-    unweighted,
 )
 from valvesim.identification.refinement import refined
 
@@ -143,7 +142,7 @@ def _isolated(
         found, likeliest = _first_hypotheses(
             nominal, scores, known, beside, lambda share: progress("refitting", 0.15 + 0.6 * share)
         )
-        better = _better_nominal(nominal, found) if again else None
+        better = _better_nominal(nominal, found, options=options) if again else None
         if better is None:
             break
         nominal, scores = better, score_test(better, better.fit, options=options)
@@ -282,19 +281,23 @@ def _known_hypotheses(
     return found
 
 
-def _better_nominal(nominal: NominalFit, found: Sequence[FittedHypothesis]) -> NominalFit | None:
+def _better_nominal(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> NominalFit | None:
     """The nominal model fitted from where a hypothesis has gone, if that is better without its causes too.
 
-    Then most of what this explains is that the nominal fit had stopped short.
+    Then most of what this explains is that the nominal fit had stopped short. Of a hypothesis that explains little
+    that is asked however much it would lose at first.
     """
     for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
+        gain = nominal.fit.chi_square - one.chi_square
         try:
             fit = evaluate_fit(nominal.study, one.point, ())
-            if fit.chi_square > 0.5 * (nominal.fit.chi_square + one.chi_square):
+            if fit.chi_square > one.chi_square + 0.5 * gain and not 0.0 < gain < options.isolation.slight_gain:
                 continue
             better = refit_nominal(nominal, fit)
         except (SolveError, InputError):
             continue
-        if unweighted(better).fit.chi_square < unweighted(nominal).fit.chi_square:
+        if rescored(better.study, nominal.fit).chi_square - better.fit.chi_square > 0.5 * gain:
             return better
     return None

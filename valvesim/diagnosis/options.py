@@ -102,6 +102,9 @@ class IsolationOptions:
         2, "1", "linearisations in which a cause must come near records that the nominal valve cannot", JUDGEMENT
     )
     restarts: int = option(3, "1", "times that what may be best, or the nominal model, is fitted again", JUDGEMENT)
+    slight_gain: float = option(
+        60.0, "1", "chi-square below which the nominal fit may be what explains it, fitted from there", JUDGEMENT
+    )
     refined: int = option(3, "1", "best hypotheses that are refined by differences of runs", JUDGEMENT)
     seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)
     second_share: float = option(0.8, "1", "share of the largest z from which they are", JUDGEMENT)

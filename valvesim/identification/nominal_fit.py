@@ -106,13 +106,14 @@ def _plain_choice(prepared: PreparedSession) -> InputChoice:
 
     Where the nominal valve comes near the records, linear answers tell as well, and more cheaply.
     """
+    start = _at_nominal(prepared, {})
+    if is_adequate(start.fit, options=prepared.options):
+        return choose_inputs(start.study, start.fit.point, start.linearised, start.columns)
     best, least = STRAIGHT, np.inf
     for choice in input_choices(prepared.session, options=prepared.options):
         if choice.parameters:
             continue
-        nominal = _at_nominal(_with_inputs(prepared, choice), {})
-        if choice is STRAIGHT and is_adequate(nominal.fit, options=prepared.options):
-            break
+        nominal = _at_nominal(_with_inputs(prepared, choice), {}) if choice is not STRAIGHT else start
         fit, _, _ = robust_start(nominal.study, nominal.fit)
         chi_square = rescored(replace(nominal.study, spread={}), fit).chi_square
         if chi_square < least - prepared.options.input.minimum_gain:
@@ -305,8 +306,8 @@ def fit_nominal_near(prepared: PreparedSession, point: np.ndarray, *, full_weigh
 
 
 def refit_nominal(nominal: NominalFit, fit: Fit) -> NominalFit:
-    """The nominal model fitted at full weight from where another fit without candidates is."""
-    study = nominal.study.unweighted()
+    """The nominal model fitted from where another fit without candidates is, at full weight where it may be."""
+    study = nominal.study if _has_uncertain_inputs(nominal.study) else nominal.study.unweighted()
     start = rescored(study, fit)
     if not is_adequate(start, options=study.options):
         return fit_nominal_from(study, fit)
@@ -327,8 +328,8 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     """
     study = study.with_noise(nominal.study.noise)
     near = linearise_nominal(study, rescored(study, nominal.fit))
-    weighted = reweighted(down_weight_peaks(study, near.linearised), near)
-    if study.nominal.variant.deviations or any(p.input is not None for p in study.nominal.parameters):
+    if _has_uncertain_inputs(study):
+        weighted = reweighted(down_weight_peaks(study, near.linearised), near)
         return _converge(weighted, study.options.fit.nominal_ftol, progress)
     full = _converge(near, study.options.fit.nominal_ftol, progress)
     left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
@@ -338,6 +339,11 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     return _converge(
         reweighted(replace(study, weights=nominal.study.weights), near), study.options.fit.nominal_ftol, progress
     )
+
+
+def _has_uncertain_inputs(study: Study) -> bool:
+    """Whether inputs go otherwise than their samples say: in a way that was chosen, or by what is fitted of them."""
+    return bool(study.nominal.variant.deviations) or any(p.input is not None for p in study.nominal.parameters)
 
 
 def unweighted(nominal: NominalFit) -> NominalFit:
