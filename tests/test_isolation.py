@@ -99,7 +99,8 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "is_inadequate", lambda nominal, fit, options: False)
     monkeypatch.setattr(isolation, "_first_hypotheses", first)
-    monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: better if nominal is base else None)
+    again = {id(base): better}
+    monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: again.get(id(nominal)))
     monkeypatch.setattr(isolation, "restarted", lambda nominal, found, likeliest, options: [])
     monkeypatch.setattr(isolation, "refined_hypotheses", lambda nominal, found, options: found)
     ended = isolation._isolated(
@@ -170,6 +171,23 @@ def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit
     monkeypatch.setattr(isolation, "evaluate_fit", evaluate_fit)
     assert isolation._known_hypotheses(base, [lap.fit], lambda share: None, options=DIAGNOSIS) == []
     assert isolation._better_nominal(base, [lap], options=DIAGNOSIS) is None
+
+
+@pytest.mark.parametrize(
+    "ends, without, reaches, better",
+    [
+        (5000.0, 6000.0, 5500.0, True),  # most of what it explains it explains without its cause
+        (5000.0, 8500.0, 5500.0, False),  # without its cause it is lost: no fit is made
+        (8960.0, 9500.0, 8962.0, True),  # it is slight: a fit is made, and is as good without the cause
+        (8960.0, 9500.0, 8995.0, False),  # the same, and the cause was needed
+    ],
+)
+def test_a_nominal_fit_that_stopped_short_is_made_anew_from_a_hypothesis(monkeypatch, ends, without, reaches, better):
+    base, lap, end = nominal(9000.0), hypothesis(ends, "spool_lap"), nominal(reaches)
+    monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted: nominal(without).fit)
+    monkeypatch.setattr(isolation, "refit_nominal", lambda nominal, fit: end)
+    monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
+    assert isolation._better_nominal(base, [lap], options=DIAGNOSIS) is (end if better else None)
 
 
 def test_where_nothing_is_found_about_a_nominal_fit_far_out_single_causes_are_fitted_from_within(monkeypatch):
