@@ -20,9 +20,9 @@ from valvesim.identification.between_samples import (
     command_through,
     deviating_command,
 )
-from valvesim.identification.input_choice import edge_time, input_choices
+from valvesim.identification.input_choice import HELD_NAME, edge_time, input_choices
 from valvesim.identification.linearised_record import linearise_record
-from valvesim.identification.nominal_fit import fit_nominal
+from valvesim.identification.nominal_fit import _at_nominal, _plain_choice, fit_nominal, under_other_inputs
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session_toml import load_session
@@ -158,6 +158,28 @@ def test_a_strong_ripple_of_the_supply_is_fitted_with_its_frequency(tmp_path):
     frequency = next(run.ripple[1] for run in case.runs)
     assert abs(found - frequency) < 0.5 / 0.3  # half of what records of 0.3 s tell apart
     assert nominal.fit.chi_square < 1.2 * nominal.fit.rows
+
+
+def test_held_commands_are_told_beside_a_ripple_before_anything_is_fitted(tmp_path):
+    case, bench = draw_bench(505, "none", imperfections=("hold", "ripple"), duration=0.3)
+    write_bench_session(case, bench, tmp_path)
+    prepared = prepare_session(load_session(tmp_path))
+    assert _plain_choice(prepared).name == HELD_NAME
+    far = replace(OPTIONS, fit=replace(OPTIONS.fit, inadequate_ratio=1e-6))  # by robust starts instead
+    assert _plain_choice(replace(prepared, options=far)).name == HELD_NAME
+
+
+def test_a_fit_is_looked_at_under_each_other_way_of_its_commands_with_edges_where_they_jump(stepped):
+    _, session = stepped
+    nominal = _at_nominal(prepare_session(session), {})
+    nominal = replace(nominal, fit=replace(nominal.fit, point=nominal.fit.point + 5.0))
+    others = under_other_inputs(nominal)
+    kinds = [{type(one).__name__ for one, _ in other.study.nominal.variant.deviations} for other in others]
+    assert kinds == [{"Held"}, set(), {"Smooth"}]
+    p = len(nominal.fit.point)
+    for other, edges in zip(others, (False, True, True), strict=True):
+        assert (len(other.fit.point) > p) is edges
+        assert np.all(np.abs(other.fit.point) <= OPTIONS.fit.tolerance_deviations)
 
 
 def test_an_edge_may_be_anywhere_in_its_interval_and_nowhere_else(stepped):
