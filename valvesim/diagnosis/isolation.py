@@ -205,8 +205,9 @@ def _verified(
             if full is not nominal:  # what is told of scores, limits and terms is of the fit that stands
                 nominal, scores = full, score_test(full, full.fit, options=scores.options)
                 tried = frozenset()
+    bearable = max(scores.options.detection.doubtful_share, found[0].law_error if found else 0.0)
     if largest_shift(nominal.fit) > scores.options.isolation.shifted and (
-        not found or unexplained_share(nominal, final) > scores.options.detection.doubtful_share
+        not found or unexplained_share(nominal, final) > bearable
     ):
         found, final = with_singles_from_prior(nominal, scores, level, found, final, tried)
     return nominal, scores, found, final

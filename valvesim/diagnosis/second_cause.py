@@ -26,10 +26,11 @@ def with_second_cause(
     while len(final.fit.fitted) < final.options.isolation.most_causes:
         z, level = final.z(), final.level(final.options.detection.false_alarm)
         best = found[0]
-        bearable = final.options.detection.doubtful_share * (nominal.fit.chi_square - best.fit.chi_square)
+        share = final.options.detection.doubtful_share
         if beyond_noise(final.fit, nominal.study, options=final.options) > 0.0:
-            bearable = 0.0
-        bearable = max(bearable, bearable_beside_bench(final))
+            share = 0.0
+        share = max(share, best.law_error)  # what another law of it does better is no second cause
+        bearable = max(share * (nominal.fit.chi_square - best.fit.chi_square), bearable_beside_bench(final))
         if z.max(initial=0.0) ** 2 < max(level**2, bearable):
             break
         near = best_of_labels(final, z, final.options.isolation.second_share * z.max())[
