@@ -73,15 +73,16 @@ def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
     assert outstanding_frequencies(SimpleNamespace(predictors=quiet, options=IDENTIFICATION), readings, 15.0) == []
 
 
-def test_a_ripple_that_the_command_modulates_is_thought_of_between_its_sidebands():
-    rng, predictors = np.random.default_rng(3), []
+def test_a_ripple_that_the_flow_modulates_is_found_at_its_own_frequency():
+    rng, predictors, readings = np.random.default_rng(3), [], []
     for record in RECORDS:
-        swing = np.sin(2.0 * np.pi * 4.0 * TIME) * np.sin(2.0 * np.pi * 94.6 * TIME + rng.uniform(0.0, 6.0))
-        values = {**record.values, "spool_position": 2.0 * swing + rng.normal(size=len(TIME))}
-        predictors.append(SimpleNamespace(record=replace(record, values=values)))
-    readings = [{"spool_position": 0.0 * TIME}] * 2
+        flow = np.sin(2.0 * np.pi * 4.0 * TIME) + np.sin(2.0 * np.pi * 11.0 * TIME)
+        ripple = np.sin(2.0 * np.pi * 94.6 * TIME + rng.uniform(0.0, 6.0))
+        measured = {"load_flow": flow * (1.0 + ripple) + rng.normal(size=len(TIME)), "current": TIME}
+        predictors.append(SimpleNamespace(record=replace(record, values=measured, usable={"load_flow": TIME >= 0.0})))
+        readings.append({"load_flow": flow})
     found = outstanding_frequencies(SimpleNamespace(predictors=predictors, options=IDENTIFICATION), readings, 15.0)
-    assert sorted(found) == pytest.approx([90.6, 94.6, 98.6], abs=0.05)
+    assert any(abs(frequency - 94.6) < 0.05 for frequency in found)
 
 
 def test_beside_a_wave_the_start_of_each_record_does_not_count(biased_session):

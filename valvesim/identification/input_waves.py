@@ -91,7 +91,7 @@ def settled(record: Record, *, options: IdentificationOptions) -> Record:
 
 def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: float) -> list[float]:
     """The few frequencies (Hz) at which what is left stands furthest above what is left beside them, by a ratio of at
-    least `peak`, and those in the middle between two of them.
+    least `peak`.
     """
     wave = study.options.wave
     longest = max(predictor.record.duration for predictor in study.predictors)
@@ -113,15 +113,14 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: fl
                 fine = best + reach * np.linspace(-1.0, 1.0, 41) / longest
                 best = float(fine[int(np.argmax(_power(study, readings, fine)))])
             found.append(best)
-    # a reading in which the command modulates a wave shows its sidebands, and the wave in the middle
-    middles = [(one + other) / 2.0 for k, one in enumerate(found) for other in found[:k]]
-    return [*found, *middles]
+    return found
 
 
 def _power(study: PreparedSession, readings: Readings, frequencies: np.ndarray) -> np.ndarray:
     """The power (n,) of what is left at frequencies (n,) Hz, over all channels and records, each of power one.
 
-    What is far off is clipped (Huber): a peak that the model misses has power at all frequencies.
+    What is far off is clipped (Huber): a peak that the model misses has power at all frequencies. A ripple shows in the
+    load flow in proportion to it, and so by its sidebands; times that flow it shows at its own frequency.
     """
     power = np.zeros(len(frequencies))
     for predictor, read in zip(study.predictors, readings, strict=True):
@@ -133,7 +132,8 @@ def _power(study: PreparedSession, readings: Readings, frequencies: np.ndarray) 
             left = residual[name][:, 0] - np.median(residual[name][usable, 0])
             most = study.options.wave.clipped * 1.4826 * float(np.median(np.abs(left[usable])))
             left = np.where(usable, np.clip(left, -most, most), 0.0)
-            power += np.abs(waves @ left) ** 2 / max(float(left @ left), 1e-300)
+            for shown in (left, left * read[name]) if name == "load_flow" else (left,):
+                power += np.abs(waves @ shown) ** 2 / max(float(shown @ shown), 1e-300)
     return power
 
 
