@@ -33,7 +33,9 @@ def hypothesis(chi_square, *names):
 def nominal(chi_square, weights=()):
     """A nominal fit that leaves so much, under a study with those weights."""
     model = SimpleNamespace(parameters=())
-    study = SimpleNamespace(weights=dict.fromkeys(weights), options=DIAGNOSIS.identification, noise={}, nominal=model)
+    study = SimpleNamespace(
+        candidates=(), weights=dict.fromkeys(weights), options=DIAGNOSIS.identification, noise={}, nominal=model
+    )
     return SimpleNamespace(study=study, fit=Fit(np.zeros(1), (), chi_square, (), np.zeros(1), 5000.0))
 
 

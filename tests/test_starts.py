@@ -9,7 +9,7 @@ import pytest
 from valvesim.diagnosis import refits, second_cause
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
-from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses, restarted
+from valvesim.diagnosis.refits import fit_starts, plainer_hypotheses, reduced_hypotheses, restarted
 from valvesim.diagnosis.score_test import ScoreTest, search_size
 from valvesim.diagnosis.second_cause import at_full_weight, typical_starts, with_other_pairs, with_second_cause
 from valvesim.diagnosis.starts import start_points
@@ -150,6 +150,20 @@ def test_where_nothing_shows_no_second_cause_is_fitted(fitted):
     first = hypothesis(1900.0, LAP)
     before = scores({AIR: 0.1}, first.fit)
     assert with_second_cause(NOMINAL, before, [first]) == ([first], before) and not fitted.begun
+
+
+def test_the_plainer_effect_is_fitted_in_the_place_of_one_that_may_be_it(fitted):
+    silting = Candidate("spool_silting", CATALOGUE["spool_silting"])
+    nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(LAP, FRICTION, silting)))
+    fitted.ends |= {"spool_coulomb_friction": 990.0}
+    best = hypothesis(1000.0, silting)
+    (plainer,) = plainer_hypotheses(nominal, [best, hypothesis(1500.0, LAP)], options=DIAGNOSIS)
+    assert plainer.label == "spool_coulomb_friction" and plainer.fit.chi_square == 990.0
+    (member,) = plainer.fit.fitted
+    assert member.above_neutral == pytest.approx(FRICTION.typical)
+    assert plainer_hypotheses(nominal, [best, plainer], options=DIAGNOSIS) == []  # it was fitted
+    assert plainer_hypotheses(nominal, [hypothesis(1000.0, LAP)], options=DIAGNOSIS) == []
+    assert plainer_hypotheses(nominal, [], options=DIAGNOSIS) == []
 
 
 def test_of_a_pair_that_one_explains_as_well_the_one_is_left(fitted):

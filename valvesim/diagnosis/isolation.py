@@ -34,7 +34,14 @@ from valvesim.diagnosis.model_selection import (
     with_minimum_gain,
 )
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.refits import fit_starts, largest_shift, reduced_hypotheses, refined_hypotheses, restarted
+from valvesim.diagnosis.refits import (
+    fit_starts,
+    largest_shift,
+    plainer_hypotheses,
+    reduced_hypotheses,
+    refined_hypotheses,
+    restarted,
+)
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.rival_term import rival_terms
 from valvesim.diagnosis.score_test import ScoreTest, score_test
@@ -147,6 +154,7 @@ def _isolated(
             break
         nominal, scores = better, score_test(better, better.fit, options=options)
     found += restarted(nominal, found, likeliest, options=options)
+    found += plainer_hypotheses(nominal, found, options=options)
     found = refined_hypotheses(nominal, found, options=options)
     found = reduced_hypotheses(nominal, distinct(found, options=options), options=options)
     found = with_minimum_gain(nominal, found, level, bearable_beside_bench(scores), options=options)

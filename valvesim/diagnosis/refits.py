@@ -9,7 +9,7 @@ import numpy as np
 
 from valvesim.diagnosis.model_selection import FittedHypothesis, distinct, is_negligible
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.identification.fit import Fit, FittedCandidate, is_adequate
+from valvesim.identification.fit import Fit, FittedCandidate, is_adequate, with_shapes
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
 from valvesim.identification.refinement import refined
@@ -115,6 +115,28 @@ def fit_starts(
             fits.append(fit_hypothesis(nominal, more, fit.point))
         found += [FittedHypothesis(one, options=options) for one in fits if one is not None]
     return found
+
+
+def plainer_hypotheses(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The best with the plainer effect in the place of each that is one without its own feature, if none was fitted:
+    what a search has met first need not be what there is.
+    """
+    if not found:
+        return []
+    best = distinct(found, options=options)[0]
+    starts = []
+    for member in best.fit.fitted:
+        plainer = member.candidate.effect.plainer if member.candidate.effect is not None else ""
+        for candidate in [c for c in nominal.study.candidates if c.name == plainer][:1]:
+            share = member.above_neutral / member.candidate.typical
+            other = with_shapes(candidate, share * candidate.typical, dict(member.shapes))
+            start = tuple(other if one is member else one for one in best.fit.fitted)
+            names = sorted(one.candidate.name for one in start)
+            if all(sorted(c.name for c in one.candidates) != names for one in found):
+                starts.append(start)
+    return fit_starts(nominal, starts, best.fit.point, options=options)
 
 
 def refined_hypotheses(

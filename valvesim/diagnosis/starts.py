@@ -7,7 +7,7 @@ from collections.abc import Set
 import numpy as np
 
 from valvesim.diagnosis.score_test import ScoreTest
-from valvesim.identification.fit import FittedCandidate
+from valvesim.identification.fit import FittedCandidate, with_shapes
 from valvesim.identification.projection import ProjectedScores
 
 
@@ -83,20 +83,8 @@ def linear_amplitude(scores: ScoreTest, k: int) -> FittedCandidate:
 def at_amplitude(scores: ScoreTest, k: int, amount: float) -> FittedCandidate:
     """A candidate at an amount of its column, inside its limits, with its shapes where they were looked for."""
     candidate = scores.candidates[k]
-    low, high = candidate.limits
-    fixed = dict(candidate.fixed)
-    shapes = tuple((p.name, fixed.get(p.name, p.default)) for p in candidate.shapes())
-    return FittedCandidate(
-        candidate,
-        float(
-            np.clip(
-                amount * scores.sizes[k],
-                scores.options.identification.fit.interior * low,
-                scores.options.identification.fit.interior * high,
-            )
-        ),
-        shapes,
-    )
+    low, high = (scores.options.identification.fit.interior * end for end in candidate.limits)
+    return with_shapes(candidate, float(np.clip(amount * scores.sizes[k], low, high)))
 
 
 def at_typical(scores: ScoreTest, k: int, sign: float = 1.0) -> FittedCandidate:

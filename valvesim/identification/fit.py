@@ -7,7 +7,7 @@ Symbols
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,16 @@ class FittedCandidate:
     def apply_to(self, variant: ModelVariant) -> ModelVariant:
         """The variant with this candidate in it."""
         return self.candidate.apply_to(variant, self.above_neutral, **dict(self.shapes))
+
+
+def with_shapes(
+    candidate: Candidate, above_neutral: float, known: Mapping[str, float] | None = None
+) -> FittedCandidate:
+    """A candidate to be fitted from an amplitude, its shapes as `known` by name, or else where they are looked for."""
+    sought = dict(candidate.fixed) | dict(known or {})
+    return FittedCandidate(
+        candidate, above_neutral, tuple((p.name, sought.get(p.name, p.default)) for p in candidate.shapes())
+    )
 
 
 @dataclass(frozen=True, eq=False)
