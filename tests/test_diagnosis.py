@@ -532,19 +532,18 @@ def test_the_base_is_fitted_again_where_a_hypothesis_explains_as_much_without_it
         return Fit(point, fitted, without[float(point[0])], (), np.zeros(1), 1.0)
 
     monkeypatch.setattr(isolation, "evaluate_fit", evaluate_fit)
-    monkeypatch.setattr(isolation, "unweighted", lambda nominal: nominal)
+    monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
     monkeypatch.setattr(
-        isolation,
-        "refit_nominal",
-        lambda nominal, fit: FittedHypothesis(replace(fit, chi_square=ends), options=DIAGNOSIS),
+        isolation, "refit_nominal", lambda nominal, fit: SimpleNamespace(study=None, fit=replace(fit, chi_square=ends))
     )
     nominal = SimpleNamespace(fit=nominal.fit, study=None)
-    better = _better_nominal(nominal, found)  # not the best's: most of what that explains needs its cause
+    better = _better_nominal(nominal, found, options=DIAGNOSIS)  # not the best's: most of what that explains needs its cause
     assert better.fit.point == 1.0 and better.fit.chi_square == 205.0
     ends = 1001.0
-    assert _better_nominal(nominal, found) is None and _better_nominal(nominal, []) is None
+    assert _better_nominal(nominal, found, options=DIAGNOSIS) is None
+    assert _better_nominal(nominal, [], options=DIAGNOSIS) is None
     ends, without[1.0] = 205.0, 650.0
-    assert _better_nominal(nominal, found) is None
+    assert _better_nominal(nominal, found, options=DIAGNOSIS) is None
 
 
 def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
@@ -672,6 +671,7 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
         return replace(new.fit, fitted=tuple(start), chi_square=chi_square) if chi_square is not None else None
 
     monkeypatch.setattr(second_cause, "single_starts", lambda scores, fall, share: [old.fit.fitted])
+    monkeypatch.setattr(second_cause, "bearable_beside_bench", lambda scores: 0.0)
     monkeypatch.setattr(second_cause, "typical_starts", lambda nominal, scores: [new.fit.fitted])
     monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
     monkeypatch.setattr(
