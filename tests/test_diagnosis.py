@@ -537,7 +537,8 @@ def test_the_base_is_fitted_again_where_a_hypothesis_explains_as_much_without_it
         isolation, "refit_nominal", lambda nominal, fit: SimpleNamespace(study=None, fit=replace(fit, chi_square=ends))
     )
     nominal = SimpleNamespace(fit=nominal.fit, study=None)
-    better = _better_nominal(nominal, found, options=DIAGNOSIS)  # not the best's: most of what that explains needs its cause
+    # not from the best, most of which needs its cause
+    better = _better_nominal(nominal, found, options=DIAGNOSIS)
     assert better.fit.point == 1.0 and better.fit.chi_square == 205.0
     ends = 1001.0
     assert _better_nominal(nominal, found, options=DIAGNOSIS) is None
