@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -137,11 +138,13 @@ def run(name: str, count: int | None, single: bool, part: tuple[int, int], resul
     """Diagnose what the results do not have yet, a line each."""
     results.parent.mkdir(parents=True, exist_ok=True)
     done = {(row["seed"], row["hidden"], tuple(row["imperfections"])) for row in _rows(results)}
+    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude", "*"]
+    engine = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
     for k, spec in enumerate(one_by_one() if single else sessions(name)):
         if count is not None and k >= count:
             break
         if spec not in done and k % part[1] == part[0] - 1:
-            row = diagnosed(*spec)
+            row = diagnosed(*spec) | {"engine": engine}
             with open(results, "a", encoding="utf-8") as file:
                 file.write(json.dumps(row, ensure_ascii=False) + "\n")
             print(row["seed"], hidden_words(row), row["outcome"], row.get("set"), flush=True)
@@ -208,6 +211,7 @@ def report(name: str, results: Path, document: Path) -> None:
         "drawn for it, however little that shows. d' is what it changes of the noise-free readings, less what valve,",
         "instruments and ripple may take up by the linear equations about the nominal valve: more than a fit leaves.",
         "",
+        f"Engines, by commit: {_engines(rows)}.", "",
         "|  | measured (95 % interval after Wilson) |", "|---|---|",
         *(f"| {test} | {_share(hits)} |" for test, hits in tests.items()),
         f"| processor time of a session, s, two at a time | {spent} |", "",
@@ -215,6 +219,14 @@ def report(name: str, results: Path, document: Path) -> None:
         *(_line(row) for row in rows), "",
     ]  # fmt: skip
     document.write_text("\n".join(lines), encoding="utf-8")
+
+
+def _engines(rows: list[dict[str, Any]]) -> str:
+    """The engines that diagnosed the rows, each with its seeds."""
+    seeds: dict[str, list[int]] = {}
+    for row in rows:
+        seeds.setdefault(row.get("engine", "unknown"), []).append(row["seed"])
+    return "; ".join(f"`{engine}` {', '.join(map(str, sorted(own)))}" for engine, own in seeds.items())
 
 
 def _tells_ripple(row: dict[str, Any]) -> bool:
