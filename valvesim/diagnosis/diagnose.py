@@ -25,7 +25,7 @@ from valvesim.diagnosis.answer_tables import (
 )
 from valvesim.diagnosis.apart import odd_test
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
-from valvesim.diagnosis.detection import is_certain, is_inadequate
+from valvesim.diagnosis.detection import beyond_noise, is_certain, is_inadequate
 from valvesim.diagnosis.experiment_design import design
 from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain
@@ -93,7 +93,8 @@ def _answer(isolation: Isolation) -> Diagnosis:
     odd = ""
     if isolation.alarm and not inadequate and (unknown_reason or not in_set):
         borne_out = bool(isolation.found) or is_certain(scores, level)
-        odd = odd_test(nominal, options=options) if borne_out and not in_set else ""
+        excess = beyond_noise(nominal.fit, study, options=options) > 0.0
+        odd = odd_test(nominal, options=options) if excess and not in_set else ""
         recovered = None if odd else recover_term(nominal, scores)
         if recovered is None and not borne_out:  # neither a cause nor a term explains what the score tests showed
             isolation = replace(isolation, alarm=False)
