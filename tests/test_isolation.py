@@ -78,6 +78,7 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
     monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores, None))
     monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
+    monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
     for module in (isolation, detection):
         monkeypatch.setattr(module, "explained_by_bench", lambda scores: beside)
 

@@ -62,6 +62,7 @@ from valvesim.identification.nominal_fit import (
     clipped_to_tolerance,
     linearise_nominal,
     refit_nominal,
+    with_inputs_reviewed,
 )
 from valvesim.identification.refinement import refined
 
@@ -111,7 +112,9 @@ def _with_bench(
     """The nominal fit with what the bench did, refined where that still leaves an alarm; what it leaves; and the fits
     of causes beside which the bench was looked at.
     """
-    beside = list[Fit]()
+    beside, reviewed = list[Fit](), with_inputs_reviewed(nominal)
+    if reviewed is not nominal:
+        nominal, scores = reviewed, score_test(reviewed, reviewed.fit, options=options)
     if not is_adequate(nominal.fit, options=options.identification):
         nominal, scores, fit = with_faults_beside_cause(nominal, scores, options=options)
         beside = [fit] if fit is not None else []
