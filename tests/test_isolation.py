@@ -166,6 +166,25 @@ def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_other
     assert isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)[0] == []
 
 
+@pytest.mark.parametrize(
+    "left, verified, pairs", [(4000.0, True, False), (9000.0, True, True), (4000.0, False, True)]
+)
+def test_pairs_are_fitted_unless_one_alone_explains_all_but_verified_noise(monkeypatch, left, verified, pairs):
+    base, asked = nominal(9000.0), []
+    base.study.noise["spool_position", 1e-3] = SimpleNamespace(verified=verified)
+    base.study.predictors = ()
+    lap, air = fitted("spool_lap")[0], fitted("entrained_air")[0]
+
+    def fits(nominal, starts, point, progress, options):
+        asked.extend(len(start) for start in starts)
+        return [hypothesis(left, "spool_lap")]
+
+    monkeypatch.setattr(isolation, "start_points", lambda scores, failed: [(lap,), (lap, air)])
+    monkeypatch.setattr(isolation, "fit_starts", fits)
+    isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)
+    assert asked == ([1, 2] if pairs else [1])
+
+
 def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit(monkeypatch):
     def evaluate_fit(study, point, fitted):
         raise SolveError("no valve")

@@ -250,14 +250,14 @@ def _first_hypotheses(
     found, likeliest, failed = _known_hypotheses(nominal, known, progress, options=scores.options), "", set[str]()
     if found:
         return found, likeliest
-    point = clipped_to_tolerance(nominal) if _is_bent(nominal, options=scores.options) else None
+    point = clipped_to_tolerance(nominal) if _is_biased(nominal, options=scores.options) else None
     begun = _known_hypotheses(nominal, beside, lambda share: None, options=scores.options)
     labels = {one.label for one in begun}
     while starts := start_points(scores, failed):
         likeliest, pairs = starts[0][0].candidate.label, [start for start in starts if len(start) > 1]
         alone = [start for start in starts if len(start) == 1 and start[0].candidate.label not in labels]
         found = [*begun, *fit_starts(nominal, alone, point, progress, options=scores.options)]
-        if all(beyond_noise(one.fit, nominal.study, options=scores.options) > 0.0 for one in found):
+        if not any(_explains_all(one.fit, nominal, options=scores.options) for one in found):
             found += fit_starts(nominal, pairs, point, progress, options=scores.options)
         if any(likeliest == candidate.label for one in found for candidate in one.candidates):
             break
@@ -265,8 +265,14 @@ def _first_hypotheses(
     return found, likeliest
 
 
-def _is_bent(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
-    """Whether an inadequate nominal fit has gone far for want of a cause: fits of causes begin within tolerance."""
+def _explains_all(fit: Fit, nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
+    """Whether a fit leaves nothing beyond noise that is verified: any other noise is itself what a fit leaves."""
+    verified = all(noise.verified for noise in nominal.study.noise.values())
+    return verified and beyond_noise(fit, nominal.study, options=options) == 0.0
+
+
+def _is_biased(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
+    """Whether an inadequate nominal fit has its figures biased by a cause: fits of causes begin within tolerance."""
     adequate = is_adequate(nominal.fit, options=options.identification)
     return not adequate and largest_shift(nominal.fit) > options.isolation.shifted
 
