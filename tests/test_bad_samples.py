@@ -7,6 +7,7 @@ import pytest
 from bench_plant import draw_bench, write_bench_session
 
 import valvesim as vs
+from valvesim.identification import bad_samples
 from valvesim.identification.bad_samples import _single_outliers, _standing_apart, without_outliers
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.session_toml import load_session
@@ -104,6 +105,32 @@ def test_a_reading_off_the_fit_is_left_out_with_its_line_and_no_other(biased_ses
     assert [np.count_nonzero(~one.record.usable[channel]) for one in cleaned.predictors].count(1) == 1
     (note,) = cleaned.session.notes[len(prepared.session.notes) :]
     assert note.startswith(f"{record.name}, line 152: {channel} of ") and "noise deviations off" in note
+
+
+def test_next_to_a_jump_only_a_reading_that_is_cut_short_is_left_out(biased_session, biased_fit, monkeypatch):
+    prepared, nominal = prepare_session(biased_session), biased_fit
+    record, channel = prepared.predictors[1].record, "spool_position"
+    furthest = max(prepared.predictors, key=lambda one: one.record.values[channel].max()).record
+    top = int(np.argmax(furthest.values[channel]))
+
+    def left_out(of, at, off):
+        """What is left out where the model reads `off` noise deviations more than sample `at`, next to a jump."""
+        monkeypatch.setattr(bad_samples, "command_jumps", lambda command, options: [at])
+        readings = [dict(read) for read in nominal.fit.readings]
+        k = [one.record.name for one in prepared.predictors].index(of.name)
+        readings[k][channel] = readings[k][channel].copy()
+        readings[k][channel][at] += off * nominal.study.noise[channel, of.pace].deviation
+        fit = replace(nominal.fit, readings=tuple(readings))
+        cleaned = without_outliers(prepared, nominal.study, fit, nominal.linearised)
+        return [
+            (one.record.name, int(i))
+            for before, one in zip(prepared.predictors, cleaned.predictors, strict=True)
+            for i in np.flatnonzero(before.record.usable[channel] & ~one.record.usable[channel])
+        ]
+
+    assert left_out(furthest, top, 30.0) == [(furthest.name, top)]
+    assert left_out(furthest, top, -30.0) == []  # it reads further than the model
+    assert left_out(record, 150, 30.0) == []  # others read further
 
 
 @pytest.mark.slow

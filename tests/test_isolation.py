@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from valvesim.diagnosis import detection, isolation
+from valvesim.diagnosis import detection, isolation, refits, second_cause
 from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis
@@ -111,6 +111,39 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     )
     assert searched == [(base, base), (better, better)] and ended.nominal is better
     assert ended.alarm and not ended.found and not ended.answer_set  # 10 are no gain at a level of 4
+
+
+def test_what_another_law_of_an_effect_does_better_is_no_second_cause(monkeypatch):
+    base = nominal(105_000.0)
+    single, pair = hypothesis(30_000.0, "magnetic_hysteresis"), ("magnetic_hysteresis", "spool_lap")
+    assert single.law_error == 0.2
+    corrected, second = hypothesis(16_000.0, *pair), hypothesis(14_000.0, *pair)
+    other = hypothesis(16_000.0, "spool_lap", "entrained_air")
+    monkeypatch.setattr(second_cause, "beyond_noise", lambda fit, study, *, options: max(fit.chi_square - 5000.0, 0.0))
+    kept = second_cause.without_corrections_of_laws(base, [corrected, other, single], options=DIAGNOSIS)
+    assert kept == [other, single]
+    for more in (second, hypothesis(5000.0, *pair)):  # more than a law errs by
+        assert second_cause.without_corrections_of_laws(base, [more, single], options=DIAGNOSIS) == [more, single]
+    near = hypothesis(6000.0, "magnetic_hysteresis")
+    whole = hypothesis(5000.0, *pair)  # leaves no more than noise
+    assert second_cause.without_corrections_of_laws(base, [whole, near], options=DIAGNOSIS) == [whole, near]
+
+
+def test_what_is_far_behind_the_best_is_not_refined(monkeypatch):
+    asked = []
+
+    def refined(study, fit):
+        asked.append(fit.chi_square)
+        return replace(fit, chi_square=fit.chi_square - 2.0)
+
+    monkeypatch.setattr(refits, "refined", refined)
+    best, near, far = (
+        hypothesis(chi_square, name)
+        for chi_square, name in ((4900.0, "spool_lap"), (4910.0, "entrained_air"), (4990.0, "spool_coulomb_friction"))
+    )
+    ended = refits.refined_hypotheses(nominal(9000.0), [far, near, best], options=DIAGNOSIS)
+    assert asked == [4900.0, 4910.0]
+    assert [one.fit.chi_square for one in ended] == [4898.0, 4908.0, 4990.0] and ended[-1] is far
 
 
 @pytest.mark.parametrize("left, named", [(0.0, ["spool_lap"]), (0.5, [])])

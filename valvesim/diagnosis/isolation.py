@@ -52,6 +52,7 @@ from valvesim.diagnosis.second_cause import (
     with_other_pairs,
     with_second_cause,
     with_singles_from_prior,
+    without_corrections_of_laws,
 )
 from valvesim.diagnosis.starts import single_starts, start_points
 from valvesim.errors import InputError, SolveError
@@ -152,6 +153,7 @@ def _isolated(
         found, likeliest = _first_hypotheses(
             nominal, scores, known, beside, lambda share: progress("refitting", 0.15 + 0.6 * share)
         )
+        found = without_corrections_of_laws(nominal, found, options=options)
         better = _better_nominal(nominal, found, options=options) if again else None
         if better is None:
             break
@@ -160,6 +162,7 @@ def _isolated(
     found += plainer_hypotheses(nominal, found, options=options)
     found = refined_hypotheses(nominal, found, options=options)
     found = reduced_hypotheses(nominal, distinct(found, options=options), options=options)
+    found = without_corrections_of_laws(nominal, found, options=options)
     found = with_minimum_gain(nominal, found, level, bearable_beside_bench(scores), options=options)
     progress("checking", 0.75)
     nominal, scores, found, final = _verified(nominal, scores, level, found)
@@ -208,10 +211,7 @@ def _verified(
         found, final = with_second_cause(nominal, score_test(nominal, found[0].fit, options=scores.options), found)
         found, final, tried = effects_for_parameters(nominal, scores, found, final)
         found, final = with_other_pairs(nominal, found, final)
-        if (
-            nominal.study.weights
-            and not is_adequate(nominal.fit, options=scores.options.identification)
-        ):
+        if nominal.study.weights and not is_adequate(nominal.fit, options=scores.options.identification):
             full, found, final = at_full_weight(nominal, found, final)
             if full is not nominal:  # what is told of scores, limits and terms is of the fit that stands
                 nominal, scores = full, score_test(full, full.fit, options=scores.options)

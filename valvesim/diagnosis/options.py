@@ -62,7 +62,7 @@ class BenchOptions:
         5.0, "1", "times the spectrum beside it at which a wave is thought of", "a cause hides it: the gain decides"
     )
     unexplained_share: float = option(
-        2e-5, "1", "share of what the bench explains that a candidate or a term may show of it", "no model is the plant"
+        5e-6, "1", "share of what the bench explains that a candidate or a term may show of it", "no model is the plant"
     )
     excess_share: float = option(
         1e-4, "1", "share of it that may be left beyond the noise without an alarm", "no model is the plant"
@@ -106,6 +106,9 @@ class IsolationOptions:
         60.0, "1", "chi-square below which the nominal fit may be what explains it, fitted from there", JUDGEMENT
     )
     refined: int = option(3, "1", "best hypotheses that are refined by differences of runs", JUDGEMENT)
+    refined_gain: float = option(
+        30.0, "1", "chi-square that a refinement may gain: what is further behind is not refined", "mostly below 5"
+    )
     seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)
     second_share: float = option(0.8, "1", "share of the largest z from which they are", JUDGEMENT)
     unexplained_share: float = option(

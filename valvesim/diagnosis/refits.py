@@ -80,9 +80,8 @@ def _restarted_within_tolerance(nominal: NominalFit, fit: Fit, *, options: Diagn
     tried, reached = [fit], np.inf
     for _ in range(options.isolation.restarts):
         best = min(tried, key=lambda one: one.chi_square)
-        if (
-            best.predicted_reduction < unconverged(nominal, best)
-            or best.chi_square > reached - unconverged(nominal, best)
+        if best.predicted_reduction < unconverged(nominal, best) or best.chi_square > reached - unconverged(
+            nominal, best
         ):
             break
         reached = best.chi_square
@@ -142,10 +141,16 @@ def plainer_hypotheses(
 def refined_hypotheses(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """The found, the few best that come near the records refined."""
+    """The found, the best that come near the records refined, as far as they may still be the best then."""
     best = distinct(found, options=options)[: options.isolation.refined]
-    near = [one for one in best if is_adequate(one.fit, options=options.identification)]
-    better = [FittedHypothesis(refined(nominal.study, one.fit), options=options) for one in near]
+    near, better = list[FittedHypothesis](), list[FittedHypothesis]()
+    for one in best:
+        least = min((other.evidence for other in better), default=np.inf)
+        if one.evidence < least + options.isolation.refined_gain and is_adequate(
+            one.fit, options=options.identification
+        ):
+            near.append(one)
+            better.append(FittedHypothesis(refined(nominal.study, one.fit), options=options))
     return [*better, *(one for one in found if not any(one is other for other in near))]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from valvesim.diagnosis.detection import bearable_beside_bench, beyond_noise
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, distinct, with_minimum_gain
+from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts
@@ -45,6 +46,26 @@ def with_second_cause(
         found = reduced_hypotheses(nominal, merged, options=final.options)
         final = score_test(nominal, found[0].fit, options=final.options)
     return found, final
+
+
+def without_corrections_of_laws(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The found without those that leave more than noise and add no more to another one than its law may err by: what
+    another law of the same effect does better is no second cause.
+    """
+
+    def corrects(one: FittedHypothesis, alone: FittedHypothesis) -> bool:
+        may_err = alone.law_error * (nominal.fit.chi_square - alone.fit.chi_square)
+        fuller = len(alone.candidates) < len(one.candidates) and alone.is_within(one)
+        return fuller and alone.fit.chi_square - one.fit.chi_square < may_err
+
+    return [
+        one
+        for one in found
+        if beyond_noise(one.fit, nominal.study, options=options) == 0.0
+        or not any(corrects(one, alone) for alone in found)
+    ]
 
 
 def with_other_pairs(

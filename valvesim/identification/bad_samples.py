@@ -114,8 +114,17 @@ def without_outliers(
     """The prepared session with single readings far off a fit, whose neighbours are not, left out and told.
 
     Not next to a jump of the command, nor where the reading itself has a peak: there a model errs for a sample, too.
+    But next to a jump as well where the channel never reads further and the model does, as a saturated sensor's would.
     """
     options, records, notes = study.options, list[Record](), list[str]()
+    training = [linear.predictor.record for linear in linearised]
+    furthest = {
+        (name, side): max(
+            float(np.max(side * r.values[name][r.usable[name]], initial=-np.inf)) for r in training if name in r.outputs
+        )
+        for name in {name for record in training for name in record.outputs}
+        for side in (-1.0, 1.0)
+    }
     for linear, read in zip(linearised, fit.readings, strict=True):
         record = linear.predictor.record
         curvature = linear.predictor.curvatures(linear.trajectory, linear.variant)
@@ -126,7 +135,11 @@ def without_outliers(
         for name in record.outputs:
             left = np.where(record.usable[name], record.values[name] - read[name], np.nan)
             least = np.hypot(study.noise[name, record.pace].innovation, options.fit.peak_share * curvature[name])
-            outlying = _single_outliers(left, options.noise.outlier * least, options.noise.outlier_ratio) & still
+            cut = np.zeros(len(record.time), dtype=bool)
+            for side in (-1.0, 1.0):
+                cut |= (side * record.values[name] >= furthest[name, side]) & (side * left < 0.0)
+            outlying = _single_outliers(left, options.noise.outlier * least, options.noise.outlier_ratio)
+            outlying &= still | cut
             usable[name] = record.usable[name] & ~outlying
             for k in np.flatnonzero(outlying):
                 line = "" if record.path is None else f", {record.place(int(k))}"

@@ -76,7 +76,7 @@ def fitted_waves(model: NominalModel) -> dict[str, tuple[NuisanceParameter, ...]
 
 
 def with_parameters(prepared: Prepared, parameters: Sequence[NuisanceParameter]) -> Prepared:
-    """A prepared session with more nuisance parameters. Beside waves the first samples of each record do not count."""
+    """A prepared session with more nuisance parameters. Beside waves the ends of each record do not count."""
     prepared = prepared.with_nominal(prepared.nominal.extended(parameters))
     if not fitted_waves(prepared.nominal):
         return prepared
@@ -84,9 +84,12 @@ def with_parameters(prepared: Prepared, parameters: Sequence[NuisanceParameter])
 
 
 def settled(record: Record, *, options: IdentificationOptions) -> Record:
-    """A record without its first samples: a run begins at rest, and under a wave no valve has been at rest before."""
-    late = record.time - record.time[0] >= options.wave.settling
-    return replace(record, usable={name: good & late for name, good in record.usable.items()})
+    """A record without its first samples: a run begins at rest, and under a wave no valve has been at rest before. And
+    without its last one: a clock that is early reads it when the run has ended.
+    """
+    kept = record.time - record.time[0] >= options.wave.settling
+    kept[-1] = False
+    return replace(record, usable={name: good & kept for name, good in record.usable.items()})
 
 
 def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: float) -> list[float]:

@@ -223,9 +223,7 @@ def _reviewed_choice(
     names = {p.name for p in without.nominal.parameters}
     own = [k for k, p in enumerate(nominal.study.nominal.parameters) if p.name in names]
     columns = [{name: each[:, own] for name, each in one.items()} for one in nominal.columns]
-    return without, now, choose_inputs(
-        without, nominal.fit.point[own], nominal.linearised, columns, now, fitted
-    )
+    return without, now, choose_inputs(without, nominal.fit.point[own], nominal.linearised, columns, now, fitted)
 
 
 def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
@@ -420,12 +418,13 @@ def _converge(
 
 
 def _converge_down_weighted(nominal: NominalFit, progress: Callable[[float], None]) -> NominalFit:
-    """The nominal model fitted with samples next to a sharp peak of a reading down-weighted."""
-    return _converge(
-        reweighted(down_weight_peaks(nominal.study, nominal.linearised), nominal),
-        nominal.study.options.fit.preliminary_ftol,
-        progress,
-    )
+    """The nominal model fitted with samples next to a sharp peak of a reading down-weighted: roughly where the noise
+    is known, for a noise that is what a fit leaves as well as that needs.
+    """
+    options, verified = nominal.study.options.fit, all(one.verified for one in nominal.study.noise.values())
+    enough = max(options.preliminary_ftol, options.preliminary_share * nominal.fit.rows * verified)
+    weighted = reweighted(down_weight_peaks(nominal.study, nominal.linearised), nominal)
+    return _converge(weighted, enough, progress)
 
 
 def within_tolerance(nominal: NominalFit) -> Fit:

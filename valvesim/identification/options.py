@@ -271,7 +271,9 @@ class FitOptions:
         JUDGEMENT,
     )
     adequate_pace: float = option(
-        0.05, "1", "share of what is beyond adequate that a linearisation must bring, or an adequate fit is given up",
+        0.05,
+        "1",
+        "share of what is beyond adequate that a linearisation must bring, or an adequate fit is given up",
         JUDGEMENT,
     )
     shape_stride: float = option(4.5, "1", "ratio by which one step may change a shape parameter", JUDGEMENT)
@@ -318,6 +320,12 @@ class FitOptions:
         2.0, "1", "prior deviations at which a tolerance ends", "the prior of `NominalModel`"
     )
     preliminary_ftol: float = option(10.0, "1", "reduction of the chi-square that ends a preliminary fit", JUDGEMENT)
+    preliminary_share: float = option(
+        0.02,
+        "1",
+        "the same as a share of its expectation, where repeats tell the noise",
+        "a fit in full goes on from it",
+    )
     nominal_ftol: float = option(
         1.0, "1", "reduction of the chi-square that ends the fit of the nominal model", JUDGEMENT
     )
