@@ -133,6 +133,36 @@ def test_next_to_a_jump_only_a_reading_that_is_cut_short_is_left_out(biased_sess
     assert left_out(record, 150, 30.0) == []  # others read further
 
 
+def test_readings_that_stand_at_their_furthest_where_the_model_goes_on_are_saturated(biased_session, biased_fit):
+    prepared, nominal, channel = prepare_session(biased_session), biased_fit, "spool_position"
+    records = [linear.predictor.record for linear in nominal.linearised]
+    top = max(float(record.values[channel].max()) for record in records)
+    k = next(k for k, record in enumerate(records) if record.values[channel].max() == top)
+    noise = nominal.study.noise[channel, records[k].pace].deviation
+
+    def cleaned(model):
+        """The session where four samples of a record stand at the same value and the model reads `model` there."""
+        values = records[k].values[channel].copy()
+        values[at] = top
+        readings = [dict(read) for read in nominal.fit.readings]
+        readings[k][channel] = readings[k][channel].copy()
+        readings[k][channel][at] = model
+        linearised = list(nominal.linearised)
+        record = replace(records[k], values={**records[k].values, channel: values})
+        linearised[k] = replace(linearised[k], predictor=replace(linearised[k].predictor, record=record))
+        fit = replace(nominal.fit, readings=tuple(readings))
+        return without_outliers(prepared, nominal.study, fit, linearised)
+
+    at = sorted({40, 41, 90, int(np.argmax(records[k].values[channel]))})
+    found = cleaned(top + 20.0 * noise)
+    left_out = records[k].usable[channel] & ~found.predictors[k].record.usable[channel]
+    assert np.flatnonzero(left_out).tolist() == at
+    (note,) = found.session.notes[len(prepared.session.notes) :]
+    assert note.startswith(f"{channel} reads ") and "and no further, 4 times" in note and "saturated" in note
+    for model in (top - noise, top + noise):  # the model stops there too
+        assert not any("saturated" in note for note in cleaned(model).session.notes[len(prepared.session.notes) :])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("imperfection", ["gap", "corrupt"])
 @pytest.mark.parametrize("name", [None, "spool_coulomb_friction"])

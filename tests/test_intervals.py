@@ -70,4 +70,4 @@ def test_what_another_law_would_say_of_an_amplitude_widens_its_interval():
         found = confidence_intervals(SimpleNamespace(study=SimpleNamespace(nominal=model)), final)[0]
         return found.high - found.value
 
-    assert half(0.2) == pytest.approx(np.hypot(half(0.0), 0.2 * 2e-4), rel=1e-6)
+    assert half(0.2) == pytest.approx(np.hypot(half(0.0), np.sqrt(0.2) * 2e-4), rel=1e-6)

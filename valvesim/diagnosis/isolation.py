@@ -22,6 +22,7 @@ from valvesim.diagnosis.detection import (
     beyond_noise,
     detect,
     explained_by_bench,
+    is_certain,
     is_inadequate,
     unexplained_share,
 )
@@ -110,8 +111,8 @@ def isolate(
 def _with_bench(
     nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
 ) -> tuple[NominalFit, ScoreTest, list[Fit]]:
-    """The nominal fit with what the bench did, refined where that still leaves an alarm; what it leaves; and the fits
-    of causes beside which the bench was looked at.
+    """The nominal fit with what the bench did, refined where that still leaves an alarm by score tests alone; what it
+    leaves; and the fits of causes beside which the bench was looked at.
     """
     beside, reviewed = list[Fit](), with_inputs_reviewed(nominal)
     if reviewed is not nominal:
@@ -124,7 +125,8 @@ def _with_bench(
         nominal, scores = with_bench_faults(nominal, scores, options=options)
     if nominal.study.nominal.parameters[: len(known)] != known:  # other edges: those fits are not of this model
         beside = []
-    if detect(scores)[0] and is_adequate(nominal.fit, options=options.identification):
+    alarm, level = detect(scores)
+    if alarm and not is_certain(scores, level):
         nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
         scores = score_test(nominal, nominal.fit, options=options)
     return nominal, scores, beside

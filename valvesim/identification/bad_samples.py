@@ -7,7 +7,7 @@ samples (a word of the logger such as 32767); after a fit, single readings far o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -114,17 +114,16 @@ def without_outliers(
     """The prepared session with single readings far off a fit, whose neighbours are not, left out and told.
 
     Not next to a jump of the command, nor where the reading itself has a peak: there a model errs for a sample, too.
-    But next to a jump as well where the channel never reads further and the model does, as a saturated sensor's would.
+    But there as well where the channel never reads further and the model does. Where it stands at its furthest several
+    times and the model reads further each time it is saturated: all those are left out.
     """
     options, records, notes = study.options, list[Record](), list[str]()
-    training = [linear.predictor.record for linear in linearised]
-    furthest = {
-        (name, side): max(
-            float(np.max(side * r.values[name][r.usable[name]], initial=-np.inf)) for r in training if name in r.outputs
-        )
-        for name in {name for record in training for name in record.outputs}
-        for side in (-1.0, 1.0)
-    }
+    ends = _furthest_readings(study, [linear.predictor.record for linear in linearised], fit)
+    for end in ends:
+        if end.is_saturated:
+            value = value_text(end.side * end.furthest, UNITS[end.channel])
+            notes.append(f"{end.channel} reads {value} and no further, {end.count} times where the model does: it is "
+                         "saturated there, and left out")  # fmt: skip
     for linear, read in zip(linearised, fit.readings, strict=True):
         record = linear.predictor.record
         curvature = linear.predictor.curvatures(linear.trajectory, linear.variant)
@@ -134,13 +133,15 @@ def without_outliers(
             still[max(k - 1, 0) : k + 4] = False
         for name in record.outputs:
             left = np.where(record.usable[name], record.values[name] - read[name], np.nan)
+            cut, saturated = np.zeros((2, len(record.time)), dtype=bool)
+            for end in (one for one in ends if one.channel == name):
+                at_end = record.usable[name] & (end.side * record.values[name] >= end.furthest)
+                cut |= at_end & (end.side * left < 0.0)
+                saturated |= at_end & end.is_saturated
             least = np.hypot(study.noise[name, record.pace].innovation, options.fit.peak_share * curvature[name])
-            cut = np.zeros(len(record.time), dtype=bool)
-            for side in (-1.0, 1.0):
-                cut |= (side * record.values[name] >= furthest[name, side]) & (side * left < 0.0)
             outlying = _single_outliers(left, options.noise.outlier * least, options.noise.outlier_ratio)
-            outlying &= still | cut
-            usable[name] = record.usable[name] & ~outlying
+            outlying &= (still | cut) & ~saturated
+            usable[name] = record.usable[name] & ~(outlying | saturated)
             for k in np.flatnonzero(outlying):
                 line = "" if record.path is None else f", {record.place(int(k))}"
                 off = float(left[k]) - float(np.median(left[[k - 2, k - 1, k + 1, k + 2]]))
@@ -151,6 +152,37 @@ def without_outliers(
                 )
         records.append(replace(record, usable=usable))
     return with_records(prepared, records, notes) if notes else prepared
+
+
+@dataclass(frozen=True)
+class _FurthestReading:
+    """The furthest reading of a channel in all training records, times the `side` (1 up, -1 down), how many samples
+    stand at it, and whether the model reads much further in these.
+    """
+
+    channel: str
+    side: float
+    furthest: float
+    count: int
+    is_saturated: bool
+
+
+def _furthest_readings(study: Study, training: Sequence[Record], fit: Fit) -> list[_FurthestReading]:
+    """Of each channel on either side, beside what a fit reads of the training records."""
+    found, pairs = [], list(zip(training, fit.readings, strict=True))
+    for name in sorted({name for record in training for name in record.outputs}):
+        own = [(record, read[name], record.usable[name]) for record, read in pairs if name in record.outputs]
+        for side in (-1.0, 1.0):
+            furthest = max(float(np.max(side * record.values[name][good], initial=-np.inf)) for record, _, good in own)
+            beyond = np.concatenate([
+                (side * read - furthest)[good & (side * record.values[name] >= furthest)]
+                / study.noise[name, record.pace].deviation
+                for record, read, good in own
+            ])  # fmt: skip
+            several = len(beyond) > 1 and np.min(beyond) > 0.0
+            saturated = bool(several and np.median(beyond) > study.options.noise.outlier)
+            found.append(_FurthestReading(name, side, furthest, len(beyond), saturated))
+    return found
 
 
 def _single_outliers(left: np.ndarray, least: np.ndarray, ratio: float) -> np.ndarray:

@@ -130,7 +130,7 @@ class InputOptions:
     )
     holdout_steps: int = option(2, "1", "steps in which the edges of a hold-out record are fitted", JUDGEMENT)
     spread: float = option(
-        0.1, "1", "share of what another way than straight lines changes of a reading that may be wrong", JUDGEMENT
+        0.03, "1", "share of what another way than straight lines changes of a reading that may be wrong", JUDGEMENT
     )
     most_edges: int = option(60, "1", "jumps of a record whose times are fitted", "a linearisation solves for each")
     jump_ratio: float = option(5.0, "1", "times the same difference two intervals off", JUDGEMENT)
@@ -332,6 +332,9 @@ class FitOptions:
     linearisations: int = option(4, "1", "linearisations of a hypothesis that does not come near", JUDGEMENT)
     most_linearisations: int = option(12, "1", "linearisations of a hypothesis that does", JUDGEMENT)
     refinements: int = option(2, "1", "times that a fit is refined by differences of runs", JUDGEMENT)
+    refined_gain: float = option(
+        10.0, "1", "reduction of the chi-square by a refinement from which there is another", "mostly below 5"
+    )
     hypothesis_ftol: float = option(
         2.0,
         "1",

@@ -32,6 +32,6 @@ def refined(study: Study, fit: Fit) -> Fit:
         fit, jacobian = levenberg_marquardt(study, fit, jacobian, enough)
         H, _ = normal_equations(fit, jacobian, options=study.options)
         fit = replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
-        if before - fit.chi_square < enough:
+        if before - fit.chi_square < study.options.fit.refined_gain:
             break
     return fit
