@@ -21,8 +21,7 @@ from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import start_points
 from valvesim.identification.between_samples import Wave
-from valvesim.identification.down_weighting import down_weight_peaks
-from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
+from valvesim.identification.fit import Fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (
@@ -49,8 +48,7 @@ from valvesim.identification.nominal_fit import (
     NominalFit,
     assembled,
     fit_nominal_near,
-    linearise_nominal,
-    reweighted,
+    linearised_at,
     under_other_inputs,
     with_inputs_beside,
     with_inputs_reviewed,
@@ -145,8 +143,7 @@ def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> No
     """The nominal fit with more parameters, at nothing of them."""
     study = with_parameters(nominal.study.unweighted(), parameters)
     point = np.append(nominal.fit.point, np.zeros(len(parameters)))
-    wide = linearise_nominal(study, evaluate_fit(study, point, ()))
-    return reweighted(down_weight_peaks(study, wide.linearised), wide) if nominal.study.weights else wide
+    return linearised_at(study, point, full_weight=not nominal.study.weights)
 
 
 def _extended(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:

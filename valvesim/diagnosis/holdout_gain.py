@@ -89,19 +89,30 @@ def _read_with_inputs(study: Study, predictor: RecordPredictor, variant: ModelVa
     """What a variant reads in a locked record, its inputs fitted as those of the training records were: when its
     command jumped, or how its supply rippled, is nothing that a model of the valve could know.
     """
-    inputs = _own_inputs(study, predictor.record)
-    point = np.zeros(len(inputs))
-    own = NominalModel(variant, inputs, options=study.options)
+    inputs, record = _own_inputs(study, predictor.record), predictor.record
+    own, point = NominalModel(variant, inputs, options=study.options), np.zeros(len(inputs))
+
+    def left(point: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
+        """The readings at a point, their whitened residual (rows,), and the penalised chi-square."""
+        at = own.at(point)
+        readings = predictor.readings(predictor.run(at), at)
+        r = _white(study, record, residual_of(record, readings))[:, 0]
+        return readings, r, float(r @ r + point @ point)
+
+    readings, r, chi_square = left(point)
     for _ in range(study.options.input.holdout_steps if inputs else 0):
-        now = own.at(point)
+        now, before = own.at(point), chi_square
         linear = linearise_record(predictor, now)
-        sensitivities = parameter_sensitivities(linear, own, perturbed_variants(own, now))
-        record = predictor.record
-        J, r = _white(study, record, sensitivities), _white(study, record, residual_of(record, linear.readings))[:, 0]
+        J = _white(study, record, parameter_sensitivities(linear, own, perturbed_variants(own, now)))
         step = bounded_step(J.T @ J + np.eye(len(point)), J.T @ r - point, own.limits - point)
-        point = point + step
-    final = own.at(point)
-    return predictor.readings(predictor.run(final), final)
+        for share in (1.0, 0.5, 0.25):  # peaks that move are far from linear
+            tried = left(point + share * step)
+            if tried[2] < chi_square:
+                point, (readings, r, chi_square) = point + share * step, tried
+                break
+        if before - chi_square < study.options.fit.hypothesis_ftol:
+            break
+    return readings
 
 
 def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:

@@ -111,8 +111,9 @@ def isolate(
 def _with_bench(
     nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
 ) -> tuple[NominalFit, ScoreTest, list[Fit]]:
-    """The nominal fit with what the bench did, refined where that still leaves an alarm by score tests alone; what it
-    leaves; and the fits of causes beside which the bench was looked at.
+    """The nominal fit with what the bench did; fitted again from within tolerance where that leaves an alarm and
+    figures that are off, for it may have stopped short; and refined where there still is one by score tests alone.
+    What it leaves, and the fits of causes beside which the bench was looked at.
     """
     beside, reviewed = list[Fit](), with_inputs_reviewed(nominal)
     if reviewed is not nominal:
@@ -120,11 +121,17 @@ def _with_bench(
     if not is_adequate(nominal.fit, options=options.identification):
         nominal, scores, fit = with_faults_beside_cause(nominal, scores, options=options)
         beside = [fit] if fit is not None else []
-    known = nominal.study.nominal.parameters
+    known = [p.name for p in nominal.study.nominal.parameters]
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)
-    if nominal.study.nominal.parameters[: len(known)] != known:  # other edges: those fits are not of this model
+    names = [p.name for p in nominal.study.nominal.parameters]
+    if names[: len(known)] != known:  # other edges: those fits are not of this model
         beside = []
+    adequate = is_adequate(nominal.fit, options=options.identification)
+    if detect(scores)[0] and adequate and largest_shift(nominal.fit) > options.isolation.shifted:
+        again = refit_nominal(nominal, evaluate_fit(nominal.study, clipped_to_tolerance(nominal), ()))
+        if rescored(nominal.study, again.fit).chi_square < nominal.fit.chi_square - options.isolation.slight_gain:
+            nominal, scores = again, score_test(again, again.fit, options=options)
     alarm, level = detect(scores)
     if alarm and not is_certain(scores, level):
         nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))

@@ -77,23 +77,34 @@ class Held:
 
 @dataclass(frozen=True)
 class Smooth:
-    """The command goes on smoothly through its samples (cubic splines), straight in the intervals `straight`."""
+    """The command goes on smoothly through its samples (splines of degree 7), straight in the intervals `straight`.
+
+    At a fifth of the sampling rate a cubic spline is 0.5 % too small, as is an armature of a larger inertia. Straight
+    lines join points so far outside the spline that they enclose as much as it does.
+    """
 
     record: str
     column: str
     straight: tuple[int, ...] = ()
 
     def apply(self, points: Points, samples: Points, amount: float) -> Points:
-        from scipy.interpolate import CubicSpline
-
         time, values = samples
         t, u = [], []
         for first, last in zip((0, *(k + 1 for k in self.straight)), (*self.straight, len(time) - 1), strict=True):
             part, fine = slice(first, last + 1), np.linspace(time[first], time[last], (last - first) * SMOOTH + 1)
-            curve = CubicSpline(time[part], values[part]) if last - first > 2 else None
             t.append(fine)
-            u.append(np.interp(fine, time[part], values[part]) if curve is None else curve(fine))
+            u.append(_smooth(time[part], values[part], fine))
         return np.concatenate(t), np.concatenate(u)
+
+
+def _smooth(time: np.ndarray, values: np.ndarray, fine: np.ndarray) -> np.ndarray:
+    """Points (m,) at the even times `fine` whose straight lines go as a smooth curve through samples (n,) does."""
+    from scipy.interpolate import make_interp_spline
+
+    if len(time) < 4:
+        return np.interp(fine, time, values)
+    curve = make_interp_spline(time, values, k=min(7, 2 * (len(time) // 2) - 1))
+    return curve(fine) - (fine[1] - fine[0]) ** 2 / 12.0 * curve.derivative(2)(fine)
 
 
 @dataclass(frozen=True)

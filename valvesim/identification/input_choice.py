@@ -27,7 +27,7 @@ from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.session import UNITS, Record, Session, value_text
-from valvesim.identification.study import PreparedSession, Study
+from valvesim.identification.study import PreparedSession, Study, residual_of
 from valvesim.valve.effects.sensors import SENSOR_DELAY
 
 
@@ -74,6 +74,50 @@ def edge_time(record: Record, edge: EdgeTime) -> NuisanceParameter:
     step = 1.0 / record.rate
     name = f"edge_time@{record.name}:{edge.after}"
     return NuisanceParameter(name, "s", 0.0, step / np.sqrt(12.0), (-0.5 * step, 0.5 * step), input=edge)
+
+
+def searched_edges(study: Study, fit: Fit) -> np.ndarray:
+    """The point (p,) of a fit without candidates, with each edge that is followed by more than noise where in its
+    interval its record leaves least, all else being as it is.
+
+    Leakage peaks and struck stops come and go with an edge: steps of a fit by derivatives end beside them. Each place
+    is run.
+    """
+    model, point, options = study.nominal, fit.point.copy(), study.options.input
+    low, high = model.limits
+    for predictor, read in zip(study.predictors, fit.readings, strict=True):
+
+        def left(at: np.ndarray) -> float:
+            variant = model.at(at)
+            residual = residual_of(predictor.record, predictor.readings(predictor.run(variant), variant))  # noqa: B023
+            white = np.concatenate(study.whiten(predictor, residual))[:, 0]  # noqa: B023
+            return float(white @ white + at @ at)
+
+        for k, parameter in enumerate(model.parameters):
+            edge = parameter.input
+            if not isinstance(edge, EdgeTime) or edge.record != predictor.record.name:
+                continue
+            if _misfit_after(study, predictor.record, read, edge) < options.edge_misfit:
+                continue
+            places = [
+                point + (t - point[k]) * np.eye(len(point))[k]
+                for t in np.linspace(low[k], high[k], options.edge_places)
+            ]
+            found = min(places, key=left)
+            if left(found) < left(point) - options.edge_gain:
+                point = found
+    return point
+
+
+def _misfit_after(study: Study, record: Record, read: dict[str, np.ndarray], edge: EdgeTime) -> float:
+    """The mean square of what is left in the samples after an edge, in noise deviations, of the worst channel."""
+    after = slice(edge.after, edge.after + study.options.input.edge_samples)
+    misfits = [0.0]
+    for name in record.outputs:
+        usable = record.usable[name][after]
+        off = (record.values[name] - read[name])[after][usable] / study.noise[name, record.pace].deviation
+        misfits += [float(np.mean(off**2))] if usable.any() else []
+    return max(misfits)
 
 
 def choose_inputs(
@@ -166,9 +210,7 @@ def input_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]
     variant = nominal.at(np.zeros(len(nominal.parameters)))
     edges = tuple(each for each in variant.deviations if isinstance(each[0], EdgeTime))
     try:
-        own, straight = (
-            predict_readings(prepared, one) for one in (variant, replace(variant, deviations=edges))
-        )
+        own, straight = (predict_readings(prepared, one) for one in (variant, replace(variant, deviations=edges)))
     except (SolveError, InputError):
         return {}
     share = prepared.options.input.spread

@@ -20,8 +20,9 @@ from valvesim.identification.input_choice import (
     input_choices,
     input_notes,
     input_spread,
+    searched_edges,
 )
-from valvesim.identification.input_waves import dominant_wave, fitted_waves, with_parameters
+from valvesim.identification.input_waves import dominant_wave, fitted_waves, tuned_waves, with_parameters
 from valvesim.identification.instrument_errors import instrument_errors
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
@@ -170,12 +171,35 @@ def _finished(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[f
     """A robust start continued: preliminary, with the noise that it leaves where repeats have not told it, then in
     full.
     """
-    nominal = _converge_down_weighted(nominal, ahead)
+    nominal = _tuned(_converge_down_weighted(_tuned(nominal), ahead))
     if not all(one.verified for one in nominal.study.noise.values()):
         for _ in range(2):  # the noise is what the best fit leaves: again with its colour
             noise = identify_noise(nominal.study, nominal.fit.readings)
             nominal = _converge_down_weighted(replace(nominal, study=nominal.study.with_noise(noise)), ahead)
-    return _at_full_weight(prepared.with_noise(nominal.study.noise), nominal, ahead)
+    study = prepared.with_nominal(nominal.study.nominal).with_noise(nominal.study.noise)
+    return _at_full_weight(study, nominal, ahead)
+
+
+def _tuned(nominal: NominalFit) -> NominalFit:
+    """A nominal fit, not fitted again, with waves on the inputs at the frequencies that it asks for."""
+    if not fitted_waves(nominal.study.nominal):
+        return nominal
+    parameters, point = tuned_waves(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
+    study = nominal.study.with_nominal(replace(nominal.study.nominal, parameters=parameters))
+    return linearise_nominal(study, evaluate_fit(study, point, ()))
+
+
+def _with_edges_searched(nominal: NominalFit) -> NominalFit:
+    """A nominal fit, not fitted again, with edges elsewhere in their intervals where that leaves less."""
+    if not any(isinstance(p.input, EdgeTime) for p in nominal.study.nominal.parameters):
+        return nominal
+    point = searched_edges(nominal.study, nominal.fit)
+    if np.array_equal(point, nominal.fit.point):
+        return nominal
+    moved = evaluate_fit(nominal.study, point, ())
+    if moved.chi_square > nominal.fit.chi_square:
+        return nominal
+    return linearise_nominal(nominal.study, moved)
 
 
 def _choice_at_start(start: NominalFit) -> InputChoice:
@@ -267,9 +291,8 @@ def under_other_inputs(nominal: NominalFit) -> list[NominalFit]:
         if choice.name == now.name or (jump and not choice.parameters and choice.name != HELD_NAME):
             continue
         study = _with_inputs(without.unweighted(), choice)
-        other = linearise_nominal(study, evaluate_fit(study, _named_point(study.nominal, near), ()))
-        weighted = down_weight_peaks(study, other.linearised) if nominal.study.weights else study
-        found.append(reweighted(weighted, other))
+        point = _named_point(study.nominal, near)
+        found.append(linearised_at(study, point, full_weight=not nominal.study.weights))
     return found
 
 
@@ -293,12 +316,13 @@ def fit_nominal_near(prepared: PreparedSession, point: np.ndarray, *, full_weigh
     """
     fit = evaluate_fit(prepared.with_noise(initial_noise(prepared)), point, ())
     study = prepared.with_noise(identify_noise(prepared, fit.readings))
-    nominal = linearise_nominal(study, rescored(study, fit))
+    nominal = _with_edges_searched(_tuned(linearise_nominal(study, rescored(study, fit))))
     for last in (False, True):
         weighted = nominal.study if full_weight else down_weight_peaks(nominal.study, nominal.linearised)
         nominal = _converge(reweighted(weighted, nominal), study.options.fit.nominal_ftol)
         if last or all(noise.verified for noise in nominal.study.noise.values()):
             break
+        study = nominal.study.unweighted()
         nominal = reweighted(study.with_noise(identify_noise(study, nominal.fit.readings)), nominal)
     return nominal
 
@@ -325,7 +349,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     where what the inputs do is not known to the microseconds that a peak takes.
     """
     study = study.with_noise(nominal.study.noise)
-    near = linearise_nominal(study, rescored(study, nominal.fit))
+    near = _with_edges_searched(linearise_nominal(study, rescored(study, nominal.fit)))
     if _has_uncertain_inputs(study):
         weighted = reweighted(down_weight_peaks(study, near.linearised), near)
         return _converge(weighted, study.options.fit.nominal_ftol, progress)
@@ -357,6 +381,12 @@ def reweighted(study: Study, nominal: NominalFit) -> NominalFit:
 def linearise_nominal(study: Study, fit: Fit) -> NominalFit:
     """A fit without candidates, linearised where it is."""
     return assembled(study, fit, *linearise_fit(study, fit))
+
+
+def linearised_at(study: Study, point: np.ndarray, *, full_weight: bool) -> NominalFit:
+    """The nominal model at a point (p,), not fitted; samples next to peaks count less unless at `full_weight`."""
+    nominal = linearise_nominal(study, evaluate_fit(study, point, ()))
+    return nominal if full_weight else reweighted(down_weight_peaks(study, nominal.linearised), nominal)
 
 
 def assembled(

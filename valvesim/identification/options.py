@@ -128,10 +128,14 @@ class InputOptions:
     gain_share: float = option(
         0.02, "1", "the same as a share of what straight lines leave beyond the noise", "a cause may be hidden as well"
     )
-    holdout_steps: int = option(2, "1", "steps in which the edges of a hold-out record are fitted", JUDGEMENT)
+    holdout_steps: int = option(6, "1", "steps at most in which the inputs of a hold-out record are fitted", JUDGEMENT)
     spread: float = option(
         0.03, "1", "share of what another way than straight lines changes of a reading that may be wrong", JUDGEMENT
     )
+    edge_places: int = option(8, "1", "places in its interval at which an edge is tried", JUDGEMENT)
+    edge_samples: int = option(8, "1", "samples after an edge that may tell it is elsewhere", "the valve's response")
+    edge_misfit: float = option(3.0, "1", "mean square of what is left there, in noise deviations", JUDGEMENT)
+    edge_gain: float = option(10.0, "1", "reduction of the chi-square by which another place must be better", JUDGEMENT)
     most_edges: int = option(60, "1", "jumps of a record whose times are fitted", "a linearisation solves for each")
     jump_ratio: float = option(5.0, "1", "times the same difference two intervals off", JUDGEMENT)
     half_ratio: float = option(
@@ -158,6 +162,9 @@ class WaveOptions:
         0.3, "1", "share of the excess chi-square from which a wave is fitted before any cause is sought", JUDGEMENT
     )
     most: int = option(3, "1", "waves that are fitted so", JUDGEMENT)
+    tuning_step: float = option(
+        0.02, "1", "turns in the longest record by which its frequency is moved to see what a fit leaves", JUDGEMENT
+    )
     settling: float = option(
         0.01, "s", "start of a record that does not count beside a wave", "pilot chambers fill within a millisecond"
     )
