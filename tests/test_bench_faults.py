@@ -17,11 +17,15 @@ from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
 from valvesim.diagnosis.wording import summary_text
-from valvesim.identification.fit import evaluate_fit
+from valvesim.identification.between_samples import EdgeTime
+from valvesim.identification.fit import evaluate_fit, predict_readings
+from valvesim.identification.fit_jacobian import linearise_fit
+from valvesim.identification.input_choice import searched_edges
 from valvesim.identification.input_waves import (
     fitted_waves,
     linear_gain,
     outstanding_frequencies,
+    tuned_waves,
     wave_parameters,
     wave_words,
     with_parameters,
@@ -30,7 +34,7 @@ from valvesim.identification.instrument_errors import meter_drifts
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
 from valvesim.identification.refinement import refined
 from valvesim.identification.session import Record
-from valvesim.identification.study import prepare_session
+from valvesim.identification.study import prepare_session, with_records
 from valvesim.inputs import evaluate
 from valvesim.units import quantities
 from valvesim.valve.additive_term import PORTS
@@ -100,6 +104,77 @@ def test_beside_a_wave_the_ends_of_each_record_do_not_count(biased_session):
         for name, usable in before.record.usable.items():
             assert np.array_equal(one.record.usable[name], usable)
             assert np.array_equal(other.record.usable[name], usable & late)
+
+
+def test_a_wave_is_tuned_to_the_frequency_that_a_fit_asks_for(biased_fit):
+    nominal, size = biased_fit.study.nominal, 1e6
+    wave = wave_parameters(biased_fit.study.session.training, "supply_pressure", 37.0, size)
+    study = with_parameters(biased_fit.study.unweighted(), wave)
+    point = np.concatenate([biased_fit.fit.point, 0.3 + 0.1 * np.arange(len(wave))])
+    longest = max(record.duration for record in study.session.training)
+    for off in (0.004, -0.012):  # turns in the longest record
+        true = [replace(p, input=replace(p.input, frequency=37.0 + off / longest)) for p in wave]
+        plant = replace(study.nominal, parameters=(*nominal.parameters, *true))
+        readings = predict_readings(study.with_nominal(plant), plant.at(point))
+        measured = with_records(
+            study,
+            [
+                replace(one.record, values={**one.record.values, **read})
+                for one, read in zip(study.predictors, readings, strict=True)
+            ],
+            (),
+        )
+        before = evaluate_fit(measured, point, ())
+        for start in (point, np.where(np.arange(len(point)) < len(nominal.parameters), point, 0.0)):
+            fit = evaluate_fit(measured, start, ())
+            parameters, turned = tuned_waves(measured, fit, *linearise_fit(measured, fit))
+            assert parameters[: len(nominal.parameters)] == nominal.parameters
+            found = {p.input.frequency for p in parameters[len(nominal.parameters) :]}
+            assert len(found) == 1 and abs(found.pop() - 37.0 - off / longest) < 0.1 * abs(off) / longest
+        tuned = measured.with_nominal(replace(measured.nominal, parameters=parameters))
+        at = np.concatenate([turned[: len(nominal.parameters)], point[len(nominal.parameters) :]])
+        left = evaluate_fit(tuned, at, ()).chi_square - float(at @ at)
+        assert left < 0.05 * (before.chi_square - float(point @ point))
+    fit = evaluate_fit(measured, point, ())
+    _, turned = tuned_waves(measured, fit, *linearise_fit(measured, fit))
+    length = np.hypot(*turned[len(nominal.parameters) :].reshape(-1, 2).T)
+    np.testing.assert_allclose(length, np.hypot(*point[len(nominal.parameters) :].reshape(-1, 2).T))
+
+
+def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
+    edge, runs = EdgeTime("a", "current", 3), []
+    record = SimpleNamespace(
+        name="a",
+        pace=1.0,
+        outputs=("spool_position",),
+        values={"spool_position": np.zeros(20)},
+        usable={"spool_position": np.ones(20, dtype=bool)},
+    )
+
+    def run(t):
+        """A reading that is off wherever the edge comes early, and no less so a little later."""
+        runs.append(t)
+        return {"spool_position": np.where(np.arange(20) > 3, 0.0 if t > 0.5 else 9.0, 0.0)}
+
+    predictor = SimpleNamespace(record=record, run=run, readings=lambda trajectory, variant: trajectory)
+    model = SimpleNamespace(
+        parameters=(SimpleNamespace(input=None), SimpleNamespace(input=edge)),
+        limits=np.array([[-9.0, -1.7], [9.0, 1.7]]),
+        at=lambda point: point[1],
+    )
+    study = SimpleNamespace(
+        nominal=model,
+        options=IDENTIFICATION,
+        predictors=(predictor,),
+        noise={("spool_position", 1.0): SimpleNamespace(deviation=1.0)},
+        whiten=lambda predictor, columns: list(columns.values()),
+    )
+    found = searched_edges(study, SimpleNamespace(point=np.array([5.0, -0.3]), readings=(run(-0.3),)))
+    assert found[0] == 5.0 and 0.5 < found[1] < 1.0  # the place next to the middle of all that leave nothing
+    runs.clear()
+    point = np.array([5.0, 1.0])
+    assert np.array_equal(searched_edges(study, SimpleNamespace(point=point, readings=(run(1.0),))), point)
+    assert len(runs) == 1  # nothing is left there
 
 
 def test_a_fit_is_refined_towards_its_best_and_a_long_one_left(biased_fit):

@@ -65,7 +65,11 @@ def test_where_the_nominal_fit_is_exchanged_its_own_score_test_takes_the_place_o
 def score_test_of(nominal, fit, *, options=DIAGNOSIS):
     """The score test of a fit in which nothing shows."""
     return SimpleNamespace(
-        nominal=nominal, study=nominal.study, fit=fit, options=options, z=lambda: np.zeros(1),
+        nominal=nominal,
+        study=nominal.study,
+        fit=fit,
+        options=options,
+        z=lambda: np.zeros(1),
         level=lambda probability: 4.0,
     )
 
@@ -88,6 +92,28 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     monkeypatch.setattr(isolation, "_isolated", isolated)
     ended = isolation.isolate(base, lambda stage, share: None, options=DIAGNOSIS)
     assert ended.alarm is alarm and ended.bench == ("a ripple",)
+
+
+@pytest.mark.parametrize("again, taken", [(4000.0, True), (4990.0, False)])
+def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(monkeypatch, again, taken):
+    base, asked = nominal(5000.0), []
+    base.fit = replace(base.fit, point=np.array([4.0]))
+    renewed = nominal(again)
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
+    monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
+    monkeypatch.setattr(isolation, "detect", lambda scores: (scores.fit.chi_square > 4500.0, 4.0))
+    monkeypatch.setattr(isolation, "is_certain", lambda scores, level: True)
+    monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
+    monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted: replace(base.fit, point=point))
+
+    def refit(nominal, start):
+        asked.append(start.point.tolist())
+        return renewed
+
+    monkeypatch.setattr(isolation, "refit_nominal", refit)
+    ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), options=DIAGNOSIS)
+    assert asked == [[2.0]] and ended is (renewed if taken else base) and scores.fit is ended.fit
 
 
 def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_may_end_with_none(monkeypatch):
@@ -199,9 +225,7 @@ def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_other
     assert isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)[0] == []
 
 
-@pytest.mark.parametrize(
-    "left, verified, pairs", [(4000.0, True, False), (9000.0, True, True), (4000.0, False, True)]
-)
+@pytest.mark.parametrize("left, verified, pairs", [(4000.0, True, False), (9000.0, True, True), (4000.0, False, True)])
 def test_pairs_are_fitted_unless_one_alone_explains_all_but_verified_noise(monkeypatch, left, verified, pairs):
     base, asked = nominal(9000.0), []
     base.study.noise["spool_position", 1e-3] = SimpleNamespace(verified=verified)

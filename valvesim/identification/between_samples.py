@@ -104,7 +104,9 @@ def _smooth(time: np.ndarray, values: np.ndarray, fine: np.ndarray) -> np.ndarra
     if len(time) < 4:
         return np.interp(fine, time, values)
     curve = make_interp_spline(time, values, k=min(7, 2 * (len(time) // 2) - 1))
-    return curve(fine) - (fine[1] - fine[0]) ** 2 / 12.0 * curve.derivative(2)(fine)
+    outside = -((fine[1] - fine[0]) ** 2) / 12.0 * curve.derivative(2)(fine)
+    outside[[0, -1]] = 0.0  # a straight interval may follow
+    return curve(fine) + outside
 
 
 @dataclass(frozen=True)
