@@ -58,8 +58,7 @@ def wave_name(column: str, frequency: float) -> str:
 
 def wave_words(parameters: Sequence[NuisanceParameter], values: np.ndarray) -> str:
     """A wave in words, by the values of its `wave_parameters`: the median amplitude of all records."""
-    wave = parameters[0].input
-    assert isinstance(wave, Wave)  # noqa: S101 - the parameters are those of one
+    wave = _wave_of(parameters[0])
     does = "the supply pressure ripples" if wave.column == "supply_pressure" else f"the {wave.column} hums"
     amplitude = float(np.median(np.hypot(values[::2], values[1::2])))
     return f"{does} by {value_text(amplitude, UNITS[wave.column])} at {wave.frequency:.4g} Hz"
@@ -85,10 +84,11 @@ def tuned_waves(
     above the noise the rest of it would pull figures of the valve along. By the linearised equations a fit leaves a
     parabola about the best frequency; three of them tell where that is.
     """
-    model, records, point = study.nominal, study.session.training, fit.point.copy()
+    model, point = study.nominal, fit.point.copy()
     J, parameters = study.stack(columns), list(model.parameters)
     at = {p.name: k for k, p in enumerate(parameters)}
-    step = study.options.wave.tuning_step / max(record.duration for record in records)
+    durations = {record.name: record.duration for record in study.session.training}
+    step = study.options.wave.tuning_step / max(durations.values())
     for wave in fitted_waves(model).values():
         own = [at[p.name] for p in wave]
         others = np.delete(np.arange(len(parameters)), own)
@@ -103,8 +103,8 @@ def tuned_waves(
         by = float(np.clip(0.5 * step * (above - below) / bend, -step, step))
         for k, tuned in zip(own, _detuned(wave, by), strict=True):
             parameters[k] = tuned
-        for cosine, sine, record in zip(own[::2], own[1::2], records, strict=True):
-            turn = np.pi * by * record.duration
+        for cosine, sine in zip(own[::2], own[1::2], strict=True):
+            turn = np.pi * by * durations[_wave_of(parameters[cosine]).record]
             rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
             point[[cosine, sine]] = rotation @ point[[cosine, sine]]
     return tuple(parameters), point
@@ -112,11 +112,16 @@ def tuned_waves(
 
 def _detuned(wave: Sequence[NuisanceParameter], by: float) -> tuple[NuisanceParameter, ...]:
     """The components of a wave at a frequency that is higher by some Hz."""
-    found = []
-    for component in wave:
-        assert isinstance(component.input, Wave)  # noqa: S101 - the parameters are those of one
-        found.append(replace(component, input=replace(component.input, frequency=component.input.frequency + by)))
-    return tuple(found)
+    waves = [_wave_of(component) for component in wave]
+    return tuple(
+        replace(component, input=replace(own, frequency=own.frequency + by))
+        for component, own in zip(wave, waves, strict=True)
+    )
+
+
+def _wave_of(component: NuisanceParameter) -> Wave:
+    assert isinstance(component.input, Wave)  # noqa: S101 - the parameter is that of one
+    return component.input
 
 
 def with_parameters(prepared: Prepared, parameters: Sequence[NuisanceParameter]) -> Prepared:
