@@ -510,6 +510,16 @@ def test_crests_that_are_cut_for_a_few_samples_each_are_saturated(session, top, 
     assert np.array_equal(loaded.records[0].usable["spool_position"], read < (top - 5e-4 if saturated else 1.0))
 
 
+@pytest.mark.parametrize("peaks, saturated", [((0.2, 0.18, 0.16, 0.19), True), ((0.2, 0.18, 0.16), False)])
+def test_peaks_of_steps_that_end_alike_are_saturated(session, peaks, saturated):
+    noise = 1e-3 * np.random.default_rng(0).normal(size=len(TIME))
+    read = 0.02 * WAVE + noise
+    read[20 + 30 * np.arange(len(peaks))] = peaks
+    read = np.minimum(read, 0.13)
+    loaded = session("", a=columns(**{SPOOL: read}))
+    assert np.array_equal(loaded.records[0].usable["spool_position"], (read < 0.13) | (not saturated))
+
+
 def test_levels_that_a_coarse_sensor_rounds_alike_are_no_flat_top(session):
     levels = np.repeat([0.9, 0.1, 0.965, 0.4], 50)
     coarse = np.round(0.2 * levels / 0.03) * 0.03

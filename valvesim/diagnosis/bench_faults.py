@@ -21,13 +21,14 @@ from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import start_points
 from valvesim.identification.between_samples import Wave
-from valvesim.identification.fit import Fit, is_adequate, rescored
+from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (
     fitted_waves,
     linear_gain,
     outstanding_frequencies,
+    tuned_waves,
     wave_columns,
     wave_name,
     wave_parameters,
@@ -48,10 +49,12 @@ from valvesim.identification.nominal_fit import (
     NominalFit,
     assembled,
     fit_nominal_near,
+    linearise_nominal,
     linearised_at,
     under_other_inputs,
     with_inputs_beside,
     with_inputs_reviewed,
+    with_nuisance,
 )
 from valvesim.identification.prior import NuisanceParameter
 from valvesim.identification.session import Session, value_text
@@ -106,6 +109,11 @@ def with_faults_beside_cause(
         if fit is None:
             break
         beside = score_test(at, fit, options=options)
+        if (tuned := _tuned_beside(at, fit, beside)) is not None:
+            at, fit = tuned
+            if (better_fit := fit_hypothesis(at, fit.fitted, fit.point, few)) is None:
+                break
+            fit, beside = better_fit, score_test(at, better_fit, options=options)
         likeliest = _likeliest(at, beside, options=options)
         if likeliest is not None:
             at, more = _widened(at, likeliest.parameters), np.zeros(len(likeliest.parameters))
@@ -122,6 +130,21 @@ def with_faults_beside_cause(
         return nominal, scores, fit
     nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=not nominal.study.weights)
     return nominal, score_test(nominal, nominal.fit, options=options), fit
+
+
+def _tuned_beside(nominal: NominalFit, fit: Fit, beside: ScoreTest) -> tuple[NominalFit, Fit] | None:
+    """A nominal fit and a fit of causes beside it with the waves at the frequencies that this asks for, by its score
+    test; None where that explains no more.
+    """
+    study = nominal.study
+    if not fitted_waves(study.nominal):
+        return None
+    parameters, point = tuned_waves(study, fit, beside.linearised, beside.columns, study.stack(beside.own_columns))
+    tuned = with_nuisance(study, parameters)
+    again = evaluate_fit(tuned, point, fit.fitted)
+    if again.chi_square > fit.chi_square - beside.options.bench.minimum_gain:
+        return None
+    return linearise_nominal(tuned, evaluate_fit(tuned, nominal.fit.point, ())), again
 
 
 def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, Fit]:

@@ -75,10 +75,15 @@ def fitted_waves(model: NominalModel) -> dict[str, tuple[NuisanceParameter, ...]
 
 
 def tuned_waves(
-    study: Study, fit: Fit, linearised: Sequence[LinearisedRecord], columns: Sequence[dict[str, np.ndarray]]
+    study: Study,
+    fit: Fit,
+    linearised: Sequence[LinearisedRecord],
+    columns: Sequence[dict[str, np.ndarray]],
+    fitted_columns: np.ndarray | None = None,
 ) -> tuple[tuple[NuisanceParameter, ...], np.ndarray]:
-    """The nuisance parameters of a study with each wave at the frequency by which a fit without candidates would leave
-    least, and the fit's point (p,), its waves turned so that they keep their phase in the middle of each record.
+    """The nuisance parameters of a study with each wave at the frequency by which a fit would leave least, and the
+    fit's point (p,), its waves turned so that they keep their phase in the middle of each record. `fitted_columns`
+    (rows, k) are the whitened sensitivities to the fit's candidates.
 
     The spectrum has told the frequency to some hundredths of a turn in a record. Where a ripple stands a thousand times
     above the noise the rest of it would pull figures of the valve along. By the linearised equations a fit leaves a
@@ -86,6 +91,7 @@ def tuned_waves(
     """
     model, point = study.nominal, fit.point.copy()
     J, parameters = study.stack(columns), list(model.parameters)
+    free = J[:, :0] if fitted_columns is None else fitted_columns
     at = {p.name: k for k, p in enumerate(parameters)}
     durations = {record.name: record.duration for record in study.session.training}
     step = study.options.wave.tuning_step / max(durations.values())
@@ -94,7 +100,12 @@ def tuned_waves(
         others = np.delete(np.arange(len(parameters)), own)
         without = replace(fit, point=fit.point[others], residual=fit.residual + J[:, own] @ point[own])
         below, here, above = (
-            linear_reduction(J[:, others], without, added_columns(study, linearised, model, _detuned(wave, by)))
+            linear_reduction(
+                J[:, others],
+                without,
+                np.column_stack([free, added_columns(study, linearised, model, _detuned(wave, by))]),
+                free.shape[1],
+            )
             for by in (-step, 0.0, step)
         )
         bend = 2.0 * here - below - above

@@ -171,7 +171,7 @@ def _finished(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[f
     """A robust start continued: preliminary, with the noise that it leaves where repeats have not told it, then in
     full.
     """
-    nominal = _tuned(_converge_down_weighted(_tuned(nominal), ahead))
+    nominal = _tuned(_converge_down_weighted(nominal, ahead))
     if not all(one.verified for one in nominal.study.noise.values()):
         for _ in range(2):  # the noise is what the best fit leaves: again with its colour
             noise = identify_noise(nominal.study, nominal.fit.readings)
@@ -181,12 +181,19 @@ def _finished(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[f
 
 
 def _tuned(nominal: NominalFit) -> NominalFit:
-    """A nominal fit, not fitted again, with waves on the inputs at the frequencies that it asks for."""
-    if not fitted_waves(nominal.study.nominal):
+    """A nominal fit, not fitted again, with waves on the inputs at the frequencies that it asks for. An inadequate one
+    asks for what takes up a little of a cause.
+    """
+    if not fitted_waves(nominal.study.nominal) or not is_adequate(nominal.fit, options=nominal.study.options):
         return nominal
     parameters, point = tuned_waves(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
-    study = nominal.study.with_nominal(replace(nominal.study.nominal, parameters=parameters))
+    study = with_nuisance(nominal.study, parameters)
     return linearise_nominal(study, evaluate_fit(study, point, ()))
+
+
+def with_nuisance(study: Study, parameters: tuple[NuisanceParameter, ...]) -> Study:
+    """A study with other nuisance parameters of the same names."""
+    return study.with_nominal(replace(study.nominal, parameters=parameters))
 
 
 def _with_edges_searched(nominal: NominalFit) -> NominalFit:

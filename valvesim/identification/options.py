@@ -31,6 +31,7 @@ class AuditOptions:
     )
     flat_samples: int = option(10, "1", "equal readings in a row at the extreme that make a flat top", JUDGEMENT)
     top_samples: int = option(3, "1", "equal readings in a row at the extreme that a step may leave there", JUDGEMENT)
+    few_tops: int = option(4, "1", "readings at the extreme, and none next to it, that are saturated", JUDGEMENT)
     flat_reach: float = option(
         0.05, "1", "share of the output's span that the command must ask for beyond a flat top", JUDGEMENT
     )

@@ -256,7 +256,8 @@ def _crowded_top(
         count += int(stays[stays < options.audit.flat_samples].sum())
         below = np.append(below, np.round((top - values[usable]) / width, 6))
     beside, _ = np.histogram(below[below > 0.0], np.arange(6) + 1e-3)
-    return bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
+    alone = count >= options.audit.few_tops and not beside.any()  # peaks of steps that differ do not end alike
+    return alone or bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
 
 
 def _runs_at(values: np.ndarray, top: float, usable: np.ndarray) -> np.ndarray:
