@@ -157,6 +157,8 @@ def test_readings_that_stand_at_their_furthest_where_the_model_goes_on_are_satur
     found = cleaned(top + 20.0 * noise)
     left_out = records[k].usable[channel] & ~found.predictors[k].record.usable[channel]
     assert np.flatnonzero(left_out).tolist() == at
+    for before, after in zip(prepared.session.locked, found.session.locked, strict=True):
+        assert np.array_equal(after.usable[channel], before.usable[channel] & (before.values[channel] < top))
     (note,) = found.session.notes[len(prepared.session.notes) :]
     assert note.startswith(f"{channel} reads ") and "and no further, 4 times" in note and "saturated" in note
     for model in (top - noise, top + noise):  # the model stops there too

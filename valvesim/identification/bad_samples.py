@@ -115,7 +115,7 @@ def without_outliers(
 
     Not next to a jump of the command, nor where the reading itself has a peak: there a model errs for a sample, too.
     But there as well where the channel never reads further and the model does. Where it stands at its furthest several
-    times and the model reads further each time it is saturated: all those are left out.
+    times and the model reads further each time it is saturated: all those are left out, in the locked records too.
     """
     options, records, notes = study.options, list[Record](), list[str]()
     ends = _furthest_readings(study, [linear.predictor.record for linear in linearised], fit)
@@ -150,6 +150,12 @@ def without_outliers(
                     f"{record.name}{line}: {name} of {value_text(float(record.values[name][k]), UNITS[name])} is "
                     f"{size:.0f} noise deviations off its neighbours, as the model has them; it is left out"
                 )
+        records.append(replace(record, usable=usable))
+    ends = [end for end in ends if end.is_saturated]
+    for record in study.session.locked if ends else ():
+        usable = dict(record.usable)
+        for end in (one for one in ends if one.channel in usable):
+            usable[end.channel] = usable[end.channel] & (end.side * record.values[end.channel] < end.furthest)
         records.append(replace(record, usable=usable))
     return with_records(prepared, records, notes) if notes else prepared
 
