@@ -520,6 +520,15 @@ def test_peaks_of_steps_that_end_alike_are_saturated(session, peaks, saturated):
     assert np.array_equal(loaded.records[0].usable["spool_position"], (read < 0.13) | (not saturated))
 
 
+def test_peaks_of_one_step_repeated_without_noise_are_not_saturated(session):
+    step, k = np.where(np.arange(len(TIME)) // 40 % 2 == 0, 1.0, -1.0), np.arange(len(TIME)) % 40
+    overshooting = 0.2 * step * (1.0 + 0.4 * np.exp(-k / 3.0) * np.sin(k / 2.0))
+    step, overshooting = np.tile(step[:80], 5)[: len(TIME)], np.tile(overshooting[:80], 5)[: len(TIME)]
+    alike = {name: columns(**{CURRENT: step, SPOOL: overshooting}) for name in "abc"}
+    for record in session("", **alike).records:
+        assert record.usable["spool_position"].all()
+
+
 def test_levels_that_a_coarse_sensor_rounds_alike_are_no_flat_top(session):
     levels = np.repeat([0.9, 0.1, 0.965, 0.4], 50)
     coarse = np.round(0.2 * levels / 0.03) * 0.03

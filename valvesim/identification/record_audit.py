@@ -244,19 +244,24 @@ def _crowded_top(
 ) -> bool:
     """Whether far more readings stand at the very top for a few samples than at any value next to it.
 
-    The crests of a sine come to two and a half times as many. Longer stays at the top are `_flat_top`'s.
+    The crests of a sine come to two and a half times as many. Longer stays at the top are `_flat_top`'s. A few do where
+    nothing stands next to them and the commands there differ: without noise, peaks of one command end alike.
     """
     span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
     if _SIGN[sensor.channel] == 0.0 or span == 0.0:
         return False
     width, count, below = max(sensor.resolution, options.audit.crowd_width * span), 0, np.empty(0)
+    commands = np.empty(0)
     for record in records:
         values, usable = side * record.values[sensor.channel], record.usable[sensor.channel]
+        commands = np.append(commands, record.values[record.command][usable & (values == top)])
         stays = np.diff(_runs_at(values, top, usable))
         count += int(stays[stays < options.audit.flat_samples].sum())
         below = np.append(below, np.round((top - values[usable]) / width, 6))
     beside, _ = np.histogram(below[below > 0.0], np.arange(6) + 1e-3)
-    alone = count >= options.audit.few_tops and not beside.any()  # peaks of steps that differ do not end alike
+    asked = max(float(np.ptp(record.values[record.command])) for record in records)
+    differ = bool(np.ptp(commands) > options.audit.flat_reach * asked)
+    alone = count >= options.audit.few_tops and differ and not beside.any()
     return alone or bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
 
 
