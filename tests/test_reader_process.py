@@ -271,7 +271,11 @@ def test_a_signal_to_the_command_leaves_no_process_behind(library, tmp_path, num
 def test_ctrl_c_in_a_program_ends_the_process_that_reads(library, monkeypatch):
     monkeypatch.setattr(reader_process, "MOST_SECONDS", 600.0)  # no machine is so busy that this comes first
     path = library(ENDLESS)
-    with pytest.raises(KeyboardInterrupt):
-        threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()
-        _read(path)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()
+            _read(path)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert not reader_process._idle
