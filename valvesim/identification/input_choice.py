@@ -132,11 +132,11 @@ def choose_inputs(
     the candidates that are `fitted` beside it.
 
     `columns` are the sensitivities there, first of all those of the study's own parameters. Another way than `now` must
-    be better by more than chance.
+    be better by more than chance; straight lines need be no worse.
     """
     p = len(point)
     J = study.stack([{name: each[:, :p] for name, each in own.items()} for own in columns])
-    best, least, reached = now, np.inf, np.inf
+    best, least, reached, straight = now, np.inf, np.inf, np.inf
     delays, starts = are_delays(study.nominal), [point]
     if np.any(np.abs(point[delays]) > study.options.fit.tolerance_deviations):  # a hold is half a sample late
         starts.append(np.where(delays, 0.0, point))
@@ -152,10 +152,11 @@ def choose_inputs(
             continue
         chi_square, rows = min(predicted)
         least = min(least, chi_square) if choice.name == now.name else least
+        straight = chi_square if choice.name == STRAIGHT.name else straight
         gain = max(study.options.input.minimum_gain, study.options.input.gain_share * (least - rows))
         if chi_square < least - gain and chi_square < reached:
             best, reached = choice, chi_square
-    return best
+    return STRAIGHT if best is now and straight < least + study.options.input.minimum_gain else best
 
 
 def are_delays(nominal: NominalModel) -> np.ndarray:

@@ -14,8 +14,8 @@ from valvesim.identification.prior import NominalModel, NuisanceParameter
 
 
 def is_simulated(parameter: NuisanceParameter, *, options: IdentificationOptions) -> bool:
-    """Whether a parameter acts within a step of the trajectory's grid: it is simulated, moved by more."""
-    return parameter.time_scale < options.predictor.grid_spacing
+    """Whether a parameter acts within a few steps of the trajectory's grid: it is simulated, moved by more."""
+    return parameter.time_scale < options.sensitivity.simulated_below
 
 
 def is_held(parameter: NuisanceParameter, linear: LinearisedRecord) -> bool:

@@ -221,6 +221,12 @@ class SensitivityOptions:
         "prior deviations by which a parameter is moved",
         "sensitivities that trade off must hold to a thousandth",
     )
+    simulated_below: float = option(
+        2.5e-4,
+        "s",
+        "what acts sooner is simulated: the grid of trajectories does not follow it",
+        "an armature's inertia",
+    )
     simulated_step: float = option(
         0.3, "1", "prior deviations by which a parameter is moved whose sensitivity is simulated", JUDGEMENT
     )
