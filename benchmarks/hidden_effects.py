@@ -689,8 +689,8 @@ def _errors(tuned: Tuned, found: Diagnosis, caught: Caught, session: Session, ro
     offered = found.extension_offered
     locked = [trace for trace in found.traces if trace.role == "test" and trace.channel in sigma]
     errors: Row = {
-        "error_before": pooled((t.record, t.channel, t.nominal) for t in locked),
-        "error_after": pooled((t.record, t.channel, t.extended if offered else t.nominal) for t in locked),
+        "error_before": pooled((t.record, t.channel, t.base) for t in locked),
+        "error_after": pooled((t.record, t.channel, t.extended if offered else t.base) for t in locked),
     }
     nominal = caught.nominal
     fitted = true_extras(tuned.case, nominal.study) if nominal is not None and tuned.case.hidden else None

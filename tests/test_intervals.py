@@ -58,7 +58,7 @@ def test_a_figure_of_the_heat_paths_is_told_in_words():
     assert interval(f"{NETWORK}oil_to_spool", "W/K").doc == "heat transfer from oil to spool"
 
 
-def test_what_another_law_would_say_of_an_amplitude_widens_its_interval():
+def test_what_another_law_would_say_of_an_amplitude_widens_its_interval_and_none_is_taken_for_the_plants():
     def half(law_error):
         effect = replace(CATALOGUE["magnetic_hysteresis"], law_error=law_error)
         member = FittedCandidate(Candidate("magnetic_hysteresis", effect=effect), 2e-4)
@@ -70,4 +70,7 @@ def test_what_another_law_would_say_of_an_amplitude_widens_its_interval():
         found = confidence_intervals(SimpleNamespace(study=SimpleNamespace(nominal=model)), final)[0]
         return found.high - found.value
 
-    assert half(0.2) == pytest.approx(np.hypot(half(0.0), np.sqrt(0.2) * 2e-4), rel=1e-6)
+    least = DIAGNOSIS.selection.law_error
+    of_the_rows = np.sqrt(half(0.0) ** 2 - least * 2e-4**2)
+    assert half(0.2) == pytest.approx(np.hypot(of_the_rows, np.sqrt(0.2) * 2e-4), rel=1e-6)
+    assert half(0.0) == half(least) > np.sqrt(least) * 2e-4

@@ -18,7 +18,7 @@ from valvesim.identification.fit import evaluate_fit as evaluated
 from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.input_choice import HELD_NAME, are_delays
-from valvesim.identification.least_squares import bounded_step, predict_reduction
+from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, predict_reduction
 from valvesim.identification.noise_estimation import identify_noise
 from valvesim.identification.nominal_fit import (
     fit_nominal,
@@ -310,6 +310,18 @@ def test_views_of_a_repeat_have_its_own_readings(biased):
         assert linear.predictor is predictor
         for name, left in linear.residual().items():
             assert np.array_equal(left, predictor.record.values[name] - linear.readings[name])
+
+
+def test_a_fit_that_starts_beyond_the_bounds_comes_back_into_them_step_by_step(biased):
+    nominal, _ = biased
+    point = nominal.fit.point.copy()
+    k = at(nominal, "spool_mass")
+    point[k] = nominal.study.nominal.limits[1][k] + 12.0
+    start = evaluated(nominal.study, point, ())
+    low, high = step_limits(start, nominal.study.nominal, options=OPTIONS)
+    assert high[k] == -OPTIONS.fit.longest_step and np.all(low <= high)
+    fit, _ = levenberg_marquardt(nominal.study, start, nominal.J, 1e-3 * start.chi_square)
+    assert fit.chi_square < start.chi_square and fit.point[k] < point[k]
 
 
 # ---------------------------------------------------------------- steps inside limits

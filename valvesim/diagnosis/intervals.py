@@ -64,11 +64,12 @@ def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimat
             )
             continue
         effect = candidate.effect
+        law = np.sqrt(max(effect.law_error, final.options.selection.law_error))  # chi-square: its root
         if shape:
             declared = next(q for q in effect.parameters if q.name == shape)
             value = dict(member.shapes)[shape]
             half = np.log(final.options.identification.sensitivity.shape_ratio) * half_width(np.eye(len(at))[p + k])
-            half = float(np.hypot(half, np.sqrt(effect.law_error)))  # a share of the chi-square: its root
+            half = float(np.hypot(half, law))
             low, high = value * np.exp(-half), value * np.exp(half)
         else:
             declared = effect.amplitude
@@ -78,7 +79,7 @@ def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimat
                 j = names.index(candidate.label)
                 combine[j] = nominal.study.nominal.parameters[j].deviation
                 value += fit.point[j] * combine[j]
-            half = float(np.hypot(half_width(combine), np.sqrt(effect.law_error) * member.above_neutral))
+            half = float(np.hypot(half_width(combine), law * member.above_neutral))
             low, high = value - half, value + half
         low, high = max(low, declared.bounds[0]), min(high, declared.bounds[1])
         found.append(

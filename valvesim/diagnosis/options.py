@@ -132,6 +132,12 @@ class SelectionOptions:
     answer_share: float = option(
         0.04, "1", "share of the explained chi-square that the answer set is wide", "no model is the plant"
     )
+    law_error: float = option(
+        5e-4,
+        "1",
+        "share of what a cause explains by which another law of it may do better, at least",
+        "no model is the plant: figures of strong causes 1 to 2.5 % off",
+    )
     minimum_gain: float = option(0.8, "1", "share of the squared alarm level that a hypothesis must explain", JUDGEMENT)
     second_gain: float = option(
         30.0, "1", "chi-square that a second cause must explain", "what a plant does otherwise than any model"

@@ -155,8 +155,13 @@ def shape_bounds(member: FittedCandidate, shape: str) -> tuple[float, float]:
 
 
 def step_limits(fit: Fit, nominal: NominalModel, *, options: IdentificationOptions) -> np.ndarray:
-    """(2, n): how far down and up each component of `Fit.vector` may go; nuisance parameters within their bounds."""
-    limits = list(map(tuple, np.transpose(nominal.limits - fit.point)))
+    """(2, n): how far down and up each component of `Fit.vector` may go; nuisance parameters within their bounds.
+
+    One beyond its bounds comes back by no more than the longest step.
+    """
+    low, high = nominal.limits - fit.point
+    longest = options.fit.longest_step
+    limits = list(zip(np.minimum(low, longest), np.maximum(high, -longest), strict=True))
     for member, shape in fit.layout:
         if shape:
             times = np.clip(
@@ -166,8 +171,8 @@ def step_limits(fit: Fit, nominal: NominalModel, *, options: IdentificationOptio
             )
             limits.append(tuple(np.log(times)))
         else:
-            low, high = amplitude_limits(member.candidate, options=options)
-            limits.append((low - member.above_neutral, high - member.above_neutral))
+            least, most = amplitude_limits(member.candidate, options=options)
+            limits.append((least - member.above_neutral, most - member.above_neutral))
     return np.transpose(limits)
 
 
