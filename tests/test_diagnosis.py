@@ -351,9 +351,7 @@ def test_what_rests_on_a_figure_that_no_part_has_is_left_over(bias, rests):
     point = np.array([min(bias / 2.0, OPTIONS.prior.reach)])
     left = bias - point[0]
     gram = GramMatrix(np.array([[[left**2, left], [left, 1.0]]]), point, (1,))
-    final = SimpleNamespace(
-        gram=gram, own=(), fit=SimpleNamespace(point=point), study=SimpleNamespace(options=OPTIONS)
-    )
+    final = SimpleNamespace(gram=gram, own=(), fit=SimpleNamespace(point=point), study=SimpleNamespace(options=OPTIONS))
     prior = 10.0**2 - 5.0**2 if rests else 0.0
     assert rests_on_limits(final) == pytest.approx(rests - prior)
 
@@ -374,19 +372,17 @@ def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_cause
 
 def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_of_a_cause():
     lap, air = explained(1000.0, "spool_lap"), explained(1010.0, "entrained_air")
-    prior_penalty = np.log(lap.fit.rows)
+    nominal = SimpleNamespace(fit=replace(lap.fit, chi_square=2500.0, fitted=()))
+
+    def takes_the_place(found, chi_square, freedom=3):
+        term = SimpleNamespace(chi_square=chi_square - 3.0 * np.log(lap.fit.rows), freedom=freedom)
+        return _term_explains_more(nominal, term, found, options=DIAGNOSIS)
+
     needed = 1000.0 - DIAGNOSIS.selection.answer_ratio
-    assert _term_explains_more(
-        SimpleNamespace(chi_square=needed - 3.0 * prior_penalty - 0.1, freedom=3), [air, lap], options=DIAGNOSIS
-    )
-    assert not _term_explains_more(
-        SimpleNamespace(chi_square=needed - 3.0 * prior_penalty + 0.1, freedom=3), [air, lap], options=DIAGNOSIS
-    )
-    assert not _term_explains_more(
-        SimpleNamespace(chi_square=needed - 3.0 * prior_penalty - 0.1, freedom=12),
-        [air, lap],
-        options=DIAGNOSIS,
-    )
+    assert takes_the_place([air, lap], needed - 0.1) and not takes_the_place([air, lap], needed + 0.1)
+    assert not takes_the_place([air, lap], needed - 0.1, freedom=12)
+    loop = explained(1000.0, "magnetic_hysteresis")  # of which another law may do better by 0.2 of the 1500
+    assert takes_the_place([air, loop], 699.0) and not takes_the_place([air, loop], 701.0)
 
 
 def test_two_sensors_that_err_alike_may_be_one_thing():

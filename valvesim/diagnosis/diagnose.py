@@ -91,7 +91,8 @@ def _answer(isolation: Isolation) -> Diagnosis:
     inadequate = is_inadequate(nominal, chosen, options=options)
     recovered: RecoveredTerm | None = None
     odd = ""
-    if isolation.alarm and not inadequate and (unknown_reason or not in_set):
+    doubted = unknown_reason and _least_for_term(nominal, isolation.found, options=options) > nominal.fit.rows
+    if isolation.alarm and not inadequate and (doubted or not in_set):
         borne_out = bool(isolation.found) or is_certain(scores, level)
         excess = beyond_noise(nominal.fit, study, options=options) > 0.0
         odd = odd_test(nominal, options=options) if excess and not in_set else ""
@@ -102,7 +103,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
             isolation, recovered = entry, None
             best, chosen, in_set, unknown_reason = _hypotheses(isolation, options=options)
     found = isolation.found
-    if _none_stands(in_set, found, recovered, inadequate, options=options):
+    if _none_stands(nominal, in_set, found, recovered, inadequate, options=options):
         in_set, unknown_reason = [], ""
     far = ""
     if isolation.alarm and not in_set:
@@ -216,6 +217,7 @@ def verdict_of(alarm: bool, in_set: Sequence[FittedHypothesis], unknown_reason: 
 
 
 def _none_stands(
+    nominal: NominalFit,
     in_set: Sequence[FittedHypothesis],
     found: Sequence[FittedHypothesis],
     recovered: RecoveredTerm | None,
@@ -227,19 +229,23 @@ def _none_stands(
     more.
     """
     return inadequate or (
-        recovered is not None and bool(in_set) and _term_explains_more(recovered, found, options=options)
+        recovered is not None and bool(in_set) and _term_explains_more(nominal, recovered, found, options=options)
     )
 
 
 def _term_explains_more(
-    recovered: RecoveredTerm, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+    nominal: NominalFit, recovered: RecoveredTerm, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> bool:
     """Whether a term that nobody has listed explains more than any cause that is, for the penalty of its figures."""
-    least_chi_square = min(one.least_chi_square + one.fit.occam_factor for one in found)
-    return (
-        recovered.chi_square + recovered.freedom * np.log(found[0].fit.rows)
-        < least_chi_square - options.selection.answer_ratio
-    )
+    penalty = recovered.freedom * np.log(found[0].fit.rows)
+    return recovered.chi_square + penalty < _least_for_term(nominal, found, options=options)
+
+
+def _least_for_term(nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> float:
+    """What a term must leave less of than the likeliest cause does, of which another law may do better as well."""
+    best = min(found, key=lambda one: one.least_chi_square + one.fit.occam_factor)
+    law_error = best.law_error * (nominal.fit.chi_square - best.fit.chi_square)
+    return best.least_chi_square + best.fit.occam_factor - max(options.selection.answer_ratio, law_error)
 
 
 def _propose_experiment(
