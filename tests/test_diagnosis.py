@@ -562,6 +562,7 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
     found, final = with_other_pairs(None, [best], BEFORE)
     assert ["spool_lap", "magnetic_hysteresis"] in tried and ["spool_lap", "entrained_air"] not in tried
     assert found[0].label == "spool_lap + magnetic_hysteresis" and final.fit is found[0].fit
+    assert {"spool_lap", "entrained_air"} <= {one.label for one in found}  # each alone as well
     one = [explained(100.0, "spool_lap")]
     assert with_other_pairs(None, one, BEFORE) == (one, BEFORE)
 
@@ -609,7 +610,10 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     candidates = [explained(0.0, name).candidates[0] for name in names]
     z = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
     scores = SimpleNamespace(options=DIAGNOSIS, candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
-    tried, chi_squares = [], {other: 50.0, "thermal_lag": None}
+    tried, chi_squares, alone = [], {other: 50.0, "thermal_lag": None}, {}
+
+    def each_alone(nominal, starts, point, options):
+        return [explained(alone.get(member.candidate.name, 500.0), member.candidate.name) for (member,) in starts]
 
     def falls(nominal, starts):
         tried[:] = [tuple(member.candidate.name for member in start) for start in starts]
@@ -620,6 +624,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
         chi_square = chi_squares.get(start[-1].candidate.name, 95.0)
         return replace(pair.fit, fitted=start, chi_square=chi_square) if chi_square is not None else None
 
+    monkeypatch.setattr(refits, "fit_starts", each_alone)
     monkeypatch.setattr(second_cause, "reductions_from_prior", falls)
     monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
     monkeypatch.setattr(
@@ -633,6 +638,8 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     assert len(keys) == DIAGNOSIS.isolation.seconds and start_keys([found[0].fit.fitted]) <= keys
     found, final, _ = effects_for_parameters(None, scores, [pair], BEFORE)
     assert (beside, other) in tried and (beside, beside) not in tried and found[0].label == f"{beside} + {other}"
+    alone[other] = 51.0  # the cause that stood beside the figure is nothing without it
+    assert effects_for_parameters(None, scores, [pair], BEFORE)[0][0].label == other
     chi_squares[other] = 95.0
     assert effects_for_parameters(None, scores, [pair], BEFORE)[1] == BEFORE  # nothing is better: nothing to look at
     tried.clear()

@@ -79,6 +79,7 @@ def with_other_pairs(
         alone = fit_hypothesis(nominal, (member,), best.point)
         if alone is None:
             continue
+        more.append(FittedHypothesis(alone, options=final.options))
         scores = score_test(nominal, alone, options=final.options)
         z = scores.z()
         pairs = [
@@ -179,6 +180,8 @@ def effects_for_parameters(
     merged = distinct(
         [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits]], options=scores.options
     )
+    if merged[0] is not found[0]:  # what was beside the figure may do without either
+        merged = reduced_hypotheses(nominal, merged, options=scores.options)
     final = final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=scores.options)
     return merged, final, start_keys(likeliest)
 

@@ -135,7 +135,7 @@ SPOOL = (
         ),
         parameters=(
             amplitude_parameter("friction_per_clearance", "N/m", "k, force per clearance lost", (0.0, 1e8), 1.5e7),
-            shape_parameter("free_clearance", "m", "h_0, above which nothing rubs", 3e-6, (0.0, 1e-4)),
+            shape_parameter("free_clearance", "m", "h_0, above which nothing rubs", 3e-6, (0.0, 1e-4), (3e-6, 5e-6)),
             _PRESLIDING,
         ),
         memory=(_friction_memory("pinch"),),
