@@ -161,7 +161,11 @@ def test_the_plainer_effect_is_fitted_in_the_place_of_one_that_may_be_it(fitted)
     assert plainer.label == "spool_coulomb_friction" and plainer.fit.chi_square == 990.0
     (member,) = plainer.fit.fitted
     assert member.above_neutral == pytest.approx(FRICTION.typical)
-    assert plainer_hypotheses(nominal, [best, plainer], options=DIAGNOSIS) == []  # it was fitted
+    assert plainer_hypotheses(nominal, [best, plainer], options=DIAGNOSIS) == []  # it is the best
+    stopped = replace(hypothesis(1100.0).fit, fitted=(FittedCandidate(FRICTION, 0.7),))
+    short = FittedHypothesis(stopped, options=DIAGNOSIS)
+    (again,) = plainer_hypotheses(nominal, [best, short], options=DIAGNOSIS)  # from its own amplitude
+    assert again.fit.chi_square == 990.0 and again.fit.fitted[0].above_neutral == 0.7
     assert plainer_hypotheses(nominal, [hypothesis(1000.0, LAP)], options=DIAGNOSIS) == []
     assert plainer_hypotheses(nominal, [], options=DIAGNOSIS) == []
 
@@ -187,10 +191,16 @@ def test_causes_that_cannot_be_simulated_are_none(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "ends, peaks, stands",
-    [(1000.0, 4000.0, "full"), (1e9, 4000.0, "weighted"), (None, 4000.0, "weighted"), (1000.0, 1e6, "weighted")],
-)
-def test_samples_count_in_full_where_the_best_can_follow_their_peaks(fitted, monkeypatch, ends, peaks, stands):
+    "ends, peaks, uncertain, stands",
+    [
+        (1000.0, 4000.0, False, "full"), (1e9, 4000.0, False, "weighted"), (None, 4000.0, False, "weighted"),
+        (1000.0, 1e6, False, "weighted"), (1000.0, 4000.0, True, "weighted"),
+    ],
+)  # fmt: skip
+def test_samples_count_in_full_where_the_best_can_follow_their_peaks_and_the_inputs_are_known(
+    fitted, monkeypatch, ends, peaks, uncertain, stands
+):
+    monkeypatch.setattr(second_cause, "has_uncertain_inputs", lambda study: uncertain)
     weighted = SimpleNamespace(**vars(NOMINAL), name="weighted")
     full = SimpleNamespace(**vars(NOMINAL), name="full")
     monkeypatch.setattr(second_cause, "unweighted", lambda nominal: full)

@@ -119,8 +119,8 @@ def fit_starts(
 def plainer_hypotheses(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """The best with the plainer effect in the place of each that is one without its own feature, if none was fitted:
-    what a search has met first need not be what there is.
+    """The best with the plainer effect in the place of each that is one without its own feature, fitted from the best's
+    figures: what a search has met first need not be what there is, and the plainer may have stopped short.
     """
     if not found:
         return []
@@ -133,8 +133,8 @@ def plainer_hypotheses(
             other = with_shapes(candidate, share * candidate.typical, dict(member.shapes))
             start = tuple(other if one is member else one for one in best.fit.fitted)
             names = sorted(one.candidate.name for one in start)
-            if all(sorted(c.name for c in one.candidates) != names for one in found):
-                starts.append(start)
+            known = [one.fit for one in found if sorted(c.name for c in one.candidates) == names]
+            starts.append(min(known, key=lambda fit: fit.chi_square).fitted if known else start)
     return fit_starts(nominal, starts, best.fit.point, options=options)
 
 

@@ -14,7 +14,7 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts
 from valvesim.identification.fit import FittedCandidate, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis, reductions_from_prior
-from valvesim.identification.nominal_fit import NominalFit, unweighted
+from valvesim.identification.nominal_fit import NominalFit, has_uncertain_inputs, unweighted
 
 
 def with_second_cause(
@@ -190,10 +190,12 @@ def at_full_weight(
     nominal: NominalFit, found: list[FittedHypothesis], final: ScoreTest
 ) -> tuple[NominalFit, list[FittedHypothesis], ScoreTest]:
     """The answer set refitted with all samples at full weight, where its best can follow the peaks that a nominal
-    fit far off cannot.
+    fit far off cannot, and where what the inputs do is known to the microseconds that a peak takes.
 
     What tells a second cause from none may be in them.
     """
+    if has_uncertain_inputs(nominal.study):
+        return nominal, found, final
     full, near = unweighted(nominal), answer_set_of(nominal, found, options=final.options)
     limits = final.options.identification.fit
     best = rescored(full.study, found[0].fit)

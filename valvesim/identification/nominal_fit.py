@@ -336,7 +336,7 @@ def fit_nominal_near(prepared: PreparedSession, point: np.ndarray, *, full_weigh
 
 def refit_nominal(nominal: NominalFit, fit: Fit) -> NominalFit:
     """The nominal model fitted from where another fit without candidates is, at full weight where it may be."""
-    study = nominal.study if _has_uncertain_inputs(nominal.study) else nominal.study.unweighted()
+    study = nominal.study if has_uncertain_inputs(nominal.study) else nominal.study.unweighted()
     start = rescored(study, fit)
     if not is_adequate(start, options=study.options):
         return fit_nominal_from(study, fit)
@@ -357,7 +357,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     """
     study = study.with_noise(nominal.study.noise)
     near = _with_edges_searched(linearise_nominal(study, rescored(study, nominal.fit)))
-    if _has_uncertain_inputs(study):
+    if has_uncertain_inputs(study):
         weighted = reweighted(down_weight_peaks(study, near.linearised), near)
         return _converge(weighted, study.options.fit.nominal_ftol, progress)
     full = _converge(near, study.options.fit.nominal_ftol, progress)
@@ -370,7 +370,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     )
 
 
-def _has_uncertain_inputs(study: Study) -> bool:
+def has_uncertain_inputs(study: Study) -> bool:
     """Whether inputs go otherwise than their samples say: in a way that was chosen, or by what is fitted of them."""
     return bool(study.nominal.variant.deviations) or any(p.input is not None for p in study.nominal.parameters)
 
