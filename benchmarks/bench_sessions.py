@@ -290,7 +290,7 @@ def main() -> None:
     parser.add_argument("what", choices=("run", "distances", "report"))
     parser.add_argument("--set", choices=tuple(SETS), default="working", dest="name")
     parser.add_argument("--start", type=int, default=0, help="the first of them")
-    parser.add_argument("--count", type=int, help="sessions at most")
+    parser.add_argument("--count", type=int, help="the first so many of the set")
     parser.add_argument("--one-by-one", action="store_true", help="one imperfection at a time")
     parser.add_argument("--engine", default="unknown", help="whose distances are worked out anew")
     parser.add_argument("--part", default="1/1", help="k/n: every n-th session from the k-th on")

@@ -227,7 +227,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("run", "report"))
     parser.add_argument("--set", choices=tuple(SETS), default="working", dest="name")
-    parser.add_argument("--count", type=int, help="sessions at most")
+    parser.add_argument("--count", type=int, help="the first so many of the set")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT)
     given = parser.parse_args()
