@@ -291,7 +291,7 @@ def test_an_answer_without_a_cause_says_what_to_do_too():
     "seed, hidden", [(800_011, "null_gap_asymmetry"), (800_025, "spool_lap"), (800_106, "spool_lap")]
 )
 def test_a_cause_on_a_bench_with_all_imperfections_is_named(tmp_path, seed, hidden):
-    """Held commands at 500 Hz or steps between samples, a ripple of 3 bar that starts with the record, and all the rest.
+    """Held commands at 500 Hz or steps between samples, a ripple of 3 bar that starts with the record, and the rest.
 
     In the last one the nominal valve takes up the lap by figures at their limits, beside which an effect of nothing was
     named with it.
@@ -308,7 +308,7 @@ def test_a_cause_on_a_bench_with_all_imperfections_is_named(tmp_path, seed, hidd
 @pytest.mark.slow
 @pytest.mark.parametrize("seed, hidden", [(800_163, "spool_coulomb_friction"), (800_220, "magnetic_hysteresis")])
 def test_a_strong_cause_on_such_a_bench_is_the_likeliest(tmp_path, seed, hidden):
-    """The plainer friction had stopped short beside the fuller ones; of the loop a free term did better than the law."""
+    """The plainer friction had stopped short beside fuller ones; a free term did better than the law of the loop."""
     rest = tuple(each for each in IMPERFECTIONS if each not in ("edges", "hold"))
     case, bench = draw_bench(seed, "effect", name=hidden, imperfections=(("edges", "hold")[seed % 2], *rest))
     write_bench_session(case, bench, tmp_path)
