@@ -37,16 +37,14 @@ import numpy as np  # noqa: E402
 from bench_plant import IMPERFECTIONS, Bench, bench_records, draw_bench, write_bench_session  # noqa: E402
 from hidden_plant import EFFECTS, truth  # noqa: E402
 from hidden_report import wilson  # noqa: E402
-from thermal_sessions import meter_noise  # noqa: E402
+from thermal_sessions import left_by_fit, meter_noise  # noqa: E402
 
 import valvesim as vs  # noqa: E402
-from valvesim.identification.fit import evaluate_fit, predict_readings  # noqa: E402
 from valvesim.identification.input_waves import wave_parameters, wave_size, with_parameters  # noqa: E402
 from valvesim.identification.instrument_errors import instrument_errors  # noqa: E402
-from valvesim.identification.nominal_fit import linearise_nominal, refit_nominal  # noqa: E402
 from valvesim.identification.options import DEFAULT_IDENTIFICATION  # noqa: E402
 from valvesim.identification.session_toml import load_session  # noqa: E402
-from valvesim.identification.study import prepare_session, with_records  # noqa: E402
+from valvesim.identification.study import prepare_session  # noqa: E402
 
 SETS = {"working": (700_000, 300), "second": (800_000, 300)}  # first seed, sessions
 RESULTS = ROOT / "benchmarks" / "results" / "bench_sessions.jsonl"
@@ -115,28 +113,19 @@ def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
         size = wave_size(prepared.nominal, session.training, "supply_pressure")
         ripple = wave_parameters(session.training, "supply_pressure", case.runs[0].ripple[1], size)
         prepared = with_parameters(prepared, ripple)
-    point = np.zeros(len(prepared.nominal.parameters))
-    before = predict_readings(prepared, prepared.nominal.at(point))
     paces = {predictor.record.pace for predictor in prepared.predictors}
     noise = {(meter.channel, pace): meter_noise(meter) for meter in case.meters for pace in paces}
-    most = np.inf
-    for share in (0.3, 1.0):  # by and by: a fit of the whole at once may get lost
-        changed = []
-        for predictor, read in zip(prepared.predictors, before, strict=True):
-            record, k = predictor.record, runs.index(predictor.record.name)
-            moved = {name: share * np.nan_to_num(with_it[k][name] - without[k][name]) for name in record.outputs}
-            values = {name: read[name] + by for name, by in moved.items()}
-            changed.append(replace(record, values=record.values | values))
-        study = with_records(prepared, changed, ()).with_noise(noise)
-        start = linearise_nominal(study, evaluate_fit(study, point, ()))
-        fit = refit_nominal(start, start.fit).fit
-        point, most = fit.point, float(np.sqrt(fit.chi_square))
+    changes = []
+    for predictor in prepared.predictors:
+        k = runs.index(predictor.record.name)
+        changes.append({name: np.nan_to_num(with_it[k][name] - without[k][name]) for name in predictor.record.outputs})
+    most = left_by_fit(prepared, noise, changes)
     ((hidden, figures),) = truth(case)["parameters"].items()
-    for candidate in study.candidates:
+    for candidate in prepared.candidates:
         if candidate.effect is not None and candidate.effect.name == hidden:
             amplitude = candidate.effect.amplitude
             above = figures[amplitude.name] - (amplitude.neutral or 0.0)
-            shared = candidate.share(candidate.apply_to(study.nominal.variant, above), study.nominal.variant)
+            shared = candidate.share(candidate.apply_to(prepared.nominal.variant, above), prepared.nominal.variant)
             most = most if shared is None else min(most, abs(shared[1]))
     return round(most, 1)
 

@@ -9,9 +9,9 @@ from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
 from hidden_plant import truth
 
 import valvesim as vs
-from valvesim.diagnosis import apart
+from valvesim.diagnosis import apart, bench_faults
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import _shift_words, _waves_apart
+from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _shift_words, _waves_apart
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -202,6 +202,33 @@ def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
     assert max(gain(noise, wave)) < 20.0
 
 
+@pytest.mark.parametrize("shows, joint, alone, joins", [
+    (45.0, 30.0, 41.0, ["a"]), (45.0, 30.0, 39.0, []),  # as good as the cause, for which the odds are 20 to 1; or not
+    (10.0, 0.0, 12.0, []), (70.0, 30.0, 75.0, []),  # no alarm; no weak one
+    (45.0, 70.0, 80.0, ["a", "b"]),
+])  # fmt: skip
+def test_what_the_bench_does_that_explains_a_weak_alarm_as_well_as_a_cause_takes_its_place(
+    monkeypatch, shows, joint, alone, joins
+):
+    drifts = tuple(SimpleNamespace(name=name) for name in "ab")
+    gains = {(2, 0): 90.0, (2, 1): joint + 2.0, (1, 0): alone + 1.0, (1, 1): 0.0}  # by its columns, causes beside
+    monkeypatch.setattr(bench_faults, "_hypotheses", lambda study, scores: [drifts])
+    monkeypatch.setattr(bench_faults, "_known_faults", lambda study: [BenchFault((p,), str, None) for p in drifts])
+    monkeypatch.setattr(bench_faults, "added_jacobian_of", lambda study, linearised, added: np.array([[1.0, 2.0]]))
+    monkeypatch.setattr(bench_faults, "_likeliest_causes", lambda study, scores, options: np.ones((1, 1)))
+    monkeypatch.setattr(
+        bench_faults, "linear_gain",
+        lambda J, fit, S, causes: gains[S.shape[1], causes.shape[1]] - 5.0 * (S.shape[1] == 1 and S[0, 0] == 2.0),
+    )  # fmt: skip
+    study = SimpleNamespace(nominal=SimpleNamespace(parameters=[]), stack=lambda columns: np.empty((1, 0)))
+    scores = SimpleNamespace(
+        columns=(), own_columns=(), linearised=(), own=(), fit=SimpleNamespace(chi_square=1050.0, rows=1000.0),
+        z=lambda: np.array([np.sqrt(shows)]), level=lambda false_alarm: 4.0,
+    )  # fmt: skip
+    found = _likeliest(SimpleNamespace(study=study), scores, options=DIAGNOSIS)
+    assert [p.name for p in (found.parameters if found is not None else ())] == joins
+
+
 def test_a_wave_among_the_parameters_is_told_with_its_amplitude():
     waves = wave_parameters(RECORDS, "supply_pressure", 37.0, 1e6)
     model = SimpleNamespace(parameters=(SimpleNamespace(input=None), *waves))
@@ -210,9 +237,11 @@ def test_a_wave_among_the_parameters_is_told_with_its_amplitude():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [700_000, 700_001, 800_090])
+@pytest.mark.parametrize("seed", [700_000, 700_001, 800_090, 800_174])
 def test_a_healthy_valve_raises_no_alarm_on_a_bench_with_all_imperfections(tmp_path, seed):
-    """In the last one coarse sensitivities next to peaks took the armature's inertia nine deviations off."""
+    """In 800090 coarse sensitivities next to peaks took the armature's inertia nine deviations off; in 800174 a meter
+    drifts that little that a thermal gradient explained it as well.
+    """
     rest = tuple(each for each in IMPERFECTIONS if each not in ("edges", "hold"))
     case, bench = draw_bench(seed, "none", imperfections=(("edges", "hold")[seed % 2], *rest))
     write_bench_session(case, bench, tmp_path)

@@ -191,28 +191,35 @@ def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatTo
 
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:
-    """What the bench may do that explains most of what a fit leaves, beside the likeliest causes too; None where
-    nothing does. The fit is the nominal one, or one with candidates.
+    """What the bench may do that explains most of what a fit leaves, beside the likeliest causes too; where none does,
+    the one error of the instruments that explains a weak alarm as well as any cause. The fit is the nominal one, or one
+    with candidates.
     """
-    taken = nominal.study.nominal.parameters
-    hypotheses = [h for h in _hypotheses(nominal.study, scores) if not {p.name for p in h} & {p.name for p in taken}]
+    taken = {p.name for p in nominal.study.nominal.parameters}
+    hypotheses = [h for h in _hypotheses(nominal.study, scores) if not {p.name for p in h} & taken]
     if not hypotheses:
         return None
     fit, study = scores.fit, nominal.study
     J = study.stack(scores.columns)
-    columns = added_jacobian_of(study, scores.linearised, [p for each in hypotheses for p in each])
+    added = [p for each in hypotheses for p in each]
+    columns = dict(zip((p.name for p in added), added_jacobian_of(study, scores.linearised, added).T, strict=True))
     causes = np.column_stack([study.stack(scores.own_columns), _likeliest_causes(study, scores, options=options)])
     fitted = len(scores.own)
-    found = []
-    start = 0
-    for parameters in hypotheses:
-        S = columns[:, start : start + len(parameters)]
-        start += len(parameters)
-        by = (linear_gain(J, fit, S, causes[:, :k]) for k in range(fitted, causes.shape[1] + 1))
-        found.append(BenchHypothesis(parameters, min(by) - len(parameters)))
-    most = max(float(np.max(scores.z(), initial=0.0)) ** 2, fit.chi_square - fit.rows)
-    best = max(found, key=lambda one: one.gain)
-    return best if best.gain > max(options.bench.minimum_gain, options.bench.gain_share * most) else None
+
+    def beside(parameters: tuple[NuisanceParameter, ...], most_causes: int) -> BenchHypothesis:
+        S = np.column_stack([columns[p.name] for p in parameters])
+        by = (linear_gain(J, fit, S, causes[:, :k]) for k in range(fitted, most_causes + 1))
+        return BenchHypothesis(parameters, min(by) - len(parameters))
+
+    shows = float(np.max(scores.z(), initial=0.0)) ** 2
+    best = max((beside(each, causes.shape[1]) for each in hypotheses), key=lambda one: one.gain)
+    if best.gain > max(options.bench.minimum_gain, options.bench.gain_share * max(shows, fit.chi_square - fit.rows)):
+        return best
+    if not scores.level(options.detection.false_alarm) ** 2 < shows < options.bench.minimum_gain:
+        return None
+    errors = [f.parameters for f in _known_faults(study) if all(p.name in columns for p in f.parameters)]
+    best = max((beside(each, fitted) for each in errors), key=lambda one: one.gain, default=BenchHypothesis((), 0.0))
+    return best if best.gain > shows - options.selection.answer_ratio else None
 
 
 def _likeliest_causes(study: Study, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from valvesim.diagnosis.model_selection import FittedHypothesis, distinct, is_negligible
+from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, distinct, is_negligible
 from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate, is_adequate, with_shapes
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
@@ -116,26 +117,47 @@ def fit_starts(
     return found
 
 
-def plainer_hypotheses(
+def alike_hypotheses(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """The best with the plainer effect in the place of each that is one without its own feature, fitted from the best's
-    figures: what a search has met first need not be what there is, and the plainer may have stopped short.
+    """The best with an effect alike in the place of each, fitted from the best's figures where it explains less: what a
+    search has met first need not be what there is, and the others may have stopped short.
+
+    Alike are the plainer effect that one is without its own feature, fitted before or not, and those fitted before that
+    are this one with a feature of theirs.
     """
     if not found:
         return []
     best = distinct(found, options=options)[0]
     starts = []
-    for member in best.fit.fitted:
-        plainer = member.candidate.effect.plainer if member.candidate.effect is not None else ""
-        for candidate in [c for c in nominal.study.candidates if c.name == plainer][:1]:
+    for k, member in enumerate(best.fit.fitted):
+        for candidate in _alike(member.candidate, nominal.study.candidates):
             share = member.above_neutral / member.candidate.typical
             other = with_shapes(candidate, share * candidate.typical, dict(member.shapes))
-            start = tuple(other if one is member else one for one in best.fit.fitted)
-            names = sorted(one.candidate.name for one in start)
+            names = sorted(one.candidate.name for one in (*best.fit.fitted[:k], other, *best.fit.fitted[k + 1 :]))
             known = [one.fit for one in found if sorted(c.name for c in one.candidates) == names]
-            starts.append(min(known, key=lambda fit: fit.chi_square).fitted if known else start)
+            nearest = min(known, key=lambda fit: fit.chi_square, default=None)
+            is_plainer = candidate.name == _plainer(member.candidate)
+            if nearest is not None:
+                if not is_plainer and nearest.chi_square < best.fit.chi_square + answer_set_width(nominal, best):
+                    continue
+                own = next(one for one in nearest.fitted if one.candidate.name == candidate.name)
+                other = with_shapes(own.candidate, own.above_neutral, {**dict(own.shapes), **dict(member.shapes)})
+            elif not is_plainer:
+                continue
+            starts.append((*best.fit.fitted[:k], other, *best.fit.fitted[k + 1 :]))
     return fit_starts(nominal, starts, best.fit.point, options=options)
+
+
+def _alike(candidate: Candidate, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The plainer effect of a candidate, and those of which either is the plainer one; one of each name."""
+    plainest = _plainer(candidate) or candidate.name
+    alike = {c.name: c for c in reversed(candidates) if plainest in (c.name, _plainer(c)) and c.name != candidate.name}
+    return list(alike.values())
+
+
+def _plainer(candidate: Candidate) -> str:
+    return candidate.effect.plainer if candidate.effect is not None else ""
 
 
 def refined_hypotheses(
