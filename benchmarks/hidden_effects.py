@@ -808,6 +808,9 @@ def main() -> None:
     parser.add_argument("--seed-offset", type=int, default=TABLE_SEEDS, help="10000 while the diagnosis is worked on")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--strengths", type=Path, default=RESULTS, help="rows whose strengths need no tuning again")
+    parser.add_argument(
+        "--keep-strengths", action="store_true", help="also those of an earlier file of the plant, of the same equations"
+    )
     parser.add_argument("--workers", type=int, default=cores())
     parser.add_argument("--baselines", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT, help="the report's file")
@@ -816,7 +819,8 @@ def main() -> None:
     chosen = chosen[: options.cases]
     try:
         if options.what == "run":
-            earlier = {row["key"]: row for row in read_results(options.strengths)}
+            taken = {"plant": PLANT} if options.keep_strengths else {}
+            earlier = {row["key"]: row | taken for row in read_results(options.strengths)}
             return run(chosen, options.results, earlier, options.workers, options.baselines)
     except KeyboardInterrupt:
         sys.exit(f"interrupted; what is done stands in {options.results}, the same command goes on from there")
