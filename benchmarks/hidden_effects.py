@@ -809,7 +809,9 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--strengths", type=Path, default=RESULTS, help="rows whose strengths need no tuning again")
     parser.add_argument(
-        "--keep-strengths", action="store_true", help="also those of an earlier file of the plant, of the same equations"
+        "--keep-strengths",
+        action="store_true",
+        help="also those of an earlier file of the plant, of the same equations",
     )
     parser.add_argument("--workers", type=int, default=cores())
     parser.add_argument("--baselines", action=argparse.BooleanOptionalAction, default=True)

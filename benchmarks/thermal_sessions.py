@@ -68,10 +68,15 @@ def sessions(name: str) -> Iterator[Row]:
         }  # fmt: skip
 
 
+def drawn(spec: Row) -> hidden_plant.Case:
+    """The plant and the runs of a session."""
+    told = {name: spec[name] for name in ("profile", "network", "hidden", "rate", "duration")}
+    return draw_thermal(spec["seed"], **told)
+
+
 def diagnosed(spec: Row) -> Row:
     """One session, written to a folder and diagnosed from that alone."""
-    drawn = {name: spec[name] for name in ("profile", "network", "hidden", "rate", "duration")}
-    case, row = draw_thermal(spec["seed"], **drawn), dict(spec)
+    case, row = drawn(spec), dict(spec)
     with tempfile.TemporaryDirectory() as folder:
         strength, clean, row["distance"] = tuned(case, TARGETS[spec["seed"] % len(TARGETS)], Path(folder))
         write_thermal_session(case, folder, clean, MEASURED if spec["measured"] else (), strength)
@@ -165,6 +170,21 @@ def run(name: str, count: int | None, results: Path) -> None:
             print(*_cells(row), sep=" | ", flush=True)
 
 
+def measure_distances(name: str, results: Path) -> None:
+    """Work the d' of what there is of a set out anew, in place."""
+    rows, specs = _rows(results), {spec["seed"]: spec for spec in sessions(name)}
+    for row in rows:
+        if row["hidden"] and row["seed"] in specs:
+            with tempfile.TemporaryDirectory() as folder:
+                target = TARGETS[row["seed"] % len(TARGETS)]
+                before, (_, _, row["distance"]) = (
+                    row["distance"],
+                    tuned(drawn(specs[row["seed"]]), target, Path(folder)),
+                )
+            print(row["seed"], row["hidden"], before, row["distance"], flush=True)
+    results.write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8")
+
+
 def _rows(results: Path) -> list[Row]:
     if not results.exists():
         return []
@@ -250,7 +270,7 @@ def _share(hits: list[bool]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("run", "report"))
+    parser.add_argument("what", choices=("run", "distances", "report"))
     parser.add_argument("--set", choices=tuple(SETS), default="working", dest="name")
     parser.add_argument("--count", type=int, help="the first so many of the set")
     parser.add_argument("--results", type=Path, default=RESULTS)
@@ -258,6 +278,8 @@ def main() -> None:
     given = parser.parse_args()
     if given.what == "run":
         run(given.name, given.count, given.results)
+    elif given.what == "distances":
+        measure_distances(given.name, given.results)
     else:
         report(given.name, given.results, given.output)
 
