@@ -9,7 +9,7 @@ import pytest
 from valvesim.diagnosis import refits, second_cause
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
-from valvesim.diagnosis.refits import alike_hypotheses, fit_starts, reduced_hypotheses, restarted
+from valvesim.diagnosis.refits import alike_hypotheses, fit_starts, plainer_hypotheses, reduced_hypotheses, restarted
 from valvesim.diagnosis.score_test import ScoreTest, search_size
 from valvesim.diagnosis.second_cause import at_full_weight, typical_starts, with_other_pairs, with_second_cause
 from valvesim.diagnosis.starts import start_points
@@ -157,14 +157,14 @@ def test_the_plainer_effect_is_fitted_in_the_place_of_one_that_may_be_it(fitted)
     nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(LAP, FRICTION, silting)))
     fitted.ends |= {"spool_coulomb_friction": 990.0}
     best = hypothesis(1000.0, silting)
-    (plainer,) = alike_hypotheses(nominal, [best, hypothesis(1500.0, LAP)], options=DIAGNOSIS)
+    (plainer,) = plainer_hypotheses(nominal, [best, hypothesis(1500.0, LAP)], options=DIAGNOSIS)
     assert plainer.label == "spool_coulomb_friction" and plainer.fit.chi_square == 990.0
     (member,) = plainer.fit.fitted
     assert member.above_neutral == pytest.approx(FRICTION.typical)
-    assert alike_hypotheses(nominal, [best, plainer], options=DIAGNOSIS) == []  # it is the best
+    assert plainer_hypotheses(nominal, [best, plainer], options=DIAGNOSIS) == []  # it is the best
     stopped = replace(hypothesis(1100.0).fit, fitted=(FittedCandidate(FRICTION, 0.7),))
     short = FittedHypothesis(stopped, options=DIAGNOSIS)
-    (again,) = alike_hypotheses(nominal, [best, short], options=DIAGNOSIS)  # from its own amplitude
+    (again,) = plainer_hypotheses(nominal, [best, short], options=DIAGNOSIS)  # from its own amplitude
     assert again.fit.chi_square == 990.0 and again.fit.fitted[0].above_neutral == 0.7
 
 
@@ -190,6 +190,8 @@ def test_an_effect_alike_that_stopped_short_is_fitted_from_the_figures_of_the_be
     assert again.fit.chi_square == 900.0 and member.above_neutral == 4.5
     assert dict(member.shapes) == {"kinetic_share": 0.5, "stribeck_velocity": 1e-3, "presliding_distance": 2e-6}
     assert alike_hypotheses(nominal, [best, plain, near], options=DIAGNOSIS) == []  # it is in the answer set
+    both = hypothesis(1000.0, silting, FRICTION)  # beside it there is the plainer one already
+    assert plainer_hypotheses(nominal, [both], options=DIAGNOSIS) == []
     fitted.begun.clear()
     coulomb = ended(1000.0, FRICTION, 4.0, presliding_distance=2e-6)
     assert alike_hypotheses(nominal, [coulomb, short], options=DIAGNOSIS) and fitted.begun == [stribeck.label]
@@ -197,8 +199,8 @@ def test_an_effect_alike_that_stopped_short_is_fitted_from_the_figures_of_the_be
 
 def test_the_plainer_effect_is_fitted_in_no_place_but_of_one_that_may_be_it(fitted):
     nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(LAP, FRICTION)))
-    assert alike_hypotheses(nominal, [hypothesis(1000.0, LAP)], options=DIAGNOSIS) == []
-    assert alike_hypotheses(nominal, [], options=DIAGNOSIS) == []
+    assert plainer_hypotheses(nominal, [hypothesis(1000.0, LAP)], options=DIAGNOSIS) == []
+    assert plainer_hypotheses(nominal, [], options=DIAGNOSIS) == []
 
 
 def test_of_a_pair_that_one_explains_as_well_the_one_is_left(fitted):

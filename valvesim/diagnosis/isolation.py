@@ -39,6 +39,7 @@ from valvesim.diagnosis.refits import (
     alike_hypotheses,
     fit_starts,
     largest_shift,
+    plainer_hypotheses,
     reduced_hypotheses,
     refined_hypotheses,
     restarted,
@@ -168,8 +169,10 @@ def _isolated(
             break
         nominal, scores = better, score_test(better, better.fit, options=options)
     found += restarted(nominal, found, likeliest, options=options)
+    found += plainer_hypotheses(nominal, found, options=options)
     found += alike_hypotheses(nominal, found, options=options)
     found = refined_hypotheses(nominal, found, options=options)
+    found += refined_hypotheses(nominal, plainer_hypotheses(nominal, found, options=options), options=options)
     found = reduced_hypotheses(nominal, distinct(found, options=options), options=options)
     found = without_corrections_of_laws(nominal, found, options=options)
     found = with_minimum_gain(nominal, found, level, bearable_beside_bench(scores), options=options)

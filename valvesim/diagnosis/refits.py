@@ -117,47 +117,75 @@ def fit_starts(
     return found
 
 
-def alike_hypotheses(
+def plainer_hypotheses(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """The best with an effect alike in the place of each, fitted from the best's figures where it explains less: what a
-    search has met first need not be what there is, and the others may have stopped short.
-
-    Alike are the plainer effect that one is without its own feature, fitted before or not, and those fitted before that
-    are this one with a feature of theirs.
+    """The best with the plainer effect in the place of each that is one without its own feature, fitted from the best's
+    figures: what a search has met first need not be what there is, and the plainer may have stopped short.
     """
     if not found:
         return []
     best = distinct(found, options=options)[0]
     starts = []
     for k, member in enumerate(best.fit.fitted):
-        for candidate in _alike(member.candidate, nominal.study.candidates):
+        plainer, taken = _plainer(member.candidate), _others(best, k)
+        for candidate in [c for c in nominal.study.candidates if c.name == plainer and plainer not in taken][:1]:
+            known = _known_in_place(best, k, candidate, found)
             share = member.above_neutral / member.candidate.typical
             other = with_shapes(candidate, share * candidate.typical, dict(member.shapes))
-            names = sorted(one.candidate.name for one in (*best.fit.fitted[:k], other, *best.fit.fitted[k + 1 :]))
-            known = [one.fit for one in found if sorted(c.name for c in one.candidates) == names]
-            nearest = min(known, key=lambda fit: fit.chi_square, default=None)
-            is_plainer = candidate.name == _plainer(member.candidate)
-            if nearest is not None:
-                if not is_plainer and nearest.chi_square < best.fit.chi_square + answer_set_width(nominal, best):
-                    continue
-                own = next(one for one in nearest.fitted if one.candidate.name == candidate.name)
-                other = with_shapes(own.candidate, own.above_neutral, {**dict(own.shapes), **dict(member.shapes)})
-            elif not is_plainer:
-                continue
-            starts.append((*best.fit.fitted[:k], other, *best.fit.fitted[k + 1 :]))
+            starts.append(_in_place(best, k, other) if known is None else _from_best(best, k, known))
     return fit_starts(nominal, starts, best.fit.point, options=options)
 
 
-def _alike(candidate: Candidate, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The plainer effect of a candidate, and those of which either is the plainer one; one of each name."""
-    plainest = _plainer(candidate) or candidate.name
-    alike = {c.name: c for c in reversed(candidates) if plainest in (c.name, _plainer(c)) and c.name != candidate.name}
-    return list(alike.values())
+def alike_hypotheses(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The best with an effect alike in the place of each, one that is the same plainer one with another feature: those
+    fitted before that explain much less, from the best's figures. They may have stopped short.
+    """
+    if not found:
+        return []
+    best = distinct(found, options=options)[0]
+    most = best.fit.chi_square + answer_set_width(nominal, best)
+    starts = []
+    for k, member in enumerate(best.fit.fitted):
+        plainest = _plainer(member.candidate) or member.candidate.name
+        taken = [member.candidate.name, *_others(best, k)]
+        alike = {c.name: c for c in nominal.study.candidates if _plainer(c) == plainest and c.name not in taken}
+        for candidate in alike.values():
+            known = _known_in_place(best, k, candidate, found)
+            if known is not None and known.chi_square > most:
+                starts.append(_from_best(best, k, known))
+    return fit_starts(nominal, starts, best.fit.point, options=options)
 
 
 def _plainer(candidate: Candidate) -> str:
     return candidate.effect.plainer if candidate.effect is not None else ""
+
+
+def _others(best: FittedHypothesis, k: int) -> list[str]:
+    """The names of the best's candidates but its k-th."""
+    return [one.candidate.name for j, one in enumerate(best.fit.fitted) if j != k]
+
+
+def _in_place(best: FittedHypothesis, k: int, other: FittedCandidate) -> tuple[FittedCandidate, ...]:
+    return (*best.fit.fitted[:k], other, *best.fit.fitted[k + 1 :])
+
+
+def _known_in_place(
+    best: FittedHypothesis, k: int, candidate: Candidate, found: Sequence[FittedHypothesis]
+) -> Fit | None:
+    """The best fit of those found with a candidate, by its name, in the place of the best's k-th."""
+    names = sorted(one.candidate.name for one in _in_place(best, k, FittedCandidate(candidate, 0.0)))
+    known = [one.fit for one in found if sorted(c.name for c in one.candidates) == names]
+    return min(known, key=lambda fit: fit.chi_square, default=None)
+
+
+def _from_best(best: FittedHypothesis, k: int, known: Fit) -> tuple[FittedCandidate, ...]:
+    """The start of a known fit's candidate in the place of the best's k-th, which gives the shapes that both have."""
+    own = next(one for one in known.fitted if one.candidate.name not in _others(best, k))
+    shapes = {**dict(own.shapes), **dict(best.fit.fitted[k].shapes)}
+    return _in_place(best, k, with_shapes(own.candidate, own.above_neutral, shapes))
 
 
 def refined_hypotheses(
