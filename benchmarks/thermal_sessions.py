@@ -78,7 +78,7 @@ def diagnosed(spec: Row) -> Row:
     """One session, written to a folder and diagnosed from that alone."""
     case, row = drawn(spec), dict(spec)
     with tempfile.TemporaryDirectory() as folder:
-        strength, clean, row["distance"] = tuned(case, TARGETS[spec["seed"] % len(TARGETS)], Path(folder))
+        strength, clean, row["distance"] = tuned(case, Path(folder))
         write_thermal_session(case, folder, clean, MEASURED if spec["measured"] else (), strength)
         worked = time.process_time()
         try:
@@ -99,9 +99,9 @@ def diagnosed(spec: Row) -> Row:
     }  # fmt: skip
 
 
-def tuned(case: hidden_plant.Case, target: float, folder: Path) -> tuple[float, Records, float]:
+def tuned(case: hidden_plant.Case, folder: Path) -> tuple[float, Records, float]:
     """(strength, noise-free records, d') of what is hidden: at the target, or at strength one where that is less."""
-    quiet = hidden_plant.responses(case, 0.0)
+    target, quiet = TARGETS[case.seed % len(TARGETS)], hidden_plant.responses(case, 0.0)
     if not case.hidden:
         return 0.0, quiet, 0.0
     write_thermal_session(case, folder, quiet)
@@ -175,12 +175,9 @@ def measure_distances(name: str, results: Path) -> None:
     rows, specs = _rows(results), {spec["seed"]: spec for spec in sessions(name)}
     for row in rows:
         if row["hidden"] and row["seed"] in specs:
+            before = row["distance"]
             with tempfile.TemporaryDirectory() as folder:
-                target = TARGETS[row["seed"] % len(TARGETS)]
-                before, (_, _, row["distance"]) = (
-                    row["distance"],
-                    tuned(drawn(specs[row["seed"]]), target, Path(folder)),
-                )
+                _, _, row["distance"] = tuned(drawn(specs[row["seed"]]), Path(folder))
             print(row["seed"], row["hidden"], before, row["distance"], flush=True)
     results.write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8")
 

@@ -70,7 +70,7 @@ def test_what_another_law_would_say_of_an_amplitude_widens_its_interval_and_none
         found = confidence_intervals(SimpleNamespace(study=SimpleNamespace(nominal=model)), final)[0]
         return found.high - found.value
 
-    least = DIAGNOSIS.selection.law_error
+    least = DIAGNOSIS.selection.least_law_error
     of_the_rows = np.sqrt(half(0.0) ** 2 - least * 2e-4**2)
     assert half(0.2) == pytest.approx(np.hypot(of_the_rows, np.sqrt(0.2) * 2e-4), rel=1e-6)
     assert half(0.0) == half(least) > np.sqrt(least) * 2e-4

@@ -218,8 +218,8 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
     if not scores.level(options.detection.false_alarm) ** 2 < shows < options.bench.minimum_gain:
         return None
     errors = [f.parameters for f in _known_faults(study) if all(p.name in columns for p in f.parameters)]
-    best = max((beside(each, fitted) for each in errors), key=lambda one: one.gain, default=BenchHypothesis((), 0.0))
-    return best if best.gain > shows - options.selection.answer_ratio else None
+    as_good = [one for each in errors if (one := beside(each, fitted)).gain > shows - options.selection.answer_ratio]
+    return max(as_good, key=lambda one: one.gain, default=None)
 
 
 def _likeliest_causes(study: Study, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:

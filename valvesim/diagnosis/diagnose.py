@@ -91,7 +91,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
     inadequate = is_inadequate(nominal, chosen, options=options)
     recovered: RecoveredTerm | None = None
     odd = ""
-    doubted = unknown_reason and _least_for_term(nominal, isolation.found, options=options) > nominal.fit.rows
+    doubted = bool(unknown_reason) and _most_left_by_term(nominal, isolation.found, options=options) > nominal.fit.rows
     if isolation.alarm and not inadequate and (doubted or not in_set):
         borne_out = bool(isolation.found) or is_certain(scores, level)
         excess = beyond_noise(nominal.fit, study, options=options) > 0.0
@@ -238,11 +238,13 @@ def _term_explains_more(
 ) -> bool:
     """Whether a term that nobody has listed explains more than any cause that is, for the penalty of its figures."""
     penalty = recovered.freedom * np.log(found[0].fit.rows)
-    return recovered.chi_square + penalty < _least_for_term(nominal, found, options=options)
+    return recovered.chi_square + penalty < _most_left_by_term(nominal, found, options=options)
 
 
-def _least_for_term(nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> float:
-    """What a term must leave less of than the likeliest cause does, of which another law may do better as well."""
+def _most_left_by_term(nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> float:
+    """The chi-square that a term with its penalty may leave at most to take the place of the likeliest cause: less than
+    another law of that might.
+    """
     best = min(found, key=lambda one: one.least_chi_square + one.fit.occam_factor)
     law_error = best.law_error * (nominal.fit.chi_square - best.fit.chi_square)
     return best.least_chi_square + best.fit.occam_factor - max(options.selection.answer_ratio, law_error)

@@ -64,7 +64,7 @@ def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimat
             )
             continue
         effect = candidate.effect
-        law = np.sqrt(max(effect.law_error, final.options.selection.law_error))  # chi-square: its root
+        law = np.sqrt(max(effect.law_error, final.options.selection.least_law_error))  # chi-square: its root
         if shape:
             declared = next(q for q in effect.parameters if q.name == shape)
             value = dict(member.shapes)[shape]

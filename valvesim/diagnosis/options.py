@@ -132,7 +132,7 @@ class SelectionOptions:
     answer_share: float = option(
         0.04, "1", "share of the explained chi-square that the answer set is wide", "no model is the plant"
     )
-    law_error: float = option(
+    least_law_error: float = option(
         5e-4,
         "1",
         "share of what a cause explains by which another law of it may do better, at least",

@@ -176,7 +176,7 @@ def _known_in_place(
     best: FittedHypothesis, k: int, candidate: Candidate, found: Sequence[FittedHypothesis]
 ) -> Fit | None:
     """The best fit of those found with a candidate, by its name, in the place of the best's k-th."""
-    names = sorted(one.candidate.name for one in _in_place(best, k, FittedCandidate(candidate, 0.0)))
+    names = sorted([candidate.name, *_others(best, k)])
     known = [one.fit for one in found if sorted(c.name for c in one.candidates) == names]
     return min(known, key=lambda fit: fit.chi_square, default=None)
 

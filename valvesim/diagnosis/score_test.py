@@ -137,19 +137,8 @@ def score_test(
     freed = tuple(range(q + f, q + f + count))
     projected = project(gram, 0, q + f + count).without(freed)
     return ScoreTest(
-        study,
-        fit,
-        tuple(linearised),
-        tuple(J),
-        tuple(own),
-        gram,
-        candidates,
-        sizes,
-        tuple(terms),
-        blocks,
-        freed,
-        projected,
-        options=options,
+        study, fit, tuple(linearised), tuple(J), tuple(own), gram, candidates, sizes, tuple(terms), blocks, freed,
+        projected, options=options,
     )
 
 
