@@ -203,7 +203,7 @@ def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
 
 
 @pytest.mark.parametrize("shows, joint, alone, joins", [
-    (45.0, 30.0, 41.0, ["a"]), (45.0, 30.0, 39.0, []),  # as good as the cause, for which the odds are 20 to 1; or not
+    (45.0, 30.0, 41.0, ["a", "b"]), (45.0, 30.0, 39.0, []),  # as good as a cause, at odds of 20 to 1; or not
     (10.0, 0.0, 12.0, []), (70.0, 30.0, 75.0, []),  # no alarm; no weak one
     (45.0, 70.0, 80.0, ["a", "b"]),
 ])  # fmt: skip

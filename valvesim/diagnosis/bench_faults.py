@@ -192,8 +192,8 @@ def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatTo
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:
     """What the bench may do that explains most of what a fit leaves, beside the likeliest causes too; where none does,
-    the one error of the instruments that explains a weak alarm as well as any cause. The fit is the nominal one, or one
-    with candidates.
+    that instruments err, if one of their errors explains a weak alarm as well as any cause: all of them together, for
+    which one it is need not be known. The fit is the nominal one, or one with candidates.
     """
     taken = {p.name for p in nominal.study.nominal.parameters}
     hypotheses = [h for h in _hypotheses(nominal.study, scores) if not {p.name for p in h} & taken]
@@ -218,8 +218,9 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
     if not scores.level(options.detection.false_alarm) ** 2 < shows < options.bench.minimum_gain:
         return None
     errors = [f.parameters for f in _known_faults(study) if all(p.name in columns for p in f.parameters)]
-    as_good = [one for each in errors if (one := beside(each, fitted)).gain > shows - options.selection.answer_ratio]
-    return max(as_good, key=lambda one: one.gain, default=None)
+    if all(beside(each, fitted).gain <= shows - options.selection.answer_ratio for each in errors):
+        return None
+    return next(beside(each, fitted) for each in hypotheses if errors[0][0].name in [p.name for p in each])
 
 
 def _likeliest_causes(study: Study, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:
