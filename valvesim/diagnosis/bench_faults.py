@@ -192,7 +192,7 @@ def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatTo
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:
     """What the bench may do that explains most of what a fit leaves, beside the likeliest causes too; where none does,
-    that instruments err, if one of their errors explains a weak alarm as well as any cause: all of them together, for
+    that instruments err, if one of their errors explains an alarm as well as any cause: all of them together, for
     which one it is need not be known. The fit is the nominal one, or one with candidates.
     """
     taken = {p.name for p in nominal.study.nominal.parameters}
@@ -215,7 +215,7 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
     best = max((beside(each, causes.shape[1]) for each in hypotheses), key=lambda one: one.gain)
     if best.gain > max(options.bench.minimum_gain, options.bench.gain_share * max(shows, fit.chi_square - fit.rows)):
         return best
-    if not scores.level(options.detection.false_alarm) ** 2 < shows < options.bench.minimum_gain:
+    if shows <= scores.level(options.detection.false_alarm) ** 2:
         return None
     errors = [f.parameters for f in _known_faults(study) if all(p.name in columns for p in f.parameters)]
     if all(beside(each, fitted).gain <= shows - options.selection.answer_ratio for each in errors):
