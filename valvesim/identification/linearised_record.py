@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 
 from valvesim.channels import Signals
-from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory
+from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory, batch_of
 from valvesim.identification.prior import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.tangent_linear import TangentLinear, first_order_response, linearise_along
-from valvesim.units import quantities
 from valvesim.valve.effect import ActiveEffect, Reading
-from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath, joint_path
 from valvesim.valve.valve_model import ValveModel
 
@@ -120,7 +118,7 @@ class LinearisedRecord:
         g = np.empty((n, len(self.tangent.scale), k))
         direct = {name: np.empty((n, k)) for name in self.trajectory.at_valve if name in SIGNAL_NAMES}
         for group in self._batches(variants):
-            batch = variants[group[0]] if len(group) == 1 else _batch([variants[j] for j in group])
+            batch = variants[group[0]] if len(group) == 1 else batch_of([variants[j] for j in group])
             path = None if len(group) == 1 else self._joint_path([variants[j] for j in group])
             rates, signals = self.forcing(batch, path)
             together = group[-1] - group[0] == len(group) - 1
@@ -259,16 +257,6 @@ def _read_at(times: np.ndarray, columns: np.ndarray, at: np.ndarray) -> np.ndarr
 def _at(values: Any, rows: np.ndarray) -> Any:
     """A quantity along the trajectory at some rows of the grid; a constant as it is."""
     return values[rows] if np.ndim(values) and len(values) > 1 else values
-
-
-def _batch(variants: Sequence[ModelVariant]) -> ModelVariant:
-    """The first of variants with a valve whose quantities are (k, 1) where those of the valves differ."""
-    first, differing = variants[0].valve, dict[str, Any]()
-    for name in quantities(Valve):
-        values = [getattr(variant.valve, name) for variant in variants]
-        if any(value != values[0] for value in values):
-            differing[name] = np.array(values)[:, None]
-    return replace(variants[0], valve=replace(first, **differing))
 
 
 def linearise_record(

@@ -55,11 +55,11 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
         progress(reached)
 
     prepared, choice, nominal = _robust_with_inputs(prepared, ahead)
-    full = _finished(_with_inputs(prepared, choice), nominal, ahead)
+    full = _finished(with_input_choice(prepared, choice), nominal, ahead)
     _, _, better = _reviewed_choice(full)
     if better.name == choice.name:
         return full
-    again = _with_inputs(prepared, better)
+    again = with_input_choice(prepared, better)
     return _finished(again, _robustly_fitted(again, _point_by_name(full), ahead), ahead)
 
 
@@ -71,24 +71,24 @@ def _robust_with_inputs(
     the instruments are among the parameters too: the bench is no ideal one.
     """
     choice = _plain_choice(prepared)
-    start, near = _at_nominal(_with_inputs(prepared, choice), {}), dict[str, float]()
+    start, near = _at_nominal(with_input_choice(prepared, choice), {}), dict[str, float]()
     wave = dominant_wave(start.study, start.fit, start.linearised, start.columns)
     if wave:
         prepared, near = _with_waves(prepared, choice, wave, ahead)
         prepared = with_parameters(prepared, instrument_errors(prepared.session, options=prepared.options))
-        start = _at_nominal(_with_inputs(prepared, choice), near)
+        start = _at_nominal(with_input_choice(prepared, choice), near)
     choice = _choice_at_start(start)
-    nominal = _robustly_fitted(_with_inputs(prepared, choice), near, ahead)
+    nominal = _robustly_fitted(with_input_choice(prepared, choice), near, ahead)
     for _ in range(prepared.options.wave.most):
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
             break
         prepared = with_parameters(prepared, wave)
-        nominal = _robustly_fitted(_with_inputs(prepared, choice), _point_by_name(nominal), ahead)
+        nominal = _robustly_fitted(with_input_choice(prepared, choice), _point_by_name(nominal), ahead)
         weighted = replace(nominal, study=down_weight_peaks(nominal.study, nominal.linearised))
         _, _, better = _reviewed_choice(weighted)
         if better.name != choice.name:
-            again = _with_inputs(prepared, better)
+            again = with_input_choice(prepared, better)
             choice, nominal = better, _robustly_fitted(again, _point_by_name(nominal), ahead)
     return prepared, choice, nominal
 
@@ -114,7 +114,7 @@ def _plain_choice(prepared: PreparedSession) -> InputChoice:
     for choice in input_choices(prepared.session, options=prepared.options):
         if choice.parameters:
             continue
-        nominal = _at_nominal(_with_inputs(prepared, choice), {}) if choice is not STRAIGHT else start
+        nominal = _at_nominal(with_input_choice(prepared, choice), {}) if choice is not STRAIGHT else start
         fit, _, _ = robust_start(nominal.study, nominal.fit)
         chi_square = rescored(replace(nominal.study, spread={}), fit).chi_square
         if chi_square < least - prepared.options.input.minimum_gain:
@@ -134,7 +134,7 @@ def _with_waves(
     near = dict[str, float]()
     for _ in range(prepared.options.wave.most):
         prepared = with_parameters(prepared, wave)
-        nominal = _robustly_fitted(_with_inputs(prepared, choice), near, ahead)
+        nominal = _robustly_fitted(with_input_choice(prepared, choice), near, ahead)
         near = _point_by_name(nominal)
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
@@ -219,7 +219,7 @@ def _choice_at_start(start: NominalFit) -> InputChoice:
     return _reviewed_choice(replace(start, study=study))[2]
 
 
-def _with_inputs(prepared: Prepared, choice: InputChoice) -> Prepared:
+def with_input_choice(prepared: Prepared, choice: InputChoice) -> Prepared:
     """The prepared session with its commands between their samples as chosen, and notes on it."""
     if choice.name == STRAIGHT.name:
         return prepared
@@ -297,7 +297,7 @@ def under_other_inputs(nominal: NominalFit) -> list[NominalFit]:
     for choice in choices:
         if choice.name == now.name or (jump and not choice.parameters and choice.name != HELD_NAME):
             continue
-        study = _with_inputs(without.unweighted(), choice)
+        study = with_input_choice(without.unweighted(), choice)
         point = _named_point(study.nominal, near)
         found.append(linearised_at(study, point, full_weight=not nominal.study.weights))
     return found
@@ -305,7 +305,7 @@ def under_other_inputs(nominal: NominalFit) -> list[NominalFit]:
 
 def _near_under(without: Study, choice: InputChoice, nominal: NominalFit, *, punctual: bool) -> NominalFit:
     """The nominal fit near another one, under a choice of inputs; from where no sensor is late if `punctual`."""
-    again, near = _with_inputs(without.unweighted(), choice), _point_by_name(nominal)
+    again, near = with_input_choice(without.unweighted(), choice), _point_by_name(nominal)
     point = _named_point(again.nominal, near)
     if punctual:
         point[are_delays(again.nominal)] = 0.0

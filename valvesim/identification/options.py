@@ -233,6 +233,12 @@ class SensitivityOptions:
     refined_step: float = option(
         0.1, "1", "the same where a fit is refined by differences of runs", "the solver's noise is a hundredth of it"
     )
+    together_points: float = option(
+        1e6,
+        "1",
+        "points of a fine grid in all runs of a Jacobian from which they are run together",
+        "they take longer than to compile what runs them so",
+    )
     fast: float = option(
         1e-3, "s", "what acts sooner is held while trajectories are kept at the samples alone", "a sample at 1 kHz"
     )

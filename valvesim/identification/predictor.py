@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,11 +26,12 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
 from valvesim.identification.session import Record, Session
 from valvesim.inputs import Command, Constant, evaluate, merge
-from valvesim.simulation.driver import InitialValueProblem, integrate
+from valvesim.simulation.driver import InitialValueProblem, integrate, integrate_together
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
 from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
+from valvesim.units import quantities
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
 from valvesim.valve.effects.sensors import sensor_lag
 from valvesim.valve.equations import Model
@@ -118,13 +120,9 @@ class RecordPredictor:
             return self
         commands = [self._deviating(column, command, deviations) for column, command in self._commands()]
         starts, intervals = merge(commands, self.scenario.duration)
-        return replace(
-            self,
-            starts=starts,
-            rows=intervals.rows,
-            inputs=_inputs(commands, self.times),
-            fine_inputs=_inputs(commands, self.fine_times),
-        )
+        fine = _inputs(commands, self.fine_times)
+        own = fine if self.sensor_oversampling == 1 else _inputs(commands, self.times)
+        return replace(self, starts=starts, rows=intervals.rows, inputs=own, fine_inputs=fine)
 
     def _deviating(self, column: str, command: Command, deviations: Deviations) -> Command:
         """An input with what deviates of its column."""
@@ -186,6 +184,29 @@ class RecordPredictor:
         return self.on_grid(
             Trajectory(model, fine, flat, fine, oil, under._outputs(model, fine, variant, path), path, flat)
         )
+
+    def readings_together(self, variants: Sequence[ModelVariant]) -> list[dict[str, np.ndarray]] | None:
+        """The readings of a few variants that differ in their valves alone, at most `codegen.LANES`, which take their
+        steps together: each at a fraction of the time of `run`, and what differs is the valves' alone. None where one
+        of them fails. Raises as `run` does.
+        """
+        first = variants[0]
+        under, model = self.under(first.deviations), self.model(first.effects)
+        path, knots = self._coefficients(batch_of(variants), model)
+        shape = len(variants), len(path.times)
+        flat = np.stack([np.broadcast_to(one, shape) for one in knots], axis=-1).astype(float)
+        compiled = compile_model(model, absent_coefficients(model, flat))
+        off = self.switched_off(model, first.effects)
+        initial = _at_rest(under, compiled, flat[:, 0], off)
+        together = integrate_together(_problem(under, compiled, path, flat[0], initial[0], off), initial, flat)
+        if together is None:
+            return None
+        oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
+        found = []
+        for variant, fine, own in zip(variants, together, flat, strict=True):
+            at_valve = under._outputs(model, fine, variant, path)
+            found.append(self.readings(Trajectory(model, fine, own, fine, oil, at_valve, path, own), variant))
+        return found
 
     def on_grid(self, trajectory: Trajectory) -> Trajectory:
         """A trajectory of this predictor, or of the same at another spacing, on the grid of this one: nothing is
@@ -429,15 +450,43 @@ def _column(value: np.ndarray, path: TemperaturePath) -> np.ndarray:
     return np.broadcast_to(np.asarray(value, dtype=float), path.times.shape)[:, None]
 
 
+def batch_of(variants: Sequence[ModelVariant]) -> ModelVariant:
+    """The first of variants with a valve whose quantities are (k, 1) where those of the valves differ."""
+    first, differing = variants[0].valve, dict[str, Any]()
+    for name in quantities(Valve):
+        values = [getattr(variant.valve, name) for variant in variants]
+        if any(value != values[0] for value in values):
+            differing[name] = np.array(values)[:, None]
+    return replace(variants[0], valve=replace(first, **differing))
+
+
 def _integrate(
     predictor: RecordPredictor, compiled: CompiledModel, path: TemperaturePath, flat: np.ndarray, off: np.ndarray
 ) -> np.ndarray:
     """States (n_f, n_x) in SI on the predictor's fine grid, from rest under the first inputs."""
-    where = f"record {predictor.record.name}: "
+    problem = _problem(predictor, compiled, path, flat, _at_rest(predictor, compiled, flat[:1], off)[0], off)
+    advice = "Is the valve of session.toml the one that was measured?"
+    return integrate(problem, what=f"record {predictor.record.name}: the simulation", advice=advice)[0]
+
+
+def _at_rest(predictor: RecordPredictor, compiled: CompiledModel, flat: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """The scaled states (members, n_x) at rest under the first inputs, for flat coefficients (members, n_c)."""
     first = np.array(Inputs(*predictor.inputs[0])._replace(command_rate=0.0))
-    problem = InitialValueProblem(
+    return state_at_rest(compiled, first, flat, held=off, where=f"record {predictor.record.name}: ")
+
+
+def _problem(
+    predictor: RecordPredictor,
+    compiled: CompiledModel,
+    path: TemperaturePath,
+    flat: np.ndarray,
+    initial: np.ndarray,
+    off: np.ndarray,
+) -> InitialValueProblem:
+    """A run from scaled states (n_x,) at rest, with flat coefficients (m, n_c) at the knots of a path."""
+    return InitialValueProblem(
         compiled=compiled,
-        initial=state_at_rest(compiled, first, flat[:1], held=off, where=where)[0],
+        initial=initial,
         starts=predictor.starts,
         rows=predictor.rows,
         knot_times=path.times,
@@ -448,5 +497,3 @@ def _integrate(
         most_steps=predictor.options.predictor.most_steps,
         ignored=off,
     )
-    advice = "Is the valve of session.toml the one that was measured?"
-    return integrate(problem, what=f"{where}the simulation", advice=advice)[0]
