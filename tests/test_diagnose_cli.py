@@ -117,6 +117,12 @@ def test_figures_are_said_in_the_units_of_people(call, found, session, tmp_path)
     assert "half_play = 5 µm (95 %: 4 to 6)" in call(session, "-o", tmp_path / "out")[1]
 
 
+def test_a_next_test_that_tells_nothing_says_so(call, found, session, tmp_path):
+    found(replace(TESTED, next_test=replace(TESTED.next_test, power=0.002)))
+    out = call(session, "-o", tmp_path / "out")[1]
+    assert "next test, 4 s: a slow triangle; hardly tells a from b apart with 0%, and no other does" in out
+
+
 def test_what_is_ambiguous_comes_with_the_next_test(call, found, session, tmp_path):
     other = replace(TESTED.candidates[0], label="silting", probability=0.02)
     found(replace(TESTED, candidates=(*TESTED.candidates, other)))

@@ -91,6 +91,7 @@ class DetectionLimit:
     unit: str
 
 
+CHANCE = 0.05  # power of a test that is told as none
 NO_TEST = (
     "None of the tests that are thought of can be run with the likeliest and with what comes next: measure a further "
     "channel, or with less noise."
@@ -114,6 +115,11 @@ class NextTest:
     power: float
     alternatives: tuple[str, ...] = ()
     inputs: dict[str, np.ndarray] = field(default_factory=dict, compare=False)
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether it tells them apart no more often than chance would: then no test that was thought of does."""
+        return self.power < CHANCE
 
 
 @dataclass(frozen=True, kw_only=True)
