@@ -2,15 +2,16 @@
 
     .venv/bin/python benchmarks/bench_sessions.py run --count 20        # of the working set; goes on where it stopped
     .venv/bin/python benchmarks/bench_sessions.py run --one-by-one      # one imperfection at a time
-    .venv/bin/python benchmarks/bench_sessions.py run --set second      # 300 sessions, to be opened once, at the end
-    .venv/bin/python benchmarks/bench_sessions.py distances --set second --engine COMMIT  # their d', worked out anew
-    .venv/bin/python benchmarks/bench_sessions.py report --set second   # docs/bench_sessions.md from what there is
+    .venv/bin/python benchmarks/bench_sessions.py run --set third       # 300 sessions, to be opened once, at the end
+    .venv/bin/python benchmarks/bench_sessions.py distances --set third --engine COMMIT  # their d', worked out anew
+    .venv/bin/python benchmarks/bench_sessions.py report --set third    # docs/bench_sessions.md from what there is
 
 `--part 1/2` takes every second session from the first on, so that two processes share a set.
 
 A session is drawn by tests/bench_plant.py: the plant of tests/hidden_plant.py under ideal edges or held samples, with a
 rippling supply, oil that warms and parts that follow by another network, a gap, a corrupt reading, clocks that run
-apart, a drifting meter and a saturated channel. The two sets have seeds of their own. Each session adds a line of JSON.
+apart, a drifting meter and a saturated channel. The sets have seeds of their own: the second led to mends while it was
+opened, the third came after them. Each session adds a line of JSON.
 """
 
 from __future__ import annotations
@@ -179,22 +180,26 @@ def is_right(names: list[str], hidden: str) -> bool:
 
 
 def report(name: str, results: Path, document: Path) -> None:
-    """A table of what there is: counts with Wilson's intervals, of all and of the last engine's, and every session."""
-    first, number = SETS[name]
-    rows = [row for row in _rows(results) if first <= row["seed"] < first + number]
-    last = rows[-1].get("engine", "unknown") if rows else "unknown"
-    own = [row for row in rows if row.get("engine", "unknown") == last]
-    columns = [_measured(rows), _measured(own)]
+    """A table of what there is: counts with Wilson's intervals, and every session; counts of the sets before it too."""
+
+    def rows_of(name: str) -> list[dict[str, Any]]:
+        first, number = SETS[name]
+        return sorted((r for r in _rows(results) if first <= r["seed"] < first + number), key=lambda row: row["seed"])
+
+    rows, number = rows_of(name), SETS[name][1]
+    before = list(SETS)[1 : list(SETS).index(name)]
+    columns = {"this set": _measured(rows)} | {f"the {one} set": _measured(rows_of(one)) for one in before}
     lines = [
         "# Sessions of a bench with imperfections", "",
         f"Written by `benchmarks/bench_sessions.py report --set {name}` from {len(rows)} of the {number} sessions of",
         f"the {name} set. All imperfections of `tests/bench_plant.py` in each; what is hidden has the size that is",
         "drawn for it, however little that shows. d' is what it changes of the readings before noise and rounding,",
-        "less what a fit of valve, instruments and ripple takes up of it, samples next to sharp peaks counting less as",
-        "in every fit beside a ripple; and no more than a figure that does the same would be off, in prior deviations.",
-        "", f"Engines, by commit: {_engines(rows)}.", "",
-        f"| measured (95 % interval after Wilson) | all | engine `{last}` |", "|---|---|---|",
-        *(f"| {test} | {columns[0][test]} | {columns[1][test]} |" for test in columns[0]), "",
+        "less what a fit of valve, instruments, ripple and the times of edges takes up of it, samples next to sharp",
+        "peaks counting less as in every fit beside a ripple; and no more than a figure that does the same would be",
+        "off, in prior deviations. (Of the second set, d' is from before the times of edges were among that.)", "",
+        f"Engines, by commit: {_engines(rows)}.", "",
+        f"| measured (95 % interval after Wilson) | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}",
+        *(f"| {test} | {' | '.join(one[test] for one in columns.values())} |" for test in columns["this set"]), "",
         "| seed | hidden | d' | steps | answer | bench | processor, s |", "|---|---|---|---|---|---|---|",
         *(_line(row) for row in rows), "",
     ]  # fmt: skip
