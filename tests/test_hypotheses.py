@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from test_prediction import UNIVERSE, bench_of, nominal_variant, small_session
 
-from valvesim.errors import InputError
+from valvesim.errors import InputError, SolveError
 from valvesim.identification.candidates import Candidate, candidates_of
 from valvesim.identification.instrument_errors import clock_rates
 from valvesim.identification.jacobian import (
@@ -434,6 +434,26 @@ def test_answers_to_candidates_without_memory_and_to_sensors_are_those_of_true_r
         assert shown, c.key
         for channel in shown:
             assert rms(columns[channel][:, k] - truth[channel]) < 0.05 * rms(truth[channel]), (c.key, channel)
+
+
+def test_answers_to_an_effect_faster_than_the_grid_are_those_of_runs_and_linear_where_none_succeeds(
+    candidates, linear, monkeypatch
+):
+    air = candidate(candidates, "entrained_air")
+    assert is_simulated(air.effect, options=OPTIONS)
+    changed = air.apply_to(nominal_variant(), 0.5 * air.typical)
+    own = NominalModel(nominal_variant(), (), options=OPTIONS)
+    truth = linear.simulated_difference(changed)
+    for channel, columns in candidate_sensitivities(linear, [air], [changed], own, {}).items():
+        assert np.array_equal(columns[:, 0], truth[channel])
+
+    def fails(variant):
+        raise SolveError("no run")
+
+    monkeypatch.setattr(type(linear), "simulated_difference", lambda self, variant: fails(variant))
+    straight = linear.linear_difference([changed])
+    for channel, columns in candidate_sensitivities(linear, [air], [changed], own, {}).items():
+        assert np.array_equal(columns, straight[channel]) and rms(columns[:, 0]) > 0.0
 
 
 def test_an_effect_that_is_a_figure_off_shows_what_that_figure_shows(nominal, candidates):

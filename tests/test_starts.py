@@ -40,7 +40,7 @@ def scores(hidden, fit=None, options=DIAGNOSIS):
     study = SimpleNamespace(
         session=SimpleNamespace(seed=1), noise={}, options=OPTIONS, nominal=SimpleNamespace(parameters=())
     )
-    sizes = np.array([search_size(one) for one in candidates])
+    sizes = np.array([search_size(one, options=OPTIONS) for one in candidates])
     fit = hypothesis(1000.0).fit if fit is None else fit
     return ScoreTest(study, fit, (), (), (), None, candidates, sizes, (), (), (), projected, options=options)
 
@@ -56,7 +56,9 @@ def test_two_causes_that_explain_much_more_than_one_start_together_in_the_amount
     found = start_points(scores({LAP: 2.0, AIR: 3.0, FRICTION: 0.0}), frozenset())
     assert labels(found) == ["entrained_air", "entrained_air + spool_lap"]
     pair = {member.candidate: member.above_neutral for member in found[-1]}
-    assert pair == pytest.approx({LAP: 2.0 * search_size(LAP), AIR: 3.0 * search_size(AIR)})
+    lap, air = (search_size(one, options=OPTIONS) for one in (LAP, AIR))
+    assert air == 0.5 * AIR.typical and lap == 0.2 * LAP.typical  # larger where it is simulated
+    assert pair == pytest.approx({LAP: 2.0 * lap, AIR: 3.0 * air})
     little = 0.9 * np.sqrt(DIAGNOSIS.isolation.pair_reduction) / 10.0
     assert labels(start_points(scores({LAP: little, AIR: 1.0}), frozenset())) == ["entrained_air"]
 

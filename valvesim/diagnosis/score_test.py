@@ -17,8 +17,10 @@ from valvesim.identification.fit_jacobian import (
     gram_matrix,
     linearise_fit,
 )
+from valvesim.identification.jacobian import is_simulated
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.nominal_fit import NominalFit
+from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.projection import GramMatrix, ProjectedScores, alarm_level, block_statistic, project
 from valvesim.identification.study import Study
 from valvesim.valve.additive_term import TermHypothesis, term_hypotheses
@@ -124,7 +126,7 @@ def score_test(
     taken = [member.candidate for member in fit.fitted]
     labels_taken = {candidate.label for candidate in taken}
     candidates = tuple(c for c in study.candidates if c.label not in labels_taken and not any(map(c.excludes, taken)))
-    sizes = np.array([search_size(c) for c in candidates])
+    sizes = np.array([search_size(c, options=options.identification) for c in candidates])
     changed = [c.apply_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
     S = all_candidate_sensitivities(study, linearised, J, candidates, changed)
     spans = term_spans(linearised, terms)
@@ -142,10 +144,13 @@ def score_test(
     )
 
 
-def search_size(candidate: Candidate) -> float:
-    """The amplitude at which a candidate is tested: small, so that the response is linear, and inside its limits."""
+def search_size(candidate: Candidate, *, options: IdentificationOptions) -> float:
+    """The amplitude at which a candidate is tested: small, so that the response is linear, larger where it is
+    simulated, and inside its limits.
+    """
     low, high = candidate.limits
-    size = 0.2 * candidate.typical
+    share = 0.5 if candidate.effect is not None and is_simulated(candidate.effect, options=options) else 0.2
+    size = share * candidate.typical
     return size if size <= high else max(0.5 * low, -size)
 
 

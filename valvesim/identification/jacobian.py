@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
+from valvesim.errors import InputError, SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.prior import NominalModel, NuisanceParameter
+from valvesim.valve.effect import Effect
 
 
-def is_simulated(parameter: NuisanceParameter, *, options: IdentificationOptions) -> bool:
-    """Whether a parameter acts within a few steps of the trajectory's grid: it is simulated, moved by more."""
-    return parameter.time_scale < options.sensitivity.simulated_below
+def is_simulated(what: NuisanceParameter | Effect, *, options: IdentificationOptions) -> bool:
+    """Whether a parameter or an effect acts within a few steps of the trajectory's grid: it is simulated, moved by
+    more.
+    """
+    return what.time_scale < options.sensitivity.simulated_below
 
 
 def is_held(parameter: NuisanceParameter, linear: LinearisedRecord) -> bool:
@@ -119,7 +124,17 @@ def candidate_sensitivities(
                 ]
                 - linear.readings[name]
             )
-    moved = linear.linear_difference([changed[k] for k in quick])
+    options = linear.predictor.options
+    run = dict[int, dict[str, np.ndarray]]()
+    for k in quick:
+        fast = candidates[k].effect
+        if fast is not None and is_simulated(fast, options=options):
+            with suppress(SolveError, InputError):  # linear where it cannot be run
+                run[k] = linear.simulated_difference(changed[k])
+    slow = [k for k in quick if k not in run]
+    moved = linear.linear_difference([changed[k] for k in slow])
     for name in out:
-        out[name][:, quick] = moved[name]
+        out[name][:, slow] = moved[name]
+        for k, read in run.items():
+            out[name][:, k] = read[name]
     return out

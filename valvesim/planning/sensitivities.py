@@ -82,7 +82,7 @@ def planned_sensitivities(
     linearised, J = linearise_study(study, variant)
     progress(0.6)
     candidates = study.candidates
-    sizes = np.array([search_size(c) for c in candidates])
+    sizes = np.array([search_size(c, options=options.identification) for c in candidates])
     changed = [c.apply_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
     S = all_candidate_sensitivities(study, linearised, J, candidates, changed)
     progress(0.95)

@@ -121,6 +121,7 @@ class Effect(Shown):
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
     `advice` is what to do where it is found.
     `law_error` is the share of what the effect explains by which another law of the same thing may do better.
+    `time_scale` (s) tells of what acts in the dynamics alone how soon it has done so, as `units.quantity` has it.
     """
 
     name: str
@@ -139,6 +140,7 @@ class Effect(Shown):
     figure: str = ""
     plainer: str = ""
     law_error: float = 0.0
+    time_scale: float = float("inf")
     advice: Advice | None = None
 
     def in_words(self) -> str:

@@ -164,5 +164,6 @@ PILOT = (
             shape_parameter("exponent", "1", "polytropic exponent", 1.4, (1.0, 1.67)),
         ),
         balance=_entrained_air,
+        time_scale=1.4e-4,  # V/E over the slopes of what a chamber lets in and out
     ),
 )
