@@ -328,19 +328,25 @@ def test_an_answer_without_a_cause_says_what_to_do_too():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "seed, hidden", [(800_011, "null_gap_asymmetry"), (800_025, "spool_lap"), (800_106, "spool_lap")]
+    "seed, hidden",
+    [
+        (800_011, "null_gap_asymmetry"),
+        (800_025, "spool_lap"),
+        (800_106, "spool_lap"),
+        (820_016, "flapper_cavitation"),
+    ],
 )
 def test_a_cause_on_a_bench_with_all_imperfections_is_named(tmp_path, seed, hidden):
     """Held commands at 500 Hz or steps between samples, a ripple of 3 bar that starts with the record, and the rest.
 
-    In the last one the nominal valve takes up the lap by figures at their limits, beside which an effect of nothing was
-    named with it.
+    In 800106 the nominal valve takes up the lap by figures at their limits, beside which an effect of nothing was
+    named with it; in 820016 a meter's drift that the cause had hidden was told as a thermal gradient beside it.
     """
     rest = tuple(each for each in IMPERFECTIONS if each not in ("edges", "hold"))
     case, bench = draw_bench(seed, "effect", name=hidden, imperfections=(("edges", "hold")[seed % 2], *rest))
     write_bench_session(case, bench, tmp_path)
     found = vs.diagnose(tmp_path)
-    assert found.causes == (hidden,) and any("ripples" in fault for fault in found.bench)
+    assert found.causes == (hidden,) and any("ripples" in f or "drifts" in f for f in found.bench)
     (amplitude,) = truth(case)["parameters"][hidden].values()
     assert found.parameters[0].low <= amplitude <= found.parameters[0].high
 

@@ -139,6 +139,41 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     assert ended.alarm and not ended.found and not ended.answer_set  # 10 are no gain at a level of 4
 
 
+@pytest.mark.parametrize("joins", [True, False])
+def test_what_the_bench_did_that_a_cause_leaves_joins_before_a_second_cause_is_sought(monkeypatch, joins):
+    base, wider, asked = nominal(9000.0), nominal(8000.0), []
+    lap, behind = hypothesis(5000.0, "spool_lap"), hypothesis(6000.0, "entrained_air")
+
+    def first(nominal, scores, known, beside, progress):
+        asked.append((nominal, list(known)))
+        return [lap, behind], "spool_lap"
+
+    def verified(nominal, scores, level, found, known):
+        assert [one.fit for one in known] == [lap.fit]
+        return nominal, scores, found, scores
+
+    same = lambda nominal, found, *more, options: []  # noqa: E731
+    for name in ("restarted", "plainer_hypotheses", "alike_hypotheses"):
+        monkeypatch.setattr(isolation, name, same)
+    for name in ("refined_hypotheses", "without_corrections_of_laws", "reduced_hypotheses"):
+        monkeypatch.setattr(isolation, name, lambda nominal, found, options: found)
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
+    monkeypatch.setattr(isolation, "is_inadequate", lambda nominal, fit, options: False)
+    monkeypatch.setattr(isolation, "_first_hypotheses", first)
+    monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: None)
+    monkeypatch.setattr(isolation, "bearable_beside_bench", lambda scores: 0.0)
+    monkeypatch.setattr(isolation, "_verified", verified)
+    monkeypatch.setattr(isolation, "judged", lambda one: one)
+    monkeypatch.setattr(isolation, "answer_set_of", lambda nominal, found, options: found[:1])
+    monkeypatch.setattr(isolation, "with_fault_left", lambda nominal, left, options: wider if joins else None)
+    ended = isolation._isolated(
+        base, score_test_of(base, base.fit), lambda stage, share: None, (), (), options=DIAGNOSIS
+    )
+    assert asked == [(base, []), (wider, [lap.fit])] if joins else [(base, [])]
+    assert ended.nominal is (wider if joins else base) and ended.found[0] is lap
+
+
 def test_what_another_law_of_an_effect_does_better_is_no_second_cause(monkeypatch):
     base = nominal(105_000.0)
     single, pair = hypothesis(30_000.0, "magnetic_hysteresis"), ("magnetic_hysteresis", "spool_lap")

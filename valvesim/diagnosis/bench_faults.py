@@ -132,6 +132,14 @@ def with_faults_beside_cause(
     return nominal, score_test(nominal, nominal.fit, options=options), fit
 
 
+def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:
+    """The nominal fit with what the bench did by what a cause leaves: a second cause would be sought for it. None where
+    the bench explains none of that.
+    """
+    likeliest = _likeliest(nominal, left, options=options)
+    return None if likeliest is None else _extended(nominal, likeliest.parameters)
+
+
 def _tuned_beside(nominal: NominalFit, fit: Fit, beside: ScoreTest) -> tuple[NominalFit, Fit] | None:
     """A nominal fit and a fit of causes beside it with the waves at the frequencies that this asks for, by its score
     test; None where that explains no more.

@@ -15,6 +15,7 @@ import numpy as np
 from valvesim.diagnosis.bench_faults import (
     told_faults,
     with_bench_faults,
+    with_fault_left,
     with_faults_beside_cause,
 )
 from valvesim.diagnosis.detection import (
@@ -177,7 +178,12 @@ def _isolated(
     found = without_corrections_of_laws(nominal, found, options=options)
     found = with_minimum_gain(nominal, found, level, bearable_beside_bench(scores), options=options)
     progress("checking", 0.75)
-    nominal, scores, found, final = _verified(nominal, scores, level, found)
+    left = [score_test(nominal, one.fit, options=options) for one in found if len(one.candidates) == 1][:1]
+    if left and not known and (wider := with_fault_left(nominal, left[0], options=options)) is not None:
+        alike = answer_set_of(nominal, found, options=options)
+        again = score_test(wider, wider.fit, options=options)
+        return _isolated(wider, again, progress, [one.fit for one in alike], [], options=options)
+    nominal, scores, found, final = _verified(nominal, scores, level, found, left)
     level = scores.level(options.detection.false_alarm)
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
@@ -215,12 +221,20 @@ def _none_comes_near(nominal: NominalFit, scores: ScoreTest) -> bool:
 
 
 def _verified(
-    nominal: NominalFit, scores: ScoreTest, level: float, found: list[FittedHypothesis]
+    nominal: NominalFit,
+    scores: ScoreTest,
+    level: float,
+    found: list[FittedHypothesis],
+    known: Sequence[ScoreTest] = (),
 ) -> tuple[NominalFit, ScoreTest, list[FittedHypothesis], ScoreTest]:
-    """The nominal fit in the end and its score test, hypotheses best first, and the score test of the best."""
+    """The nominal fit in the end and its score test, hypotheses best first, and the score test of the best; `known` are
+    score tests that may be needed.
+    """
     final, tried = scores, frozenset[tuple]()
     if found:
-        found, final = with_second_cause(nominal, score_test(nominal, found[0].fit, options=scores.options), found)
+        own = next((one for one in known if one.fit is found[0].fit), None)
+        own = score_test(nominal, found[0].fit, options=scores.options) if own is None else own
+        found, final = with_second_cause(nominal, own, found)
         found, final, tried = effects_for_parameters(nominal, scores, found, final)
         found, final = with_other_pairs(nominal, found, final)
         if nominal.study.weights and not is_adequate(nominal.fit, options=scores.options.identification):
