@@ -456,6 +456,18 @@ def test_answers_to_an_effect_faster_than_the_grid_are_those_of_runs_and_linear_
         assert np.array_equal(columns, straight[channel]) and rms(columns[:, 0]) > 0.0
 
 
+def test_of_laws_of_one_friction_one_acts(candidates):
+    coulomb, stribeck, silting, lap = (
+        candidate(candidates, key)
+        for key in ("spool_coulomb_friction", "spool_stribeck_friction", "spool_silting", "spool_lap")
+    )
+    for law in (coulomb, stribeck, silting):
+        assert law.excludes(coulomb) and law.excludes(silting) and stribeck.excludes(law)
+        assert not law.excludes(lap) and not lap.excludes(law)
+    gain, other = (candidate(candidates, f"sensor_gain@{name}") for name in ("spool_position", "load_flow"))
+    assert gain.excludes(gain) and not gain.excludes(other) and not gain.excludes(lap)
+
+
 def test_an_effect_that_is_a_figure_off_shows_what_that_figure_shows(nominal, candidates):
     """However stiff the base holds the figure: what it has taken up is what the effect explains."""
     known = {"spool_lap": 2e6, "spool_edge_wear": 1.0 / 4.5e-7, "magnet_demagnetization": -100.0}  # by their laws

@@ -181,8 +181,8 @@ def _isolated(
     left = [score_test(nominal, one.fit, options=options) for one in found if len(one.candidates) == 1][:1]
     if left and not known and (wider := with_fault_left(nominal, left[0], options=options)) is not None:
         alike = answer_set_of(nominal, found, options=options)
-        again = score_test(wider, wider.fit, options=options)
-        return _isolated(wider, again, progress, [one.fit for one in alike], [], options=options)
+        anew = score_test(wider, wider.fit, options=options)
+        return _isolated(wider, anew, progress, [one.fit for one in alike], [], options=options)
     nominal, scores, found, final = _verified(nominal, scores, level, found, left)
     level = scores.level(options.detection.false_alarm)
     if not found:

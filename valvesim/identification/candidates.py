@@ -63,12 +63,13 @@ class Candidate:
         return self.effect.amplitude.bounds[0] >= (self.effect.amplitude.neutral or 0.0)
 
     def excludes(self, other: Candidate) -> bool:
-        """True for another shape or side of the same effect: its name may stand in a model only once."""
-        return (
-            self.effect is not None
-            and other.effect is not None
-            and (self.effect.name, self.effect.channel) == (other.effect.name, other.effect.channel)
-        )
+        """True for another shape or side of the same effect, whose name may stand in a model only once, and for another
+        law of the same thing: of effects that are one plainer effect without their own features, one acts.
+        """
+        if self.effect is None or other.effect is None:
+            return False
+        mine, others = ((one.plainer or one.name, one.channel) for one in (self.effect, other.effect))
+        return mine == others
 
     def is_equivalent_to(self, other: Candidate) -> bool:
         """True for an effect and the quantity of the valve that it changes: two names of one thing."""
