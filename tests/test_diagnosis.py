@@ -301,6 +301,11 @@ def test_what_explains_too_little_stands_beside_noise_alone():
     assert summary == "Something may be wrong, or noise alone shows it; it would be spool lap."
     _, members, _ = answer(level**2)  # no more than what passes the alarm by chance
     assert members["spool_lap"] == pytest.approx(members["nothing but noise"])
+    (lap_fitted,) = lap.fit.fitted
+    shaped = replace(lap_fitted, shapes=(("one", 1.0), ("another", 1.0)))
+    lap = FittedHypothesis(lap.fit.with_fitted([shaped]), options=DIAGNOSIS)
+    assert len(answer(level**2 + DIAGNOSIS.selection.answer_ratio + 1.9)[1]) == 2  # of noise each shape takes up one
+    assert len(answer(level**2 + DIAGNOSIS.selection.answer_ratio + 2.1)[1]) == 1
 
 
 @pytest.mark.parametrize("fall", [64.0, 1600.0, 1e5])

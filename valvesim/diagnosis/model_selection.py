@@ -177,8 +177,11 @@ def answer_set_of(
 
 
 def odds_against_noise(nominal: NominalFit, best: FittedHypothesis, level: float) -> float:
-    """Twice the log odds of the best against noise alone: at the alarm level the two are as likely."""
-    return nominal.fit.chi_square - best.fit.chi_square - level**2
+    """Twice the log odds of the best against noise alone: at the alarm level, where no shape is fitted, the two are as
+    likely. Of noise each shape takes up one of the chi-square more.
+    """
+    shapes = len(best.fit.layout) - len(best.fit.fitted)
+    return nominal.fit.chi_square - best.fit.chi_square - level**2 - shapes
 
 
 def null_hypothesis_beside(
