@@ -91,7 +91,6 @@ class DetectionLimit:
     unit: str
 
 
-CHANCE = 0.05  # power of a test that is told as none
 NO_TEST = (
     "None of the tests that are thought of can be run with the likeliest and with what comes next: measure a further "
     "channel, or with less noise."
@@ -104,7 +103,7 @@ class NextTest:
     """The cheapest further test that tells candidates apart, and how surely (`power`).
 
     `inputs` are its columns (n,) in SI, temperatures in °C: time, current or voltage, oil_temperature, supply_pressure,
-    load_pressure. JSON leaves them out.
+    load_pressure. JSON leaves them out. `hopeless` where it hardly tells them apart: then no test thought of does.
     """
 
     description: str
@@ -115,11 +114,7 @@ class NextTest:
     power: float
     alternatives: tuple[str, ...] = ()
     inputs: dict[str, np.ndarray] = field(default_factory=dict, compare=False)
-
-    @property
-    def is_hopeless(self) -> bool:
-        """Whether it tells them apart no more often than chance would: then no test that was thought of does."""
-        return self.power < CHANCE
+    hopeless: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
