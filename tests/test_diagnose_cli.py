@@ -118,7 +118,7 @@ def test_figures_are_said_in_the_units_of_people(call, found, session, tmp_path)
 
 
 def test_a_next_test_that_tells_nothing_says_so(call, found, session, tmp_path):
-    found(replace(TESTED, next_test=replace(TESTED.next_test, power=0.002, hopeless=True)))
+    found(replace(TESTED, next_test=replace(TESTED.next_test, power=0.002, uninformative=True)))
     out = call(session, "-o", tmp_path / "out")[1]
     assert "next test, 4 s: a slow triangle; hardly tells a from b apart with 0%, and no other does" in out
 

@@ -126,7 +126,7 @@ def test_the_more_there_is_to_explain_the_more_is_asked(nominal, fits, found):
     assert careful is None or careful.power < found.power or careful.duration > found.duration
     hopeless = design(nominal, *fits, LABELS, lambda more: 1e9, options=DIAGNOSIS)
     assert hopeless is not None and hopeless.power < DIAGNOSIS.design.least_power
-    assert hopeless.hopeless and not found.hopeless
+    assert hopeless.uninformative and not found.uninformative
 
 
 def test_a_test_that_cannot_be_run_is_left_out(nominal, fits, monkeypatch):

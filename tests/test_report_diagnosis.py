@@ -568,7 +568,9 @@ def test_a_cause_with_several_figures_is_named_once_and_a_large_deviance_without
 
 def test_where_no_test_tells_them_apart_the_page_says_so(tmp_path):
     assert NO_TEST in report(ambiguous(next_test=None), tmp_path).text
-    hopeless = report(ambiguous(next_test=replace(ambiguous().next_test, power=0.002, hopeless=True)), tmp_path).text
+    hopeless = report(
+        ambiguous(next_test=replace(ambiguous().next_test, power=0.002, uninformative=True)), tmp_path
+    ).text
     assert "No test that was thought of tells feedback ball backlash from magnetic hysteresis." in hopeless
     assert "This one, which takes 2 s and shows most, would do so with a probability of under 1 %" in hopeless
     likeliest = ambiguous(next_test=None).candidates[:1]

@@ -118,7 +118,7 @@ def _print_diagnosis(found: Any) -> None:
         screen.print(escape(f"candidates: {ranked}"))
     if (test := found.next_test) is not None:
         power = f"tells {' from '.join(test.separates)} apart with {test.power:.0%}"
-        power = f"hardly {power}, and no other does" if test.hopeless else power
+        power = f"hardly {power}, and no other does" if test.uninformative else power
         screen.print(escape(f"next test, {test.duration:g} s: {test.description}; {power}"))
     elif found.no_test:
         screen.print(found.no_test)

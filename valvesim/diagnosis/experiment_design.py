@@ -115,7 +115,7 @@ def design(
         power=best.power,
         alternatives=tuple(others),
         inputs=experiment_inputs(study.session, best),
-        hopeless=best.power < options.design.hopeless,
+        uninformative=best.power < options.design.uninformative_power,
     )
 
 

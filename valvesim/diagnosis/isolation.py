@@ -178,7 +178,8 @@ def _isolated(
     found = without_corrections_of_laws(nominal, found, options=options)
     found = with_minimum_gain(nominal, found, level, bearable_beside_bench(scores), options=options)
     progress("checking", 0.75)
-    left = [score_test(nominal, one.fit, options=options) for one in found if len(one.candidates) == 1][:1]
+    alone = [one for one in (found[:1] if known else found) if len(one.candidates) == 1][:1]
+    left = [score_test(nominal, one.fit, options=options) for one in alone]
     if left and not known and (wider := with_fault_left(nominal, left[0], options=options)) is not None:
         alike = answer_set_of(nominal, found, options=options)
         anew = score_test(wider, wider.fit, options=options)

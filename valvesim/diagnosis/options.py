@@ -246,7 +246,9 @@ class DesignOptions:
 
     power: float = option(0.95, "1", "power that an experiment should have", JUDGEMENT)
     least_power: float = option(0.8, "1", "power below which it is not worth a day on the rig", JUDGEMENT)
-    hopeless: float = option(0.05, "1", "power below which an experiment is told as telling nothing", "chance")
+    uninformative_power: float = option(
+        0.05, "1", "power below which an experiment is told as telling nothing", "chance"
+    )
     replicates: tuple[int, ...] = option((1, 2, 4, 8, 16), "1", "numbers of replicates that are thought of", JUDGEMENT)
     examined: int = option(
         3, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT

@@ -103,7 +103,7 @@ class NextTest:
     """The cheapest further test that tells candidates apart, and how surely (`power`).
 
     `inputs` are its columns (n,) in SI, temperatures in °C: time, current or voltage, oil_temperature, supply_pressure,
-    load_pressure. JSON leaves them out. `hopeless` where it hardly tells them apart: then no test thought of does.
+    load_pressure. JSON leaves them out. `uninformative` where it hardly tells them apart: then no test thought of does.
     """
 
     description: str
@@ -114,7 +114,7 @@ class NextTest:
     power: float
     alternatives: tuple[str, ...] = ()
     inputs: dict[str, np.ndarray] = field(default_factory=dict, compare=False)
-    hopeless: bool = False
+    uninformative: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -97,19 +97,21 @@ def _changes_together(study: Study, fit: Fit, moved: Mapping[int, Fit]) -> dict[
     """By how much the whitened residual (rows,) of a fit changes with others whose valves alone are moved; of those
     that can be run, in a session that takes longer than to compile what runs them together.
 
-    Each lot has the fit itself beside it: steps of the integrator that both take do not differ.
+    Each batch has the fit itself beside it: steps of the integrator that both take do not differ.
     """
     changes, keys = dict[int, np.ndarray](), list(moved)
     points = sum(len(predictor.fine_times) for predictor in study.predictors)
     if len(moved) * points < study.options.sensitivity.together_points:
         return changes
     for first in range(0, len(keys), LANES - 1):
-        lot = keys[first : first + LANES - 1]
+        batch = keys[first : first + LANES - 1]
         with suppress(SolveError, InputError):
-            together = predict_together(study, [one.variant(study.nominal) for one in (fit, *(moved[k] for k in lot))])
+            together = predict_together(
+                study, [one.variant(study.nominal) for one in (fit, *(moved[k] for k in batch))]
+            )
             if together is not None:
                 own, *others = (whitened_residual(study, readings) for readings in together)
-                changes |= {k: other - own for k, other in zip(lot, others, strict=True)}
+                changes |= {k: other - own for k, other in zip(batch, others, strict=True)}
     return changes
 
 

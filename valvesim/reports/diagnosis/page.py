@@ -210,7 +210,7 @@ def _next_test(diagnosis: Diagnosis) -> Section:
     duration = f"takes {test.duration:g} s and " if np.isfinite(test.duration) else ""
     distance = f" (distance {test.distance:.1f} noise deviations)" if np.isfinite(test.distance) else ""
     power = f"It {duration}would tell {first} from {second}"
-    if test.hopeless:
+    if test.uninformative:
         none = f"No test that was thought of tells {first} from {second}."
         power = f"{none} This one, which {duration}shows most, would do so"
     if np.isfinite(test.power):
