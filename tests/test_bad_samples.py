@@ -8,7 +8,12 @@ from bench_plant import draw_bench, write_bench_session
 
 import valvesim as vs
 from valvesim.identification import bad_samples
-from valvesim.identification.bad_samples import _single_outliers, _standing_apart, without_outliers
+from valvesim.identification.bad_samples import (
+    _single_outliers,
+    _standing_apart,
+    without_outliers,
+    without_saturation,
+)
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
@@ -163,6 +168,33 @@ def test_readings_that_stand_at_their_furthest_where_the_model_goes_on_are_satur
     assert note.startswith(f"{channel} reads ") and "and no further, 4 times" in note and "saturated" in note
     for model in (top - noise, top + noise):  # the model stops there too
         assert not any("saturated" in note for note in cleaned(model).session.notes[len(prepared.session.notes) :])
+
+
+def test_what_is_saturated_is_left_out_of_an_inadequate_fit_where_it_carries_the_misfit(biased_session, biased_fit):
+    prepared, nominal, channel = prepare_session(biased_session), biased_fit, "spool_position"
+    records = [predictor.record for predictor in nominal.study.predictors]
+    top = max(float(record.values[channel].max()) for record in records)
+    k = next(k for k, record in enumerate(records) if record.values[channel].max() == top)
+    at = int(np.argmax(records[k].values[channel]))
+    values = records[k].values[channel].copy()
+    values[at : at + 5] = top
+    readings = [dict(read) for read in nominal.fit.readings]
+    readings[k][channel] = values.copy()
+    readings[k][channel][at : at + 5] += 100.0 * nominal.study.noise[channel, records[k].pace].deviation
+    record = replace(records[k], values={**records[k].values, channel: values})
+    study = replace(nominal.study, predictors=tuple(
+        replace(one, record=record) if j == k else one for j, one in enumerate(nominal.study.predictors)
+    ))  # fmt: skip
+
+    def left_out(chi_square):
+        """How many samples are left out where a fit with these readings leaves so much."""
+        fit = replace(nominal.fit, readings=tuple(readings), chi_square=chi_square)
+        cleaned = without_saturation(prepared, study, fit)
+        return np.count_nonzero(records[k].usable[channel] & ~cleaned.predictors[k].record.usable[channel])
+
+    rows, carried = nominal.fit.rows, 5.0 * 100.0**2
+    assert left_out(rows + 1.5 * carried) == 5
+    assert left_out(rows + 3.0 * carried) == 0  # something else is wrong, and the model errs itself
 
 
 @pytest.mark.slow

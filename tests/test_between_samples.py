@@ -84,12 +84,12 @@ def test_smooth_commands_are_straight_in_the_intervals_of_their_corners():
 @pytest.mark.parametrize("column, values", [("supply_pressure", np.full(400, 2e7)), ("current", CHIRP)])
 def test_waves_and_shifts_are_added(column, values):
     samples = (TIME, values)
-    command = command_through(samples, "a")
+    command = command_through(samples)
     both = ((Wave("a", column, 50.0, 0.3), 0.1), (InputShift("a", column), 1.0))
-    moved = deviating_command(command, TIME[-1], both, "a")
+    moved = deviating_command(command, TIME[-1], both)
     wave = 0.1 * np.cos(2.0 * np.pi * 50.0 * TIME - 0.3)
     np.testing.assert_allclose(evaluate(moved, TIME), values + wave + 1.0, rtol=1e-12)
-    assert deviating_command(command, TIME[-1], (), "a") is command
+    assert deviating_command(command, TIME[-1], ()) is command
     t, u = InputShift("a", column, growing=True).apply(samples, samples, 2.0)
     assert u[-1] - values[-1] == pytest.approx(2.0) and u[0] == values[0]
     added = added_input(command, TIME[-1], both, both[1:], TIME)
@@ -182,9 +182,9 @@ def test_held_commands_are_told_beside_a_ripple_before_anything_is_fitted(tmp_pa
     case, bench = draw_bench(505, "none", imperfections=("hold", "ripple"), duration=0.3)
     write_bench_session(case, bench, tmp_path)
     prepared = prepare_session(load_session(tmp_path))
-    assert _plain_choice(prepared).name == HELD_NAME
+    assert _plain_choice(prepared)[0].name == HELD_NAME
     far = replace(OPTIONS, fit=replace(OPTIONS.fit, inadequate_ratio=1e-6))  # by robust starts instead
-    assert _plain_choice(replace(prepared, options=far)).name == HELD_NAME
+    assert _plain_choice(replace(prepared, options=far))[0].name == HELD_NAME
 
 
 def test_a_fit_is_looked_at_under_each_other_way_of_its_commands_with_edges_where_they_jump(stepped):

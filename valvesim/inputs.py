@@ -12,6 +12,7 @@ differences. What a command reaches within a run is told by its pieces (`extreme
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -104,6 +105,12 @@ def piece_motion(row, t):
             quickening = 2.0 * np.pi * (frequency * growth * (1.0 + swelling) + sweep)
             bend += amplitude * (np.cos(angle) * quickening - np.sin(angle) * speed * speed)
     return value, rate, bend
+
+
+def straight_pieces(t: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Rows of `Command.pieces` of straight lines between points (n,), held at the first and the last value."""
+    rows = np.column_stack([t, y, np.append(np.diff(y) / np.diff(t), 0.0)])
+    return np.vstack([[min(t[0], 0.0), y[0], 0.0], rows])  # what holds before the first point
 
 
 class Command(Protocol):
@@ -487,10 +494,16 @@ class Table:
             problem = f"row {k + 1} comes {t[k] - t[k - 1]:.3g} s after row {k}, too soon to tell"
             raise InputError(problem, key=self.where)
 
+    @functools.cached_property
+    def points(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and values (n,), not to be written to."""
+        columns = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
+        for column in columns:
+            column.flags.writeable = False
+        return columns
+
     def pieces(self, end: float) -> np.ndarray:
-        t, y = np.asarray(self.times, dtype=float), np.asarray(self.values, dtype=float)
-        rows = np.column_stack([t, y, np.append(np.diff(y) / np.diff(t), 0.0)])
-        return np.vstack([[min(t[0], 0.0), y[0], 0.0], rows])  # what holds before the first point
+        return straight_pieces(*self.points)
 
 
 @dataclass(frozen=True)

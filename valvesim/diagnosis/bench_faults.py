@@ -17,11 +17,12 @@ import numpy as np
 from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
 from valvesim.diagnosis.detection import nuisance_covariance, wald_statistic
 from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.diagnosis.refits import largest_shift
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import start_points
 from valvesim.identification.between_samples import Wave
-from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (
@@ -100,11 +101,17 @@ def with_faults_beside_cause(
 ) -> tuple[NominalFit, ScoreTest, Fit | None]:
     """The same by what the likeliest cause leaves, fitted a little: what the nominal valve leaves is all of the cause
     where it is inadequate. Last the fit of that cause beside what the bench did, if there was anything to be fitted.
+
+    Where the cause has carried figures of the nominal fit away its fit begins from within tolerance.
     """
-    starts, few = start_points(scores, frozenset())[:1], options.isolation.near_linearisations
+    starts, few = start_points(scores, frozenset()), options.isolation.near_linearisations
     if not starts or is_adequate(nominal.fit, options=options.identification):
         return nominal, scores, None
-    at, fit, tried = nominal, fit_hypothesis(nominal, starts[0], linearisations=few), False
+    start, at, tried = _plainest(starts), nominal, False
+    if largest_shift(nominal.fit) > options.isolation.shifted:
+        fit = fit_from_prior(nominal, start, few)
+    else:
+        fit = fit_hypothesis(nominal, start, linearisations=few)
     for _ in range(options.bench.most_faults):
         if fit is None:
             break
@@ -130,6 +137,15 @@ def with_faults_beside_cause(
         return nominal, scores, fit
     nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=not nominal.study.weights)
     return nominal, score_test(nominal, nominal.fit, options=options), fit
+
+
+def _plainest(starts: Sequence[tuple[FittedCandidate, ...]]) -> tuple[FittedCandidate, ...]:
+    """The likeliest of single starts, or the one of the plainer effect that it may be: it is fitted with fewer figures
+    and leaves hardly more.
+    """
+    effect = starts[0][0].candidate.effect
+    plainer = [one for one in starts if len(one) == 1 and effect and one[0].candidate.name == effect.plainer]
+    return (plainer or starts)[0]
 
 
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:

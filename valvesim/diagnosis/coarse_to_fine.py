@@ -15,7 +15,7 @@ import numpy as np
 from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.bad_samples import without_outliers
+from valvesim.identification.bad_samples import without_outliers, without_saturation
 from valvesim.identification.fit import Fit, is_adequate
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near
 from valvesim.identification.session import Record
@@ -45,6 +45,9 @@ def fit_coarse_to_fine(
             fits = [replace(one.fit, point=one.fit.point[:p]) for one in known if one.fit.fitted]
             return _without_outliers(nominal), fits
     nominal = fit_nominal(prepared, lambda share: progress(stage, share))
+    if not is_adequate(nominal.fit, options=prepared.options):
+        cleaned = without_saturation(prepared, nominal.study, nominal.fit)
+        nominal = nominal if cleaned is prepared else fit_nominal(cleaned, lambda share: progress(stage, share))
     return _without_outliers(nominal), ()
 
 

@@ -52,7 +52,9 @@ def holdout_gain(
         record = settled(record, options=study.options) if fitted_waves(study.nominal) else record
         try:
             predictor = prepare_record(session, record, universe, options=options.identification)
-            reads = [_read_with_inputs(study, predictor, variant) for variant in variants]
+            read = _read_with_inputs(study, predictor, variants[0])
+            same = variants[1] == variants[0]  # without a cause nothing is extended
+            reads = [read, read if same else _read_with_inputs(study, predictor, variants[1])]
         except (InputError, SolveError) as reason:  # what was found in the others stands all the same
             failed.append(f"no gain is measured on a locked record that cannot be simulated: {reason}")
             continue

@@ -280,6 +280,8 @@ def _first_hypotheses(
     point = clipped_to_tolerance(nominal) if _is_biased(nominal, options=scores.options) else None
     begun = _known_hypotheses(nominal, beside, lambda share: None, options=scores.options)
     labels = {one.label for one in begun}
+    if point is not None and begun and is_adequate(begun[0].fit, options=scores.options.identification):
+        point = begun[0].fit.point  # what the bench did, and the valve, are known beside it
     while starts := start_points(scores, failed):
         likeliest, pairs = starts[0][0].candidate.label, [start for start in starts if len(start) > 1]
         alone = [start for start in starts if len(start) == 1 and start[0].candidate.label not in labels]

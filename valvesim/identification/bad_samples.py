@@ -118,30 +118,25 @@ def without_outliers(
     times and the model reads further each time it is saturated: all those are left out, in the locked records too.
     """
     options, records, notes = study.options, list[Record](), list[str]()
-    ends = _furthest_readings(study, [linear.predictor.record for linear in linearised], fit)
-    for end in ends:
-        if end.is_saturated:
-            value = value_text(end.side * end.furthest, UNITS[end.channel])
-            notes.append(f"{end.channel} reads {value} and no further, {end.count} times where the model does: it is "
-                         "saturated there, and left out")  # fmt: skip
+    training = [linear.predictor.record for linear in linearised]
+    ends = _furthest_readings(study, training, fit)
+    cleaned = _without_saturated(prepared, training, ends)
     for linear, read in zip(linearised, fit.readings, strict=True):
-        record = linear.predictor.record
+        record = _unsaturated(linear.predictor.record, ends)
         curvature = linear.predictor.curvatures(linear.trajectory, linear.variant)
         usable = dict(record.usable)
         still = np.ones(len(record.time), dtype=bool)
         for k in command_jumps(record.values[record.command], options=options):
             still[max(k - 1, 0) : k + 4] = False
         for name in record.outputs:
-            left = np.where(record.usable[name], record.values[name] - read[name], np.nan)
-            cut, saturated = np.zeros((2, len(record.time)), dtype=bool)
+            left = np.where(linear.predictor.record.usable[name], record.values[name] - read[name], np.nan)
+            cut = np.zeros(len(record.time), dtype=bool)
             for end in (one for one in ends if one.channel == name):
-                at_end = record.usable[name] & (end.side * record.values[name] >= end.furthest)
-                cut |= at_end & (end.side * left < 0.0)
-                saturated |= at_end & end.is_saturated
+                cut |= end.stands_in(record) & (end.side * left < 0.0)
             least = np.hypot(study.noise[name, record.pace].innovation, options.fit.peak_share * curvature[name])
             outlying = _single_outliers(left, options.noise.outlier * least, options.noise.outlier_ratio)
-            outlying &= (still | cut) & ~saturated
-            usable[name] = record.usable[name] & ~(outlying | saturated)
+            outlying &= (still | cut) & usable[name]
+            usable[name] = usable[name] & ~outlying
             for k in np.flatnonzero(outlying):
                 line = "" if record.path is None else f", {record.place(int(k))}"
                 off = float(left[k]) - float(np.median(left[[k - 2, k - 1, k + 1, k + 2]]))
@@ -151,13 +146,52 @@ def without_outliers(
                     f"{size:.0f} noise deviations off its neighbours, as the model has them; it is left out"
                 )
         records.append(replace(record, usable=usable))
+    return with_records(cleaned, records, notes) if notes else cleaned
+
+
+def without_saturation(prepared: PreparedSession, study: Study, fit: Fit) -> PreparedSession:
+    """The prepared session without what is saturated by a fit that does not come near the records, if that is why: it
+    carries most of what this leaves beyond noise. A fit that is far off for another reason errs itself.
+    """
+    records = [predictor.record for predictor in study.predictors]
+    ends = []
+    for end in _furthest_readings(study, records, fit):
+        left = np.concatenate([
+            (record.values[end.channel] - read[end.channel])[end.stands_in(record)]
+            / study.noise[end.channel, record.pace].deviation
+            for record, read in zip(records, fit.readings, strict=True) if end.channel in record.outputs
+        ])  # fmt: skip
+        if left @ left > study.options.noise.saturated_share * (fit.chi_square - fit.rows):
+            ends.append(end)
+    return _without_saturated(prepared, records, ends)
+
+
+def _without_saturated(
+    prepared: PreparedSession, training: Sequence[Record], ends: Sequence[_FurthestReading]
+) -> PreparedSession:
+    """The prepared session, whose training records these are, without the readings at those ends that are saturated,
+    and notes on them.
+    """
     ends = [end for end in ends if end.is_saturated]
-    for record in study.session.locked if ends else ():
-        usable = dict(record.usable)
-        for end in (one for one in ends if one.channel in usable):
-            usable[end.channel] = usable[end.channel] & (end.side * record.values[end.channel] < end.furthest)
-        records.append(replace(record, usable=usable))
-    return with_records(prepared, records, notes) if notes else prepared
+    if not ends:
+        return prepared
+    notes = [
+        f"{end.channel} reads {value_text(end.side * end.furthest, UNITS[end.channel])} and no further, {end.count} "
+        "times where the model does: it is saturated there, and left out"
+        for end in ends
+    ]
+    return with_records(
+        prepared, [_unsaturated(record, ends) for record in (*training, *prepared.session.locked)], notes
+    )
+
+
+def _unsaturated(record: Record, ends: Sequence[_FurthestReading]) -> Record:
+    """A record with the readings at saturated ends not usable."""
+    usable = dict(record.usable)
+    for end in ends:
+        if end.is_saturated and end.channel in usable:
+            usable[end.channel] = usable[end.channel] & ~end.stands_in(record)
+    return replace(record, usable=usable)
 
 
 @dataclass(frozen=True)
@@ -171,6 +205,10 @@ class _FurthestReading:
     furthest: float
     count: int
     is_saturated: bool
+
+    def stands_in(self, record: Record) -> np.ndarray:
+        """True for each usable sample (n,) of a record at which its channel stands at this reading or beyond."""
+        return record.usable[self.channel] & (self.side * record.values[self.channel] >= self.furthest)
 
 
 def _furthest_readings(study: Study, training: Sequence[Record], fit: Fit) -> list[_FurthestReading]:

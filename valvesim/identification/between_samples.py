@@ -8,6 +8,7 @@ amount; a `Wave` is added to what comes of these, as the sine that it is.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -15,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from valvesim.identification.options import IdentificationOptions
-from valvesim.inputs import Command, Constant, Sine, Sum, Table
+from valvesim.inputs import Command, Constant, Sine, Sum, Table, straight_pieces
 
 EDGE = 1e-6  # s: how long a jump takes
 SMOOTH = 8  # points to a sample of a command that goes on smoothly
@@ -88,13 +89,23 @@ class Smooth:
     straight: tuple[int, ...] = ()
 
     def apply(self, points: Points, samples: Points, amount: float) -> Points:
-        time, values = samples
-        t, u = [], []
-        for first, last in zip((0, *(k + 1 for k in self.straight)), (*self.straight, len(time) - 1), strict=True):
-            part, fine = slice(first, last + 1), np.linspace(time[first], time[last], (last - first) * SMOOTH + 1)
-            t.append(fine)
-            u.append(_smooth(time[part], values[part], fine))
-        return np.concatenate(t), np.concatenate(u)
+        return _smooth_between(samples[0].tobytes(), samples[1].tobytes(), self.straight)
+
+
+@functools.lru_cache(maxsize=64)
+def _smooth_between(times: bytes, samples: bytes, straight: tuple[int, ...]) -> Points:
+    """The points of a `Smooth` through samples, whose arrays are given as bytes: every run of a record asks for them.
+    """
+    time, values = np.frombuffer(times), np.frombuffer(samples)
+    t, u = [], []
+    for first, last in zip((0, *(k + 1 for k in straight)), (*straight, len(time) - 1), strict=True):
+        part, fine = slice(first, last + 1), np.linspace(time[first], time[last], (last - first) * SMOOTH + 1)
+        t.append(fine)
+        u.append(_smooth(time[part], values[part], fine))
+    points = np.concatenate(t), np.concatenate(u)
+    for column in points:
+        column.flags.writeable = False
+    return points
 
 
 def _smooth(time: np.ndarray, values: np.ndarray, fine: np.ndarray) -> np.ndarray:
@@ -155,8 +166,8 @@ def points_of(command: Command, end: float) -> Points:
     """A measured input, straight between its samples, as points."""
     if isinstance(command, Constant):
         return np.array([0.0, end]), np.full(2, float(command.value))
-    assert isinstance(command, Table)  # noqa: S101 - a record's inputs are one or the other
-    return np.asarray(command.times), np.asarray(command.values)
+    assert isinstance(command, Table | Polyline)  # noqa: S101 - a record's inputs are one of these
+    return command.points
 
 
 def deviating(samples: Points, deviations: Deviations) -> Points:
@@ -168,20 +179,28 @@ def deviating(samples: Points, deviations: Deviations) -> Points:
     return points
 
 
-def deviating_command(command: Command, end: float, deviations: Deviations, where: str) -> Command:
+def deviating_command(command: Command, end: float, deviations: Deviations) -> Command:
     """A measured input with deviations of it."""
     waves = [one.command(amount) for one, amount in deviations if isinstance(one, Wave)]
     if len(waves) < len(deviations):
-        command = command_through(deviating(points_of(command, end), deviations), where)
+        command = command_through(deviating(points_of(command, end), deviations))
     return Sum((command, *waves)) if waves else command
 
 
-def command_through(points: Points, where: str) -> Command:
+@dataclass(frozen=True, eq=False)
+class Polyline:
+    """A command that goes straight between points of rising times, as a `Table` does; they are taken as they are."""
+
+    points: Points
+
+    def pieces(self, end: float) -> np.ndarray:
+        return straight_pieces(*self.points)
+
+
+def command_through(points: Points) -> Command:
     """The command that goes straight between points."""
-    t, u = points
-    if np.ptp(u) == 0.0:
-        return Constant(value=float(u[0]))
-    return Table(times=tuple(t.tolist()), values=tuple(u.tolist()), where=where)
+    values = points[1]
+    return Constant(value=float(values[0])) if np.ptp(values) == 0.0 else Polyline(points)
 
 
 def added_input(

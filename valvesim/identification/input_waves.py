@@ -24,6 +24,9 @@ from valvesim.identification.study import Prepared, PreparedSession, Study, resi
 
 Readings = Sequence[dict[str, np.ndarray]]
 
+MODULATED = ("load_flow", "spool_position")
+"""Outputs that go with the supply pressure by a share of themselves: as the flow does, and the force of that flow."""
+
 
 def wave_columns(records: Sequence[Record]) -> tuple[str, ...]:
     """The inputs on which waves are thought of."""
@@ -182,8 +185,8 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: fl
 def _power(study: PreparedSession, readings: Readings, frequencies: np.ndarray) -> np.ndarray:
     """The power (n,) of what is left at frequencies (n,) Hz, over all channels and records, each of power one.
 
-    What is far off is clipped (Huber): a peak that the model misses has power at all frequencies. A ripple shows in the
-    load flow in proportion to it, and so by its sidebands; times that flow it shows at its own frequency.
+    What is far off is clipped (Huber): a peak that the model misses has power at all frequencies. In some outputs a
+    ripple shows in proportion to what is read, and so by its sidebands; times that it shows at its own frequency.
     """
     power = np.zeros(len(frequencies))
     for predictor, read in zip(study.predictors, readings, strict=True):
@@ -195,7 +198,7 @@ def _power(study: PreparedSession, readings: Readings, frequencies: np.ndarray) 
             left = residual[name][:, 0] - np.median(residual[name][usable, 0])
             most = study.options.wave.clipped * 1.4826 * float(np.median(np.abs(left[usable])))
             left = np.where(usable, np.clip(left, -most, most), 0.0)
-            for shown in (left, left * read[name]) if name == "load_flow" else (left,):
+            for shown in (left, left * read[name]) if name in MODULATED else (left,):
                 power += np.abs(waves @ shown) ** 2 / max(float(shown @ shown), 1e-300)
     return power
 

@@ -70,8 +70,8 @@ def _robust_with_inputs(
     parameters, how its commands go between their samples, and the fit with both. Where there is a wave, the errors of
     the instruments are among the parameters too: the bench is no ideal one.
     """
-    choice = _plain_choice(prepared)
-    start, near = _at_nominal(with_input_choice(prepared, choice), {}), dict[str, float]()
+    choice, start = _plain_choice(prepared)
+    near = dict[str, float]()
     wave = dominant_wave(start.study, start.fit, start.linearised, start.columns)
     if wave:
         prepared, near = _with_waves(prepared, choice, wave, ahead)
@@ -102,23 +102,25 @@ def _at_nominal(prepared: PreparedSession, near: Mapping[str, float]) -> Nominal
     return assembled(study, fit, *linearise_fit(study, fit))
 
 
-def _plain_choice(prepared: PreparedSession) -> InputChoice:
-    """How the commands go between their samples, edges left aside, by a robust start from nominal under each way.
+def _plain_choice(prepared: PreparedSession) -> tuple[InputChoice, NominalFit]:
+    """How the commands go between their samples, edges left aside, by a robust start from nominal under each way; and
+    the nominal valve under it.
 
     Where the nominal valve comes near the records, linear answers tell as well, and more cheaply.
     """
-    start = _at_nominal(prepared, {})
-    if is_adequate(start.fit, options=prepared.options):
-        return choose_inputs(start.study, start.fit.point, start.linearised, start.columns)
-    best, least = STRAIGHT, np.inf
+    straight = _at_nominal(prepared, {})
+    if is_adequate(straight.fit, options=prepared.options):
+        choice = choose_inputs(straight.study, straight.fit.point, straight.linearised, straight.columns)
+        return choice, straight if choice is STRAIGHT else _at_nominal(with_input_choice(prepared, choice), {})
+    best, least = (STRAIGHT, straight), np.inf
     for choice in input_choices(prepared.session, options=prepared.options):
         if choice.parameters:
             continue
-        nominal = _at_nominal(with_input_choice(prepared, choice), {}) if choice is not STRAIGHT else start
-        fit, _, _ = robust_start(nominal.study, nominal.fit)
-        chi_square = rescored(replace(nominal.study, spread={}), fit).chi_square
+        start = straight if choice is STRAIGHT else _at_nominal(with_input_choice(prepared, choice), {})
+        fit, _, _ = robust_start(start.study, start.fit, known=(start.linearised, start.columns))
+        chi_square = rescored(replace(start.study, spread={}), fit).chi_square
         if chi_square < least - prepared.options.input.minimum_gain:
-            best, least = choice, chi_square
+            best, least = (choice, start), chi_square
     return best
 
 
@@ -404,15 +406,18 @@ def assembled(
 
 
 def robust_start(
-    study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None
-) -> tuple[Fit, list[LinearisedRecord], list[dict[str, np.ndarray]]]:
+    study: Study,
+    fit: Fit,
+    progress: Callable[[float], None] = lambda share: None,
+    known: tuple[Sequence[LinearisedRecord], Sequence[dict[str, np.ndarray]]] | None = None,
+) -> tuple[Fit, Sequence[LinearisedRecord], Sequence[dict[str, np.ndarray]]]:
     """A robust start: samples that are far off are down-weighted (Huber), while that lowers the chi-square by a good
     part.
 
     A leakage peak in the wrong place does not tell which way it should move; the rest of the record does. Given back
-    are the fit and its linearisation, see `linearise_study`.
+    are the fit and its linearisation, see `linearise_study`; that of the start may be `known`.
     """
-    linearised, columns = linearise_fit(study, fit)
+    linearised, columns = known or linearise_fit(study, fit)
     for iteration in range(study.options.fit.robust_linearisations):
         progress(0.5 * iteration / study.options.fit.robust_linearisations)
         robust = robust_weights(study, fit.readings)

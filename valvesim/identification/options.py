@@ -260,6 +260,9 @@ class NoiseOptions:
     outlier_ratio: float = option(
         3.0, "1", "times the range of its neighbours by which it must differ from them", JUDGEMENT
     )
+    saturated_share: float = option(
+        0.5, "1", "share of what an inadequate fit leaves that saturated readings carry, to be left out", JUDGEMENT
+    )
     samples_per_lag: int = option(
         20, "1", "samples for each lag that is estimated; half of them with their past unbroken", JUDGEMENT
     )

@@ -7,7 +7,7 @@ value unless the variant says otherwise, so that no combination of effects is ev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -118,16 +118,20 @@ class RecordPredictor:
         columns = {one.column for one, _ in acting_on(deviations, self.record.name)} - {"oil_temperature"}
         if not columns:
             return self
-        commands = [self._deviating(column, command, deviations) for column, command in self._commands()]
+        changed = {
+            k: self._deviating(column, command, deviations)
+            for k, (column, command) in enumerate(self._commands())
+            if column in columns
+        }
+        commands = [changed.get(k, command) for k, (_, command) in enumerate(self._commands())]
         starts, intervals = merge(commands, self.scenario.duration)
-        fine = _inputs(commands, self.fine_times)
-        own = fine if self.sensor_oversampling == 1 else _inputs(commands, self.times)
+        fine = _with_inputs(self.fine_inputs, changed, self.fine_times)
+        own = fine if self.sensor_oversampling == 1 else _with_inputs(self.inputs, changed, self.times)
         return replace(self, starts=starts, rows=intervals.rows, inputs=own, fine_inputs=fine)
 
     def _deviating(self, column: str, command: Command, deviations: Deviations) -> Command:
         """An input with what deviates of its column."""
-        own = acting_on(deviations, self.record.name, column)
-        return deviating_command(command, self.scenario.duration, own, f"{self.record.name}, {column}")
+        return deviating_command(command, self.scenario.duration, acting_on(deviations, self.record.name, column))
 
     def _commands(self) -> list[tuple[str, Command]]:
         """The inputs of the equations by their columns, in the order of `Inputs` without the rate."""
@@ -423,10 +427,18 @@ def _grid_spacing(session: Session, *, options: IdentificationOptions) -> float:
 
 def _inputs(commands: Sequence[Command], times: np.ndarray) -> np.ndarray:
     """(n, inputs): command, its rate, pressures; `commands` are command and pressures."""
-    values = [evaluate(command, times) for command in commands]
-    rate = np.gradient(values[0], times)
-    rate[0] = 0.0  # a record starts at rest
-    return np.column_stack([values[0], rate, *values[1:]])
+    return _with_inputs(np.empty((len(times), len(commands) + 1)), dict(enumerate(commands)), times)
+
+
+def _with_inputs(inputs: np.ndarray, changed: Mapping[int, Command], times: np.ndarray) -> np.ndarray:
+    """Inputs (n, inputs) with others in the place of some commands, by their place in `_inputs`."""
+    inputs = inputs.copy()
+    for k, command in changed.items():
+        inputs[:, k + (k > 0)] = evaluate(command, times)
+        if k == 0:
+            inputs[:, 1] = np.gradient(inputs[:, 0], times)
+            inputs[0, 1] = 0.0  # a record starts at rest
+    return inputs
 
 
 def neutral(effect: Effect) -> ActiveEffect:

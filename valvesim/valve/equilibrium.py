@@ -152,17 +152,20 @@ def chamber_surplus(orifice, nozzle, gap, pressure, c: Coefficients, supply_pres
 
 
 def _rest(theta, current, c: Coefficients, supply_pressure, return_pressure, load_pressure, friction):
-    """(torque residual, x_v, p1, p2) at a held angle: pressures and spool follow from their own balances."""
+    """(torque residual, x_v, p1, p2) at held angles, of the shape that all have together: pressures and spool follow
+    from their own balances.
+    """
     x_f = c.nozzle_arm * theta
-    guess_1, guess_2 = nozzle_pressures(theta, c, supply_pressure, return_pressure)
-    sides = (
-        (c.fixed_orifice_diameter_1, c.nozzle_diameter_1, c.null_gap_1 - x_f, guess_1),
-        (c.fixed_orifice_diameter_2, c.nozzle_diameter_2, c.null_gap_2 + x_f, guess_2),
+    whole, guesses = np.zeros(np.shape(theta)), nozzle_pressures(theta, c, supply_pressure, return_pressure)
+    orifice, nozzle, gap = (  # both sides at once
+        np.array([first + whole, second + whole])
+        for first, second in (
+            (c.fixed_orifice_diameter_1, c.fixed_orifice_diameter_2),
+            (c.nozzle_diameter_1, c.nozzle_diameter_2),
+            (c.null_gap_1 - x_f, c.null_gap_2 + x_f),
+        )
     )
-    p1, p2 = (
-        chamber_pressure(orifice, nozzle, gap, c, supply_pressure, return_pressure, guess)
-        for orifice, nozzle, gap, guess in sides
-    )
+    p1, p2 = chamber_pressure(orifice, nozzle, gap, c, supply_pressure, return_pressure, np.array(guesses))
     residual, x_v = balances_at_rest(
         theta, current, p1, p2, c, supply_pressure, return_pressure, load_pressure, friction
     )

@@ -53,7 +53,7 @@ def effective_flow_coefficient(flow_coefficient, pressure_drop, transition_press
 
 def slot_leakage(width, clearance, length, viscosity, pressure_drop):
     """Laminar flow through a concentric clearance: q = width h^3 dp/(12 mu L). Source: Merritt (1967), eq. 2-36."""
-    return width * clearance**3 * pressure_drop / (12.0 * viscosity * length)
+    return width * (clearance * clearance * clearance) * pressure_drop / (12.0 * viscosity * length)
 
 
 def land_opening(opening, null_opening):
