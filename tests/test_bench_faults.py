@@ -11,7 +11,7 @@ from hidden_plant import truth
 import valvesim as vs
 from valvesim.diagnosis import apart, bench_faults
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _shift_words, _waves_apart
+from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _plainest, _shift_words, _waves_apart
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -79,16 +79,29 @@ def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
     assert outstanding_frequencies(SimpleNamespace(predictors=quiet, options=IDENTIFICATION), readings, 15.0) == []
 
 
-def test_a_ripple_that_the_flow_modulates_is_found_at_its_own_frequency():
+@pytest.mark.parametrize("channel", ["load_flow", "spool_position"])
+def test_a_ripple_that_an_output_modulates_is_found_at_its_own_frequency(channel):
     rng, predictors, readings = np.random.default_rng(3), [], []
     for record in RECORDS:
         flow = np.sin(2.0 * np.pi * 4.0 * TIME) + np.sin(2.0 * np.pi * 11.0 * TIME)
         ripple = np.sin(2.0 * np.pi * 94.6 * TIME + rng.uniform(0.0, 6.0))
-        measured = {"load_flow": flow * (1.0 + ripple) + rng.normal(size=len(TIME)), "current": TIME}
-        predictors.append(SimpleNamespace(record=replace(record, values=measured, usable={"load_flow": TIME >= 0.0})))
-        readings.append({"load_flow": flow})
+        measured = {channel: flow * (1.0 + ripple) + rng.normal(size=len(TIME)), "current": TIME}
+        predictors.append(SimpleNamespace(record=replace(record, values=measured, usable={channel: TIME >= 0.0})))
+        readings.append({channel: flow})
     found = outstanding_frequencies(SimpleNamespace(predictors=predictors, options=IDENTIFICATION), readings, 15.0)
     assert any(abs(frequency - 94.6) < 0.05 for frequency in found)
+
+
+def test_beside_a_strong_cause_the_plainest_of_alike_laws_is_fitted():
+    def start(name):
+        return (SimpleNamespace(candidate=SimpleNamespace(name=name, effect=CATALOGUE.get(name))),)
+
+    silting, coulomb, lag, figure = (
+        start(name) for name in ("spool_silting", "spool_coulomb_friction", "eddy_current_lag", "parameter:spool_mass")
+    )
+    assert _plainest([silting, lag, coulomb]) is coulomb
+    assert _plainest([silting, lag, (*coulomb, *lag)]) is silting  # a pair is no plainer
+    assert _plainest([lag, coulomb]) is lag and _plainest([figure, coulomb]) is figure
 
 
 def test_beside_a_wave_the_ends_of_each_record_do_not_count(biased_session):

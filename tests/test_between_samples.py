@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from bench_plant import FINE, draw_bench, write_bench_session
 from hidden_plant import _current
+from hypothesis import given
+from hypothesis import strategies as st
 
 import valvesim as vs
 from valvesim.identification.between_samples import (
     EdgeTime,
     Held,
     InputShift,
+    Polyline,
     Smooth,
     Wave,
     added_input,
@@ -27,7 +30,7 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
-from valvesim.inputs import evaluate
+from valvesim.inputs import Table, evaluate
 
 TIME = np.arange(400) / 1e3
 CHIRP = np.sin(2.0 * np.pi * (TIME + 199.0 * TIME**2 / 2.0))
@@ -58,6 +61,15 @@ def test_held_samples_stay_and_smooth_ones_go_through_the_samples():
     exact = np.sin(2.0 * np.pi * (t + 199.0 * t**2 / 2.0))
     straight = np.abs(np.interp(t, TIME, CHIRP) - exact).max()
     assert np.abs(u - exact).max() < 0.03 * straight  # of a cubic spline: 0.05
+
+
+@given(st.lists(st.tuples(st.floats(1e-6, 1.0), st.floats(-1e3, 1e3)), min_size=2, max_size=20), st.floats(-1.0, 2.0))
+def test_a_polyline_goes_as_a_table_of_its_points(steps, late):
+    t, u = np.cumsum([step for step, _ in steps]) + late, np.array([value for _, value in steps])
+    at = np.linspace(t[0] - 0.1, t[-1] + 0.1, 97)
+    table = Table(times=tuple(t.tolist()), values=tuple(u.tolist()))
+    np.testing.assert_array_equal(evaluate(Polyline((t, u)), at), evaluate(table, at))
+    assert table == Table(times=tuple(t.tolist()), values=tuple(u.tolist())) and not table.points[0].flags.writeable
 
 
 @pytest.mark.parametrize("frequency", [20.0, 100.0, 200.0])
