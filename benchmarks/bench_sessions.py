@@ -38,7 +38,7 @@ import numpy as np  # noqa: E402
 from bench_plant import IMPERFECTIONS, Bench, bench_records, draw_bench, write_bench_session  # noqa: E402
 from hidden_plant import EFFECTS, truth  # noqa: E402
 from hidden_report import wilson  # noqa: E402
-from thermal_sessions import left_by_fit, meter_noise  # noqa: E402
+from thermal_sessions import left_by_fit, meter_noise, read_rows, write_rows  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 from valvesim.identification.input_choice import HELD_NAME, STRAIGHT, input_choices  # noqa: E402
@@ -141,7 +141,7 @@ def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
 def run(name: str, start: int, count: int | None, single: bool, part: tuple[int, int], results: Path) -> None:
     """Diagnose what the results do not have yet from the `start`-th on, a line each."""
     results.parent.mkdir(parents=True, exist_ok=True)
-    done = {(row["seed"], row["hidden"], tuple(row["imperfections"])) for row in _rows(results)}
+    done = {(row["seed"], row["hidden"], tuple(row["imperfections"])) for row in read_rows(results)}
     git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude", "*"]
     engine = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
     for k, spec in enumerate(one_by_one() if single else sessions(name)):
@@ -157,12 +157,6 @@ def run(name: str, start: int, count: int | None, single: bool, part: tuple[int,
 def hidden_words(row: dict[str, Any]) -> str:
     """What a session hides, and its imperfections."""
     return f"{row['hidden'] or '-'} | {'+'.join(row['imperfections']) or '-'}"
-
-
-def _rows(results: Path) -> list[dict[str, Any]]:
-    if not results.exists():
-        return []
-    return [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines() if line]
 
 
 SAME = {
@@ -184,7 +178,9 @@ def report(name: str, results: Path, document: Path) -> None:
 
     def rows_of(name: str) -> list[dict[str, Any]]:
         first, number = SETS[name]
-        return sorted((r for r in _rows(results) if first <= r["seed"] < first + number), key=lambda row: row["seed"])
+        return sorted(
+            (r for r in read_rows(results) if first <= r["seed"] < first + number), key=lambda row: row["seed"]
+        )
 
     rows, number = rows_of(name), SETS[name][1]
     before = list(SETS)[1 : list(SETS).index(name)]
@@ -242,7 +238,7 @@ def _measured(rows: list[dict[str, Any]]) -> dict[str, str]:
 def measure_distances(name: str, results: Path, engine: str) -> None:
     """Work the d' of the rows of an engine out anew, in place."""
     specs = {seed: (hidden, imperfections) for seed, hidden, imperfections in sessions(name)}
-    rows = _rows(results)
+    rows = read_rows(results)
     for row in rows:
         if row["hidden"] and row.get("engine", "unknown") == engine:
             hidden, imperfections = specs[row["seed"]]
@@ -251,8 +247,7 @@ def measure_distances(name: str, results: Path, engine: str) -> None:
                 write_bench_session(case, bench, folder)
                 before, row["distance"] = row["distance"], distance(case, bench, folder)
             print(row["seed"], hidden, before, row["distance"], flush=True)
-    lines = [json.dumps(row, ensure_ascii=False) for row in rows]
-    results.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    write_rows(results, rows)
 
 
 def _engines(rows: list[dict[str, Any]]) -> str:

@@ -159,7 +159,7 @@ def meter_noise(meter: hidden_plant.Meter) -> NoiseModel:
 def run(name: str, count: int | None, results: Path) -> None:
     """Diagnose what the results do not have yet, a line each."""
     results.parent.mkdir(parents=True, exist_ok=True)
-    done = {row["seed"] for row in _rows(results)}
+    done = {row["seed"] for row in read_rows(results)}
     for k, spec in enumerate(sessions(name)):
         if count is not None and k >= count:
             break
@@ -172,20 +172,26 @@ def run(name: str, count: int | None, results: Path) -> None:
 
 def measure_distances(name: str, results: Path) -> None:
     """Work the d' of what there is of a set out anew, in place."""
-    rows, specs = _rows(results), {spec["seed"]: spec for spec in sessions(name)}
+    rows, specs = read_rows(results), {spec["seed"]: spec for spec in sessions(name)}
     for row in rows:
         if row["hidden"] and row["seed"] in specs:
             before = row["distance"]
             with tempfile.TemporaryDirectory() as folder:
                 _, _, row["distance"] = tuned(drawn(specs[row["seed"]]), Path(folder))
             print(row["seed"], row["hidden"], before, row["distance"], flush=True)
-    results.write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8")
+    write_rows(results, rows)
 
 
-def _rows(results: Path) -> list[Row]:
+def read_rows(results: Path) -> list[Row]:
+    """What there is of results, a line of JSON each."""
     if not results.exists():
         return []
     return [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines() if line]
+
+
+def write_rows(results: Path, rows: Sequence[Row]) -> None:
+    """Results anew, a line of JSON each."""
+    results.write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8")
 
 
 # ---------------------------------------------------------------- the report
@@ -203,7 +209,7 @@ def _is_false_alarm(row: Row) -> bool:
 def report(name: str, results: Path, document: Path) -> None:
     """A table of what there is of a set: counts with Wilson's intervals, and every session."""
     first, count = SETS[name]
-    rows = [row for row in _rows(results) if first <= row["seed"] < first + count]
+    rows = [row for row in read_rows(results) if first <= row["seed"] < first + count]
     healthy = [row for row in rows if row["hidden"] is None]
     clear = [row for row in rows if row["hidden"] is not None and row["distance"] >= CLEAR]
     tests = {
