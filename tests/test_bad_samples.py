@@ -16,7 +16,7 @@ from valvesim.identification.bad_samples import (
 )
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_session
+from valvesim.identification.study import prepare_session, with_records
 
 TIME = np.arange(400) / 1e3
 WAVE = np.sin(2.0 * np.pi * 10.0 * TIME)
@@ -182,9 +182,7 @@ def test_what_is_saturated_is_left_out_of_an_inadequate_fit_where_it_carries_the
     readings[k][channel] = values.copy()
     readings[k][channel][at : at + 5] += 100.0 * nominal.study.noise[channel, records[k].pace].deviation
     record = replace(records[k], values={**records[k].values, channel: values})
-    study = replace(nominal.study, predictors=tuple(
-        replace(one, record=record) if j == k else one for j, one in enumerate(nominal.study.predictors)
-    ))  # fmt: skip
+    prepared, study = (with_records(one, [record], ()) for one in (prepared, nominal.study))
 
     def left_out(chi_square):
         """How many samples are left out where a fit with these readings leaves so much."""

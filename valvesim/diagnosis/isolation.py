@@ -41,6 +41,7 @@ from valvesim.diagnosis.refits import (
     fit_starts,
     largest_shift,
     plainer_hypotheses,
+    plainest_name,
     reduced_hypotheses,
     refined_hypotheses,
     restarted,
@@ -279,16 +280,22 @@ def _first_hypotheses(
         return found, likeliest
     point = clipped_to_tolerance(nominal) if _is_biased(nominal, options=scores.options) else None
     begun = _known_hypotheses(nominal, beside, lambda share: None, options=scores.options)
-    labels = {one.label for one in begun}
+    labels, laws = {one.label for one in begun}, set[str]()
     if point is not None and begun and is_adequate(begun[0].fit, options=scores.options.identification):
         point = begun[0].fit.point  # what the bench did, and the valve, are known beside it
+        laws = {plainest_name(candidate) for candidate in begun[0].candidates}  # alike ones follow from its figures
     while starts := start_points(scores, failed):
-        likeliest, pairs = starts[0][0].candidate.label, [start for start in starts if len(start) > 1]
-        alone = [start for start in starts if len(start) == 1 and start[0].candidate.label not in labels]
+        first, pairs = starts[0][0].candidate, [start for start in starts if len(start) > 1]
+        likeliest = first.label
+        alone = [
+            start for start in starts
+            if len(start) == 1
+            and start[0].candidate.label not in labels and plainest_name(start[0].candidate) not in laws
+        ]  # fmt: skip
         found = [*begun, *fit_starts(nominal, alone, point, progress, options=scores.options)]
         if not any(_explains_all(one.fit, nominal, options=scores.options) for one in found):
             found += fit_starts(nominal, pairs, point, progress, options=scores.options)
-        if any(likeliest == candidate.label for one in found for candidate in one.candidates):
+        if plainest_name(first) in laws or any(likeliest == c.label for one in found for c in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
     return found, likeliest

@@ -9,8 +9,9 @@ import numpy as np
 
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, distinct, is_negligible
 from valvesim.diagnosis.options import DiagnosisOptions
+from valvesim.errors import InputError, SolveError
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.fit import Fit, FittedCandidate, is_adequate, with_shapes
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, with_shapes
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
 from valvesim.identification.refinement import refined
@@ -19,7 +20,9 @@ from valvesim.identification.refinement import refined
 def restarted(
     nominal: NominalFit, found: Sequence[FittedHypothesis], likeliest: str, *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """Fits that may have stopped short, taken up again from elsewhere."""
+    """Fits that may have stopped short, taken up again from elsewhere; not those that `alike_hypotheses` takes up from
+    the figures of the best.
+    """
     if not found:
         return []
     more = _pairs_from_members(nominal, found, options=options)
@@ -28,7 +31,10 @@ def restarted(
     renewed = (
         options.isolation.restarts if is_adequate(least, options=options.identification) else 0
     )  # times that a promise may be; far off none holds
+    left_to_alike = [known for known, _ in _alike_in_place(nominal, [*found, *more], options=options)]
     for one in [*found, *more]:
+        if any(one.fit is known for known in left_to_alike):
+            continue
         if (
             one.label == likeliest
             or one.fit.chi_square - renewed * one.fit.predicted_reduction
@@ -131,32 +137,54 @@ def plainer_hypotheses(
         plainer, taken = _plainer(member.candidate), _others(best, k)
         for candidate in [c for c in nominal.study.candidates if c.name == plainer and plainer not in taken][:1]:
             known = _known_in_place(best, k, candidate, found)
-            share = member.above_neutral / member.candidate.typical
-            other = with_shapes(candidate, share * candidate.typical, dict(member.shapes))
-            starts.append(_in_place(best, k, other) if known is None else _from_best(best, k, known))
+            starts.append(_in_its_place(best, k, candidate) if known is None else _from_best(best, k, known))
     return fit_starts(nominal, starts, best.fit.point, options=options)
 
 
 def alike_hypotheses(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """The best with an effect alike in the place of each, one that is the same plainer one with another feature: those
-    fitted before that explain much less, from the best's figures. They may have stopped short.
+    """The best with an effect alike in the place of each, one that is the same plainer one with another feature, from
+    the best's figures: those not fitted before, and those that explain much less. They may have stopped short.
     """
     if not found:
         return []
+    starts = [start for _, start in _alike_in_place(nominal, found, options=options)]
+    return fit_starts(nominal, starts, distinct(found, options=options)[0].fit.point, options=options)
+
+
+def _alike_in_place(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[tuple[Fit | None, tuple[FittedCandidate, ...]]]:
+    """Fits of those found with an effect alike in the place of one of the best's that explain much less, each with its
+    start from the best's figures; and starts of those that were not fitted, with None.
+    """
     best = distinct(found, options=options)[0]
     most = best.fit.chi_square + answer_set_width(nominal, best)
-    starts = []
+    starts = list[tuple[Fit | None, tuple[FittedCandidate, ...]]]()
     for k, member in enumerate(best.fit.fitted):
-        plainest = _plainer(member.candidate) or member.candidate.name
+        plainest = plainest_name(member.candidate)
         taken = [member.candidate.name, *_others(best, k)]
         alike = {c.name: c for c in nominal.study.candidates if _plainer(c) == plainest and c.name not in taken}
         for candidate in alike.values():
             known = _known_in_place(best, k, candidate, found)
-            if known is not None and known.chi_square > most:
-                starts.append(_from_best(best, k, known))
-    return fit_starts(nominal, starts, best.fit.point, options=options)
+            if known is None:
+                starts.append((None, _in_its_place(best, k, candidate)))
+            elif known.chi_square > most:
+                starts.append((known, _from_best(best, k, known)))
+    return starts
+
+
+def plainest_name(candidate: Candidate) -> str:
+    """The name of the plainer effect that a candidate is without its own feature, or its own."""
+    return _plainer(candidate) or candidate.name
+
+
+def _in_its_place(best: FittedHypothesis, k: int, candidate: Candidate) -> tuple[FittedCandidate, ...]:
+    """The start of a candidate in the place of the best's k-th, in the same amount, with the shapes that both have."""
+    member = best.fit.fitted[k]
+    share = member.above_neutral / member.candidate.typical
+    return _in_place(best, k, with_shapes(candidate, share * candidate.typical, dict(member.shapes)))
 
 
 def _plainer(candidate: Candidate) -> str:
@@ -207,12 +235,27 @@ def refined_hypotheses(
 def reduced_hypotheses(
     nominal: NominalFit, found: list[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """The found with the best's candidates one fewer each time that this is better still."""
+    """The found with the best's candidates one fewer each time that this is better still.
+
+    Where the best comes near the records and does not without one of them, that one is needed.
+    """
     while found and len(found[0].candidates) > 1:
         best = found[0].fit
         starts = [tuple(member for member in best.fitted if member is not left_out) for left_out in best.fitted]
+        if is_adequate(best, options=options.identification):
+            starts = [start for start in starts if _comes_near(nominal, best, start, options=options)]
         merged = distinct([*found, *fit_starts(nominal, starts, best.point, options=options)], options=options)
         if merged[0] is found[0]:
             return merged
         found = merged
     return found
+
+
+def _comes_near(
+    nominal: NominalFit, best: Fit, start: tuple[FittedCandidate, ...], *, options: DiagnosisOptions
+) -> bool:
+    """Whether candidates come near the records, not fitted again, where the best has them with others."""
+    try:
+        return is_adequate(evaluate_fit(nominal.study, best.point, start), options=options.identification)
+    except (SolveError, InputError):
+        return False

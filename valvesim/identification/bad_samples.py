@@ -163,7 +163,7 @@ def without_saturation(prepared: PreparedSession, study: Study, fit: Fit) -> Pre
         ])  # fmt: skip
         if left @ left > study.options.noise.saturated_share * (fit.chi_square - fit.rows):
             ends.append(end)
-    return _without_saturated(prepared, records, ends)
+    return _without_saturated(prepared, prepared.session.training, ends)
 
 
 def _without_saturated(
