@@ -184,7 +184,12 @@ def report(name: str, results: Path, document: Path) -> None:
 
     rows, number = rows_of(name), SETS[name][1]
     before = list(SETS)[1 : list(SETS).index(name)]
-    columns = {"this set": _measured(rows)} | {f"the {one} set": _measured(rows_of(one)) for one in before}
+    columns = {"this set": _measured(rows)}
+    newest = [row for row in read_rows(results) if row["seed"] in {one["seed"] for one in rows}][-1:]
+    if newest and len({row.get("engine") for row in rows}) > 1:
+        engine = newest[0].get("engine")
+        columns[f"of it by `{engine}`"] = _measured([row for row in rows if row.get("engine") == engine])
+    columns |= {f"the {one} set": _measured(rows_of(one)) for one in before}
     lines = [
         "# Sessions of a bench with imperfections", "",
         f"Written by `benchmarks/bench_sessions.py report --set {name}` from {len(rows)} of the {number} sessions of",
