@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.refits import largest_shift
 from valvesim.diagnosis.score_test import ScoreTest
 from valvesim.identification.fit import Fit
-from valvesim.identification.instrument_errors import is_of_bench
+from valvesim.identification.instrument_errors import METER_DRIFT, is_of_bench
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.projection import inverse_of
@@ -21,8 +20,9 @@ def detect(scores: ScoreTest) -> tuple[bool, float]:
     """Whether anything shows, and the level that the candidates' z had to pass."""
     level = scores.level(scores.options.detection.false_alarm)
     shows = scores.z().max(initial=0.0) > level or _term_p_value(scores) < scores.options.detection.term_false_alarm
-    stretched = largest_shift(scores.fit) > level  # such as a clock that is early, which has no name
-    return bool(shows or stretched or beyond_noise(scores.fit, scores.study, options=scores.options) > 0.0), level
+    return bool(
+        shows or _is_stretched(scores, level) or beyond_noise(scores.fit, scores.study, options=scores.options) > 0.0
+    ), level
 
 
 def is_certain(scores: ScoreTest, level: float) -> bool:
@@ -31,7 +31,15 @@ def is_certain(scores: ScoreTest, level: float) -> bool:
     A score test is linear, and its columns err by some hundredths; what no fit explains is no evidence (likelihood
     ratio).
     """
-    return largest_shift(scores.fit) > level or beyond_noise(scores.fit, scores.study, options=scores.options) > 0.0
+    return _is_stretched(scores, level) or beyond_noise(scores.fit, scores.study, options=scores.options) > 0.0
+
+
+def _is_stretched(scores: ScoreTest, level: float) -> bool:
+    """Whether a figure is further out than that, such as a clock that is early, which has no name. The drift of a meter
+    has one: it is told as the bench's.
+    """
+    drifts = [p.sensor is not None and p.sensor.name == METER_DRIFT.name for p in scores.study.nominal.parameters]
+    return bool(np.max(np.abs(scores.fit.point[~np.array(drifts, dtype=bool)]), initial=0.0) > level)
 
 
 def beyond_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> float:

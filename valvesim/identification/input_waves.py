@@ -167,8 +167,9 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: fl
         return []
     from scipy.ndimage import median_filter
 
-    power = _power(study, readings, grid)
-    over = power / np.maximum(median_filter(power, wave.beside_bins), 1e-300)
+    power = _powers(study, readings, grid)
+    each = power / np.maximum(median_filter(power, (1, wave.beside_bins)), 1e-300)
+    over, where = each.max(axis=0), each.argmax(axis=0)
     found: list[float] = []
     for k in np.argsort(-over, kind="stable"):
         if over[k] < peak or len(found) == wave.frequencies:
@@ -177,30 +178,37 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: fl
             best = float(grid[k])
             for reach in (0.5, 0.025):  # a thousandth of a turn counts where the ripple stands far above the noise
                 fine = best + reach * np.linspace(-1.0, 1.0, 41) / longest
-                best = float(fine[int(np.argmax(_power(study, readings, fine)))])
+                best = float(fine[int(np.argmax(_powers(study, readings, fine)[where[k]]))])
             found.append(best)
     return found
 
 
-def _power(study: PreparedSession, readings: Readings, frequencies: np.ndarray) -> np.ndarray:
-    """The power (n,) of what is left at frequencies (n,) Hz, over all channels and records, each of power one.
+def _powers(study: PreparedSession, readings: Readings, frequencies: np.ndarray) -> np.ndarray:
+    """The power (k, n) of what is left at frequencies (n,) Hz, over all records, each series of power one: that of all
+    channels, that of each `MODULATED` one times what it reads, and all of these together.
 
     What is far off is clipped (Huber): a peak that the model misses has power at all frequencies. In some outputs a
-    ripple shows in proportion to what is read, and so by its sidebands; times that it shows at its own frequency.
+    ripple shows in proportion to what is read, and so by its sidebands; times that it shows at its own frequency. In
+    which of them it stands out depends on the commands, and beside others it is lost.
     """
-    power = np.zeros(len(frequencies))
+    power = np.zeros((1 + len(MODULATED), len(frequencies)))
     for predictor, read in zip(study.predictors, readings, strict=True):
         record = predictor.record
         residual = residual_of(record, read)
         waves = np.exp(-2j * np.pi * np.outer(frequencies, record.time))
+
+        def power_of(series: np.ndarray, waves: np.ndarray = waves) -> np.ndarray:
+            return np.abs(waves @ series) ** 2 / max(float(series @ series), 1e-300)
+
         for name in record.outputs:
             usable = record.usable[name]
             left = residual[name][:, 0] - np.median(residual[name][usable, 0])
             most = study.options.wave.clipped * 1.4826 * float(np.median(np.abs(left[usable])))
             left = np.where(usable, np.clip(left, -most, most), 0.0)
-            for shown in (left, left * read[name]) if name in MODULATED else (left,):
-                power += np.abs(waves @ shown) ** 2 / max(float(shown @ shown), 1e-300)
-    return power
+            power[0] += power_of(left)
+            if name in MODULATED:
+                power[1 + MODULATED.index(name)] += power_of(left * read[name])
+    return np.vstack([power, power.sum(axis=0)])
 
 
 def dominant_wave(
