@@ -12,6 +12,7 @@ import valvesim as vs
 from valvesim.diagnosis import apart, bench_faults
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
 from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _plainest, _shift_words, _waves_apart
+from valvesim.diagnosis.detection import _is_stretched
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -22,6 +23,8 @@ from valvesim.identification.fit import evaluate_fit, predict_readings
 from valvesim.identification.fit_jacobian import linearise_fit, simulated_jacobian
 from valvesim.identification.input_choice import searched_edges
 from valvesim.identification.input_waves import (
+    MODULATED,
+    _powers,
     fitted_waves,
     linear_gain,
     outstanding_frequencies,
@@ -30,7 +33,7 @@ from valvesim.identification.input_waves import (
     wave_words,
     with_parameters,
 )
-from valvesim.identification.instrument_errors import meter_drifts
+from valvesim.identification.instrument_errors import CLOCK_RATE, METER_DRIFT, meter_drifts
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
 from valvesim.identification.refinement import refined
 from valvesim.identification.session import Record
@@ -90,6 +93,34 @@ def test_a_ripple_that_an_output_modulates_is_found_at_its_own_frequency(channel
         readings.append({channel: flow})
     found = outstanding_frequencies(SimpleNamespace(predictors=predictors, options=IDENTIFICATION), readings, 15.0)
     assert any(abs(frequency - 94.6) < 0.05 for frequency in found)
+
+
+def test_a_ripple_in_one_output_is_not_lost_beside_outputs_that_show_none():
+    rng, predictors, readings = np.random.default_rng(5), [], []
+    others = ("spool_position", "nozzle_pressure_1", "nozzle_pressure_2", "armature_angle")
+    for record in RECORDS:
+        read = {name: np.sin(2.0 * np.pi * (4.0 + k) * TIME) for k, name in enumerate(("load_flow", *others))}
+        measured = {name: values + rng.normal(size=len(TIME)) for name, values in read.items()}
+        measured["load_flow"] += 0.3 * read["load_flow"] * np.sin(2.0 * np.pi * 94.6 * TIME + rng.uniform(0.0, 6.0))
+        usable = {name: TIME >= 0.0 for name in read}
+        predictors.append(SimpleNamespace(record=replace(record, values=measured | {"current": TIME}, usable=usable)))
+        readings.append(read)
+    study = SimpleNamespace(predictors=predictors, options=IDENTIFICATION)
+    power = _powers(study, readings, np.arange(5.0, 400.0, 0.5))
+    together, flow = power[-1], power[1 + MODULATED.index("load_flow")]
+    assert flow.max() / np.median(flow) > 7.0 > together.max() / np.median(together)
+    assert outstanding_frequencies(study, readings, 7.0) == [pytest.approx(94.6, abs=0.3)]
+
+
+def test_a_meter_that_drifts_far_is_no_alarm_and_any_other_figure_that_is_far_off_is():
+    drift = SimpleNamespace(sensor=METER_DRIFT)
+    clock, mass = SimpleNamespace(sensor=CLOCK_RATE), SimpleNamespace(sensor=None)
+    for parameters, point, expected in (
+        ((drift, mass), (4.0, 1.0), False), ((drift, mass), (0.0, -4.0), True), ((drift, clock), (4.0, 4.0), True),
+        ((drift,), (4.0,), False), ((), (), False),
+    ):  # fmt: skip
+        study = SimpleNamespace(nominal=SimpleNamespace(parameters=parameters))
+        assert _is_stretched(SimpleNamespace(study=study, fit=SimpleNamespace(point=np.array(point))), 3.8) == expected
 
 
 def test_beside_a_strong_cause_the_plainest_of_alike_laws_is_fitted():
