@@ -1,6 +1,7 @@
 """Long sessions: what is searched first, and what is then fitted to the whole."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -127,11 +128,21 @@ def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkey
     def not_run(*given, options):
         raise SolveError("no valve")
 
+    def fitted(study, tell):
+        fits.append(study)
+        return SimpleNamespace(study=study, fit=study)
+
+    fits, cleaned = [], object()
     monkeypatch.setattr(leading_segments, "_isolate_in_segments", not_run)
-    monkeypatch.setattr(leading_segments, "fit_nominal", lambda study, tell: study)
+    monkeypatch.setattr(leading_segments, "fit_nominal", fitted)
     monkeypatch.setattr(leading_segments, "_without_outliers", lambda nominal: nominal)
+    monkeypatch.setattr(leading_segments, "is_adequate", lambda fit, options: fit is cleaned)
     whole = prepare_session(session, options=LONG.identification)
-    assert fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG) == (whole, ())
+    for left, expected in ((whole, [whole]), (cleaned, [whole, cleaned])):  # again without what is saturated
+        fits.clear()
+        monkeypatch.setattr(leading_segments, "without_saturation", lambda *_, left=left: left)
+        nominal, known = fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG)
+        assert nominal.study is left and known == () and fits == expected
 
 
 def test_what_hardly_helps_is_left_and_more_so_in_a_long_session(session):
