@@ -185,9 +185,9 @@ def report(name: str, results: Path, document: Path) -> None:
     rows, number = rows_of(name), SETS[name][1]
     before = list(SETS)[1 : list(SETS).index(name)]
     columns = {"this set": _measured(rows)}
-    newest = [row for row in read_rows(results) if row["seed"] in {one["seed"] for one in rows}][-1:]
-    if newest and len({row.get("engine") for row in rows}) > 1:
-        engine = newest[0].get("engine")
+    if len({row.get("engine") for row in rows}) > 1:
+        seeds = {row["seed"] for row in rows}
+        engine = [row.get("engine") for row in read_rows(results) if row["seed"] in seeds][-1]
         columns[f"of it by `{engine}`"] = _measured([row for row in rows if row.get("engine") == engine])
     columns |= {f"the {one} set": _measured(rows_of(one)) for one in before}
     lines = [

@@ -17,7 +17,7 @@ import numpy as np
 from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
 from valvesim.diagnosis.detection import nuisance_covariance, wald_statistic
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.refits import largest_shift
+from valvesim.diagnosis.refits import largest_shift, plainest_name
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import start_points
@@ -143,9 +143,8 @@ def _plainest(starts: Sequence[tuple[FittedCandidate, ...]]) -> tuple[FittedCand
     """The likeliest of single starts, or the one of the plainer effect that it may be: it is fitted with fewer figures
     and leaves hardly more.
     """
-    effect = starts[0][0].candidate.effect
-    plainer = [one for one in starts if len(one) == 1 and effect and one[0].candidate.name == effect.plainer]
-    return (plainer or starts)[0]
+    name = plainest_name(starts[0][0].candidate)
+    return next((one for one in starts if len(one) == 1 and one[0].candidate.name == name), starts[0])
 
 
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:
