@@ -116,6 +116,21 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
     assert asked == [[2.0]] and ended is (renewed if taken else base) and scores.fit is ended.fit
 
 
+@pytest.mark.parametrize(
+    "chi_square, jumps, taken",
+    [(7000.0, True, True), (5050.0, True, False), (9e6, True, False), (7000.0, False, False)],
+)
+def test_edges_are_tried_where_an_adequate_fit_leaves_more_than_noise(monkeypatch, chi_square, jumps, taken):
+    base, tried = nominal(chi_square), nominal(4990.0)
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "detect", lambda scores: (False, 4.0))
+    monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
+    monkeypatch.setattr(isolation, "with_edges_tried", lambda nominal: tried if jumps else nominal)
+    monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores, None))
+    ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), options=DIAGNOSIS)
+    assert ended is (tried if taken else base) and scores.fit is ended.fit
+
+
 def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_may_end_with_none(monkeypatch):
     base, better = nominal(9000.0), nominal(5000.0)
     searched = []

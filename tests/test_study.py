@@ -24,6 +24,7 @@ from valvesim.identification.nominal_fit import (
     fit_nominal,
     fit_nominal_near,
     refit_nominal,
+    with_edges_tried,
     with_inputs_reviewed,
     within_tolerance,
 )
@@ -177,8 +178,8 @@ def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, b
     before = replace(nominal, fit=replace(nominal.fit, point=late * delays))
     asked, choices = [], {name: SimpleNamespace(name=name) for name in ("straight", "smooth", HELD_NAME)}
 
-    def near(without, choice, nominal, *, punctual):
-        asked.append((choice.name, punctual))
+    def near(without, choice, nominal, near):
+        asked.append((choice.name, list(near.values()) != nominal.fit.point.tolist()))
         return replace(nominal, fit=replace(nominal.fit, chi_square=nominal.fit.chi_square - gain))
 
     monkeypatch.setattr(nominal_fit, "_reviewed_choice", lambda nominal: (nominal.study, choices[now], choices[better]))
@@ -187,6 +188,38 @@ def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, b
     found = with_inputs_reviewed(before)
     assert (found is before) is (ends == now)
     assert tried == asked
+
+
+@pytest.mark.parametrize(
+    "now, edges_gain, tried, ends",
+    [
+        ("smooth", {"straight, edges": 400.0, "smooth, edges": 900.0}, True, "smooth, edges"),
+        ("smooth", {"straight, edges": 10.0, "smooth, edges": 20.0}, True, "smooth"),  # no more than chance
+        (HELD_NAME, {"straight, edges": 400.0, "smooth, edges": 900.0}, False, HELD_NAME),  # its steps are edges
+        ("straight, edges", {"smooth, edges": 900.0}, False, "straight, edges"),
+    ],
+)
+def test_a_way_without_edges_is_tried_with_them_where_commands_jump(
+    biased_fit, monkeypatch, now, edges_gain, tried, ends
+):
+    nominal = biased_fit
+    far = replace(nominal, fit=replace(nominal.fit, point=np.full_like(nominal.fit.point, 7.0)))
+    names = ("straight", "smooth", HELD_NAME, "straight, edges", "smooth, edges")
+    choices = {name: SimpleNamespace(name=name, parameters=("edge",) * ("edges" in name)) for name in names}
+    asked = {}
+
+    def near(without, choice, nominal, near):
+        assert set(near.values()) == {nominal.study.options.fit.tolerance_deviations}
+        gain = edges_gain[choice.name]
+        asked[choice.name] = replace(nominal, fit=replace(nominal.fit, chi_square=nominal.fit.chi_square - gain))
+        return asked[choice.name]
+
+    monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, choices[now]))
+    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices.values())
+    monkeypatch.setattr(nominal_fit, "_near_under", near)
+    found = with_edges_tried(far)
+    assert bool(asked) is tried
+    assert found is (far if ends == now else asked[ends])
 
 
 def test_a_prepared_session_becomes_a_study_by_its_noise(biased):

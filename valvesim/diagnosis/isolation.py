@@ -67,6 +67,7 @@ from valvesim.identification.nominal_fit import (
     clipped_to_tolerance,
     linearise_nominal,
     refit_nominal,
+    with_edges_tried,
     with_inputs_reviewed,
 )
 from valvesim.identification.refinement import refined
@@ -119,6 +120,8 @@ def _with_bench(
     What it leaves, and the fits of causes beside which the bench was looked at.
     """
     beside, reviewed = list[Fit](), with_inputs_reviewed(nominal)
+    if reviewed is nominal and _leaves_more_than_noise(nominal, options=options):
+        reviewed = with_edges_tried(nominal)
     if reviewed is not nominal:
         nominal, scores = reviewed, score_test(reviewed, reviewed.fit, options=options)
     if not is_adequate(nominal.fit, options=options.identification):
@@ -140,6 +143,12 @@ def _with_bench(
         nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
         scores = score_test(nominal, nominal.fit, options=options)
     return nominal, scores, beside
+
+
+def _leaves_more_than_noise(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
+    """Whether an adequate nominal fit leaves more than noise."""
+    adequate = is_adequate(nominal.fit, options=options.identification)
+    return adequate and beyond_noise(nominal.fit, nominal.study, options=options) > 0.0
 
 
 def _may_be_bench(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> bool:

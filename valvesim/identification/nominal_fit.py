@@ -149,6 +149,10 @@ def _point_by_name(nominal: NominalFit) -> dict[str, float]:
     return {p.name: t for p, t in zip(nominal.study.nominal.parameters, nominal.fit.point, strict=True)}
 
 
+def _clipped_by_name(nominal: NominalFit) -> dict[str, float]:
+    return dict(zip(_point_by_name(nominal), clipped_to_tolerance(nominal), strict=True))
+
+
 def _named_point(model: NominalModel, near: Mapping[str, float]) -> np.ndarray:
     """The point (p,) of a model where parameters are at `near`, by name; what is left out is nominal."""
     return np.array([near.get(p.name, 0.0) for p in model.parameters])
@@ -268,23 +272,45 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
     """
     without, now, better = _reviewed_choice(nominal)
     if better.name != now.name:
-        return _near_under(without, better, nominal, punctual=False)
-    delays = nominal.fit.point[are_delays(nominal.study.nominal)]
-    if not np.any(delays > 2.0 * nominal.study.options.fit.tolerance_deviations):
+        return _near_under(without, better, nominal, _point_by_name(nominal))
+    delays = are_delays(nominal.study.nominal)
+    if not np.any(nominal.fit.point[delays] > 2.0 * nominal.study.options.fit.tolerance_deviations):
         return nominal
     held = next(c for c in input_choices(without.session, options=without.options) if c.name == HELD_NAME)
     if held.name == now.name:
         return nominal
-    tried = _near_under(without, held, nominal, punctual=True)
+    late = [p.name for p, delay in zip(nominal.study.nominal.parameters, delays, strict=True) if delay]
+    tried = _near_under(without, held, nominal, _point_by_name(nominal) | dict.fromkeys(late, 0.0))
     gain = (nominal.fit.chi_square - nominal.fit.rows) - (tried.fit.chi_square - tried.fit.rows)
     return tried if gain > nominal.study.options.input.minimum_gain else nominal
+
+
+def with_edges_tried(nominal: NominalFit) -> NominalFit:
+    """A nominal fit, or a better one with edges: fitted anew where commands jump, and it takes them as joined without.
+
+    A curve through the samples answers an edge much as a lag of the valve does. A fit that has moved the valve's
+    figures to make up for the one does not ask for the other any more.
+    """
+    without, now = _without_choice(nominal.study)
+    if now.parameters or now.name == HELD_NAME:
+        return nominal
+    excess = nominal.fit.chi_square - nominal.fit.rows
+    options = nominal.study.options.input
+    best, least = nominal, excess - max(options.minimum_gain, options.gain_share * excess)
+    for choice in input_choices(without.session, options=without.options):
+        if not choice.parameters:
+            continue
+        tried = _near_under(without, choice, nominal, _clipped_by_name(nominal))
+        if tried.fit.chi_square - tried.fit.rows < least:
+            best, least = tried, tried.fit.chi_square - tried.fit.rows
+    return best
 
 
 def with_inputs_beside(nominal: NominalFit, beside: NominalFit) -> NominalFit:
     """A nominal fit, or the one near it under the way of its commands that a fit `beside` it asks for, with candidates.
     """
     without, now, better = _reviewed_choice(beside, beside.fit.fitted)
-    return nominal if better.name == now.name else _near_under(without, better, nominal, punctual=False)
+    return nominal if better.name == now.name else _near_under(without, better, nominal, _point_by_name(nominal))
 
 
 def under_other_inputs(nominal: NominalFit) -> list[NominalFit]:
@@ -292,8 +318,7 @@ def under_other_inputs(nominal: NominalFit) -> list[NominalFit]:
     jump.
     """
     without, now = _without_choice(nominal.study)
-    near = dict(zip(_point_by_name(nominal), clipped_to_tolerance(nominal), strict=True))
-    found = []
+    near, found = _clipped_by_name(nominal), []
     choices = input_choices(without.session, options=without.options)
     jump = any(choice.parameters for choice in choices)
     for choice in choices:
@@ -305,13 +330,10 @@ def under_other_inputs(nominal: NominalFit) -> list[NominalFit]:
     return found
 
 
-def _near_under(without: Study, choice: InputChoice, nominal: NominalFit, *, punctual: bool) -> NominalFit:
-    """The nominal fit near another one, under a choice of inputs; from where no sensor is late if `punctual`."""
-    again, near = with_input_choice(without.unweighted(), choice), _point_by_name(nominal)
-    point = _named_point(again.nominal, near)
-    if punctual:
-        point[are_delays(again.nominal)] = 0.0
-    return fit_nominal_near(again, point, full_weight=not nominal.study.weights)
+def _near_under(without: Study, choice: InputChoice, nominal: NominalFit, near: Mapping[str, float]) -> NominalFit:
+    """The nominal fit under a choice of inputs, from a point (prior deviations by name) near another one."""
+    again = with_input_choice(without.unweighted(), choice)
+    return fit_nominal_near(again, _named_point(again.nominal, near), full_weight=not nominal.study.weights)
 
 
 def fit_nominal_from(study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
