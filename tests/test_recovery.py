@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from valvesim.diagnosis import diagnose as diagnosing
+from valvesim.diagnosis import score_test as score_testing
 from valvesim.diagnosis import symbolic_form, term_entry, term_estimation
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import recover_term
@@ -161,6 +162,17 @@ def test_nothing_is_recovered_from_a_scene_without_families(nominal):
 @pytest.fixture(scope="module")
 def scores(nominal):
     return score_test(nominal, nominal.fit, options=DIAGNOSIS)
+
+
+def test_a_fit_that_is_tested_again_is_not_linearised_again(nominal, scores, monkeypatch):
+    fit = replace(nominal.fit)  # the same, and not the nominal one
+    first = score_test(nominal, fit, terms=(), options=DIAGNOSIS)
+    monkeypatch.setattr(score_testing, "linearise_fit", lambda study, fit: pytest.fail("linearised again"))
+    again = score_test(nominal, fit, terms=(), known=first, options=DIAGNOSIS)
+    np.testing.assert_array_equal(again.projected.score, first.projected.score)
+    assert again.linearised is first.linearised and again.columns is first.columns
+    with pytest.raises(pytest.fail.Exception):
+        score_test(nominal, replace(fit), terms=(), known=first, options=DIAGNOSIS)
 
 
 @pytest.fixture

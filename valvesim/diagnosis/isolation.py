@@ -27,6 +27,7 @@ from valvesim.diagnosis.detection import (
     is_inadequate,
     unexplained_share,
 )
+from valvesim.diagnosis.model_discrepancy import with_model_discrepancy
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
@@ -185,6 +186,9 @@ def _isolated(
     found = refined_hypotheses(nominal, found, options=options)
     found += refined_hypotheses(nominal, plainer_hypotheses(nominal, found, options=options), options=options)
     found = reduced_hypotheses(nominal, distinct(found, options=options), options=options)
+    if (wider := with_model_discrepancy(nominal, found, options=options)) is not None:
+        nominal, scores, beside = _with_bench(wider, score_test(wider, wider.fit, options=options), options=options)
+        return _isolated(nominal, scores, progress, known, beside, options=options)
     found = without_corrections_of_laws(nominal, found, options=options)
     found = with_minimum_gain(nominal, found, level, bearable_beside_bench(scores), options=options)
     progress("checking", 0.75)

@@ -138,6 +138,15 @@ class SelectionOptions:
         "share of what a cause explains by which another law of it may do better, at least",
         "no model is the plant: figures of strong causes 1 to 2.5 % off",
     )
+    discrepancy_share: float = option(
+        0.1,
+        "1",
+        "share of what a cause does to a reading by which its law may be wrong, of laws that may err",
+        "measured: play operators and the law of Dahl fitted to them differ by 0.08 rms",
+    )
+    discrepancy_samples: int = option(
+        2, "1", "samples either way within which it may do so", "a leakage peak at another sample"
+    )
     minimum_gain: float = option(0.8, "1", "share of the squared alarm level that a hypothesis must explain", JUDGEMENT)
     second_gain: float = option(
         30.0, "1", "chi-square that a second cause must explain", "what a plant does otherwise than any model"

@@ -37,7 +37,9 @@ def rival_terms(nominal: NominalFit, final: ScoreTest) -> tuple[TermHypothesis, 
     """
     options = final.options.missing_term
     bare = replace(nominal, study=replace(nominal.study, candidates=()))
-    remembering = score_test(bare, final.fit, terms=_remembering(final, options), knots=2, options=final.options)
+    remembering = score_test(
+        bare, final.fit, terms=_remembering(final, options), knots=2, known=final, options=final.options
+    )
     own, _ = block_statistic(_without_cause(final), final.own)
     best: dict[tuple[str, str], tuple[float, TermHypothesis]] = {}
     for scores in (final, remembering):

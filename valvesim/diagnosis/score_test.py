@@ -117,12 +117,17 @@ def score_test(
     *,
     terms: Sequence[TermHypothesis] = term_hypotheses(),
     knots: int | None = None,
+    known: ScoreTest | None = None,
     options: DiagnosisOptions,
 ) -> ScoreTest:
-    """Test what a fit leaves for every candidate and every term hypothesis, each term on so many knots."""
+    """Test what a fit leaves for every candidate and every term hypothesis, each term on so many knots.
+
+    Another score test of the same fit may be `known`: the records are linearised there as well.
+    """
     study, knots = nominal.study, options.detection.knots if knots is None else knots
     variant = fit.variant(study.nominal)
-    linearised, J = (nominal.linearised, nominal.columns) if fit is nominal.fit else linearise_fit(study, fit)
+    about = next((one for one in (nominal, known) if one is not None and one.fit is fit), None)
+    linearised, J = (about.linearised, about.columns) if about is not None else linearise_fit(study, fit)
     taken = [member.candidate for member in fit.fitted]
     labels_taken = {candidate.label for candidate in taken}
     candidates = tuple(c for c in study.candidates if c.label not in labels_taken and not any(map(c.excludes, taken)))

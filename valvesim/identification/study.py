@@ -32,6 +32,8 @@ class PreparedSession:
     is_long: bool  # a look takes long, and what hardly helps is left
     spread: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, kw_only=True)
     """(record, channel): deviation (n,) of what readings hang on inputs between their samples, beside the noise."""
+    discrepancy: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, kw_only=True)
+    """The same of what the law of a cause may err by (model discrepancy; Kennedy and O'Hagan 2001)."""
 
     def with_noise(self, noise: dict[tuple[str, float], NoiseModel]) -> Study:
         """The study under a noise, by channel and pace."""
@@ -46,6 +48,10 @@ class PreparedSession:
     def with_nominal(self, nominal: NominalModel) -> Self:
         """The same with other nuisance parameters, or inputs that are told otherwise between their samples."""
         return replace(self, nominal=nominal, representatives=_representatives(self.predictors, nominal))
+
+    def with_discrepancy(self, discrepancy: dict[tuple[str, str], np.ndarray]) -> Self:
+        """The same with a model discrepancy, (n,) by record and channel."""
+        return replace(self, discrepancy=discrepancy)
 
     def without_oversampling(self) -> Self:
         """The study with its trajectories at the samples alone: the same readings, and preliminary sensitivities."""
@@ -86,10 +92,11 @@ class Study(PreparedSession):
         for name in record.outputs:
             noise = self.noise[name, record.pace]
             rows = noise.whiten(columns[name], record.usable[name])[:: self.stride]
-            spread = self.spread.get((record.name, name))
-            if spread is not None:
-                own = spread[noise.kept(record.usable[name])][:: self.stride]
-                rows = rows / np.hypot(1.0, own / noise.innovation)[:, None]
+            for wider in (self.spread, self.discrepancy):
+                deviation = wider.get((record.name, name))
+                if deviation is not None:
+                    own = deviation[noise.kept(record.usable[name])][:: self.stride]
+                    rows = rows / np.hypot(1.0, own / noise.innovation)[:, None]
             weights = self.weights.get((record.name, name))
             white.append(rows if weights is None else rows * weights[:, None])
         return white
