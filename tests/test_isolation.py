@@ -34,8 +34,9 @@ def nominal(chi_square, weights=()):
     """A nominal fit that leaves so much, under a study with those weights."""
     model = SimpleNamespace(parameters=())
     study = SimpleNamespace(
-        candidates=(), weights=dict.fromkeys(weights), options=DIAGNOSIS.identification, noise={}, nominal=model
-    )
+        candidates=(), weights=dict.fromkeys(weights), options=DIAGNOSIS.identification, noise={}, nominal=model,
+        discrepancy={},
+    )  # fmt: skip
     return SimpleNamespace(study=study, fit=Fit(np.zeros(1), (), chi_square, (), np.zeros(1), 5000.0))
 
 
@@ -203,6 +204,8 @@ def test_what_another_law_of_an_effect_does_better_is_no_second_cause(monkeypatc
     near = hypothesis(6000.0, "magnetic_hysteresis")
     whole = hypothesis(5000.0, *pair)  # leaves no more than noise
     assert second_cause.without_corrections_of_laws(base, [whole, near], options=DIAGNOSIS) == [whole, near]
+    base.study.discrepancy = {("record_1", "load_flow"): np.ones(1)}  # what the law errs by is noise there
+    assert second_cause.without_corrections_of_laws(base, [whole, near], options=DIAGNOSIS) == [near]
 
 
 def test_what_is_far_behind_the_best_is_not_refined(monkeypatch):

@@ -1,4 +1,4 @@
-"""What the law of a cause may err by counts as noise where the cause acts (model discrepancy; Kennedy and O'Hagan 2001).
+"""Model discrepancy: what a cause's law may err by counts as noise where it acts (Kennedy and O'Hagan 2001).
 
 Iron is no operator of Dahl's: a hysteresis is followed to some hundredths of what it does. Where lands pass null that
 much of the spool's position is hundreds of noise deviations of the leakage: no fit comes near, figures go to their

@@ -52,7 +52,8 @@ def without_corrections_of_laws(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
     """The found without those that leave more than noise and add no more to another one than its law may err by: what
-    another law of the same effect does better is no second cause.
+    another law of the same effect does better is no second cause. Where that counts as noise (`model_discrepancy`) they
+    leave no more than that either.
     """
 
     def corrects(one: FittedHypothesis, alone: FittedHypothesis) -> bool:
@@ -63,7 +64,7 @@ def without_corrections_of_laws(
     return [
         one
         for one in found
-        if beyond_noise(one.fit, nominal.study, options=options) == 0.0
+        if (not nominal.study.discrepancy and beyond_noise(one.fit, nominal.study, options=options) == 0.0)
         or not any(corrects(one, alone) for alone in found)
     ]
 
