@@ -212,6 +212,17 @@ def test_a_fit_is_looked_at_under_each_other_way_of_its_commands_with_edges_wher
         assert np.all(np.abs(other.fit.point) <= OPTIONS.fit.tolerance_deviations)
 
 
+def test_commands_of_records_too_slow_to_show_the_valve_s_motion_go_straight(stepped):
+    _, session = stepped
+    slow = replace(session, records=tuple(replace(one, time=10.0 * one.time) for one in session.records))
+    assert [choice.name for choice in input_choices(slow, options=OPTIONS)] == ["straight"]
+    mixed = replace(session, records=(*slow.records[:1], *session.records[1:]))
+    first = session.records[0].name
+    for choice in input_choices(mixed, options=OPTIONS)[1:]:
+        told = {one.record for one, _ in choice.deviations} | {p.input.record for p in choice.parameters}
+        assert told and first not in told
+
+
 def test_an_edge_may_be_anywhere_in_its_interval_and_nowhere_else(stepped):
     _, session = stepped
     record = session.training[0]

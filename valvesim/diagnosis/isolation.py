@@ -180,13 +180,11 @@ def _isolated(
         if better is None:
             break
         nominal, scores = better, score_test(better, better.fit, options=options)
-    found += restarted(nominal, found, likeliest, options=options)
-    found += plainer_hypotheses(nominal, found, options=options)
-    found += alike_hypotheses(nominal, found, options=options)
-    found = refined_hypotheses(nominal, found, options=options)
-    found += refined_hypotheses(nominal, plainer_hypotheses(nominal, found, options=options), options=options)
-    found = reduced_hypotheses(nominal, distinct(found, options=options), options=options)
-    if (wider := with_model_discrepancy(nominal, found, options=options)) is not None:
+    wider = with_model_discrepancy(nominal, distinct(found, options=options)[:1], options=options)
+    if wider is None:
+        found = _fitted_further(nominal, found, likeliest, options=options)
+        wider = with_model_discrepancy(nominal, found, options=options)
+    if wider is not None:
         nominal, scores, beside = _with_bench(wider, score_test(wider, wider.fit, options=options), options=options)
         return _isolated(nominal, scores, progress, known, beside, options=options)
     found = without_corrections_of_laws(nominal, found, options=options)
@@ -203,6 +201,20 @@ def _isolated(
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
     return judged(Isolation(nominal, scores, final, found, [], "", alarm, level))
+
+
+def _fitted_further(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], likeliest: str, *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The found, best first, with fits that may have stopped short taken up again, alike effects in the places of the
+    best's, the best refined, and its candidates tried one fewer.
+    """
+    found = [*found, *restarted(nominal, found, likeliest, options=options)]
+    found += plainer_hypotheses(nominal, found, options=options)
+    found += alike_hypotheses(nominal, found, options=options)
+    found = refined_hypotheses(nominal, found, options=options)
+    found += refined_hypotheses(nominal, plainer_hypotheses(nominal, found, options=options), options=options)
+    return reduced_hypotheses(nominal, distinct(found, options=options), options=options)
 
 
 def judged(isolation: Isolation) -> Isolation:

@@ -46,8 +46,15 @@ HELD_NAME = "held until the next"
 
 
 def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[InputChoice, ...]:
-    """The ways that are open to a session's commands, the plainest first."""
-    records = [record for record in session.records if record.moves(record.command)]
+    """The ways that are open to a session's commands, the plainest first.
+
+    Those of records sampled too slowly to show the valve's motion go straight: a hold or an edge between two samples
+    would be a delay there, and a delay is what a cause may be.
+    """
+    fast = [r for r in session.records if r.rate * options.predictor.quasi_static_step >= 1.0]
+    records = [record for record in fast if record.moves(record.command)]
+    if not records:
+        return (STRAIGHT,)
     jumps = {r.name: edges_of(r.name, r.command, r.values[r.command], options=options) for r in records}
     corners = {r.name: command_corners(r.values[r.command], options=options).tolist() for r in records}
     smooth = tuple((Smooth(r.name, r.command, tuple(corners[r.name])), 1.0) for r in records)

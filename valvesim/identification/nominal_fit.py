@@ -276,7 +276,8 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
     delays = are_delays(nominal.study.nominal)
     if not np.any(nominal.fit.point[delays] > 2.0 * nominal.study.options.fit.tolerance_deviations):
         return nominal
-    held = next(c for c in input_choices(without.session, options=without.options) if c.name == HELD_NAME)
+    choices = input_choices(without.session, options=without.options)
+    held = next((choice for choice in choices if choice.name == HELD_NAME), now)
     if held.name == now.name:
         return nominal
     late = [p.name for p, delay in zip(nominal.study.nominal.parameters, delays, strict=True) if delay]
