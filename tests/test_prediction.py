@@ -410,14 +410,14 @@ def test_dimensions_that_a_record_makes_impossible_name_the_record():
 
 
 def test_a_run_that_fails_says_which_record_when_and_what_to_ask():
-    options = replace(OPTIONS, predictor=PredictorOptions(most_steps=3))
+    options = replace(OPTIONS, predictor=PredictorOptions(most_steps=3, steps_per_point=0))
     with pytest.raises(SolveError, match=r"record fast.*t = [0-9.e-]+ s.*session\.toml"):
         replace(bench_of("fast"), options=options).run(nominal_variant())
 
 
 def test_a_run_that_fails_says_in_which_record_when_and_in_which_state():
     predictor = bench_of("fast")
-    few = replace(predictor.options, predictor=replace(predictor.options.predictor, most_steps=2))
+    few = replace(predictor.options, predictor=replace(predictor.options.predictor, most_steps=2, steps_per_point=0))
     told = r"record fast.*: the simulation failed at t = \S+ s in \w+ .*: more than 2 steps.*Is the valve of"
     with pytest.raises(SolveError, match=told):
         replace(predictor, options=few).run(nominal_variant())

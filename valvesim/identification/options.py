@@ -97,7 +97,13 @@ class PredictorOptions:
         "relative tolerance of the solver",
         "measured: errs by 1e-7 of the span and a chi-square by 0.1; with ten times as much fits get lost",
     )
-    most_steps: int = option(50_000_000, "1", "steps of the solver after which a run has failed", JUDGEMENT)
+    most_steps: int = option(1_000_000, "1", "steps of the solver that any run may take", "runs take thousands")
+    steps_per_point: int = option(
+        500,
+        "1",
+        "steps of the solver to a point of the sensors' grid that a run may take besides",
+        "runs take some; a valve that oscillates throughout a slow sweep thousands: a fit must turn back there",
+    )
     sensor_spacing: float = option(
         1e-4,
         "s",

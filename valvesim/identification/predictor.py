@@ -496,6 +496,7 @@ def _problem(
     off: np.ndarray,
 ) -> InitialValueProblem:
     """A run from scaled states (n_x,) at rest, with flat coefficients (m, n_c) at the knots of a path."""
+    options = predictor.options.predictor
     return InitialValueProblem(
         compiled=compiled,
         initial=initial,
@@ -505,7 +506,7 @@ def _problem(
         knots=flat,
         times=predictor.fine_times,
         end=float(predictor.times[-1]),
-        tolerance=predictor.options.predictor.tolerance,
-        most_steps=predictor.options.predictor.most_steps,
+        tolerance=options.tolerance,
+        most_steps=options.most_steps + options.steps_per_point * len(predictor.fine_times),
         ignored=off,
     )
