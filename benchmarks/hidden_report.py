@@ -419,8 +419,8 @@ def _pairs_missed(done: Sequence[Row]) -> str:
     level = float(np.median([row["alarm_level"] for row, _ in missed])) ** 2
     above = sum(more > level for _, more in missed)
     return (
-        f"## Pairs that are not first\n\n{len(missed)} of {len(pairs)}. **More**: by how much the pair, fitted from its "
-        "true figures, lowers the deviance beyond the likeliest cause that was given: what there is in these records to "
+        f"## Pairs that are not first\n\n{len(missed)} of {len(pairs)}. **More**: by how much the pair, fitted from "
+        "its true figures, lowers the deviance beyond the likeliest cause that was given: what these records have to "
         f"tell the two apart by. A cause more is not looked for below {level:.0f}, which the best of all candidates "
         f"reaches by chance in one session of two hundred; {above} of {len(missed)} lie above that, the most at "
         f"{lines[0][-1]}.\n\n"
