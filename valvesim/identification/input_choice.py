@@ -25,7 +25,7 @@ from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, pred
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.predictor import RecordPredictor
+from valvesim.identification.predictor import RecordPredictor, is_quasi_static
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.session import UNITS, Record, Session, value_text
 from valvesim.identification.study import PreparedSession, Study, residual_of
@@ -51,7 +51,7 @@ def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[
     Those of records sampled too slowly to show the valve's motion go straight: a hold or an edge between two samples
     would be a delay there, and a delay is what a cause may be.
     """
-    fast = [r for r in session.records if r.rate * options.predictor.quasi_static_step >= 1.0]
+    fast = [record for record in session.records if not is_quasi_static(record, options=options)]
     records = [record for record in fast if record.moves(record.command)]
     if not records:
         return (STRAIGHT,)

@@ -363,6 +363,11 @@ def _apply_reading(active: ActiveEffect, times: np.ndarray, columns: np.ndarray,
     return np.column_stack([reading(Reading(times, column, oil), active.values) for column in columns.T])
 
 
+def is_quasi_static(record: Record, *, options: IdentificationOptions) -> bool:
+    """Whether a record is sampled too slowly to show the valve's motion between two samples."""
+    return record.rate * options.predictor.quasi_static_step < 1.0
+
+
 def prepare_record(
     session: Session, record: Record, universe: Sequence[Effect], *, options: IdentificationOptions
 ) -> RecordPredictor:
@@ -373,13 +378,13 @@ def prepare_record(
     step = 1.0 / record.rate
     oversampling = (
         int(np.ceil(step / _grid_spacing(session, options=options) - 1e-6))
-        if step <= options.predictor.quasi_static_step
+        if not is_quasi_static(record, options=options)
         else 1
     )
     count = (len(record.time) - 1) * oversampling + 1
     times = np.linspace(0.0, float(record.time[-1]), count)
     sensor_oversampling = 1
-    if step <= options.predictor.quasi_static_step:
+    if not is_quasi_static(record, options=options):
         sensor_oversampling = (
             int(np.ceil(step / oversampling / options.predictor.sensor_spacing - 1e-6))
             if record.duration <= options.predictor.long_record
@@ -420,7 +425,7 @@ def _grid_spacing(session: Session, *, options: IdentificationOptions) -> float:
     """The spacing (s) of trajectories in a session: wider where its training records are long."""
     return max(
         options.predictor.grid_spacing,
-        sum(r.duration for r in session.training if r.rate * options.predictor.quasi_static_step >= 1.0)
+        sum(record.duration for record in session.training if not is_quasi_static(record, options=options))
         / options.predictor.most_points,
     )
 
