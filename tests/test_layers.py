@@ -164,7 +164,7 @@ BARE = {  # numbers that no judgement sets
     ("characterisation/sine_point.py", "HARMONICS"): "what the distortion is",
     ("characterisation/sine_point.py", "FEWEST_A_CYCLE"): "samples that tell a sine from its offset and drift",
     ("characterisation/specification.py", "COVERAGE"): "of ISO 14253-1",
-    ("identification/tangent_linear.py", "TOGETHER"): "numbers of a processor's vectors",
+    ("identification/least_squares.py", "SINGULAR"): "what rounding leaves of a matrix that is singular",
     ("characterisation/thermal_drift.py", "LEAST_MOTION"): "a share of a channel's scale, against a division by zero",
 }
 

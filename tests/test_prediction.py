@@ -379,7 +379,7 @@ def test_a_course_is_put_on_another_grid_as_if_it_had_been_run_there():
     without_oversampling = predictor.without_oversampling()
     preliminary = without_oversampling.run(nominal_variant())
     for put, own in ((without_oversampling.on_grid(fine), preliminary), (predictor.on_grid(preliminary), fine)):
-        for name in ("states", "coefficients", "fine", "oil"):
+        for name in ("states", "knots", "fine", "oil"):
             assert np.array_equal(getattr(put, name), getattr(own, name)), name
 
 

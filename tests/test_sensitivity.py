@@ -9,15 +9,20 @@ from test_prediction import FRICTION, HYSTERESIS, bench_of, course_of, nominal_v
 
 from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.predictor import ModelVariant
+from valvesim.identification.predictor import MEASURED_SIGNALS, at_rest_together, coefficient_course
 from valvesim.identification.tangent_linear import (
+    Forcing,
     TangentLinear,
     first_order_response,
     linearise_along,
-    propagate_steps,
-    propagators,
+    propagators_of,
+    reads_at,
     relaxation_recursion,
 )
+from valvesim.solver import linear_response
+from valvesim.solver.partial_derivatives import compile_derivatives
 from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.laws import lagged
 
 STEP = 1e-3
 SYSTEMS = {
@@ -31,10 +36,8 @@ def system(A, count=80):
     """A linear system whose matrix stays."""
     n = len(A)
     matrices = np.ascontiguousarray(np.broadcast_to(A, (count, n, n)))
-    E, early, late = (np.empty((count - 1, n, n)) for _ in range(3))
-    propagators(matrices, STEP, E, early, late)
     slopes = {"first": np.tile([2.0, 0.0, 0.0], (count, 1)), "sum": np.ones((count, n))}
-    return TangentLinear(np.arange(n), np.ones(n), matrices, E, early, late, slopes)
+    return TangentLinear(np.arange(n), np.ones(n), matrices, *propagators_of(matrices, STEP), slopes, STEP)
 
 
 def exact(A, g):
@@ -107,8 +110,67 @@ def test_compiled_and_plain_march_are_the_same():
     tangent, g = system(SYSTEMS["springy"]), np.random.default_rng(3).normal(size=(80, 3, 2))
     plain = np.zeros_like(g)
     plain[0] = -np.linalg.solve(tangent.A[0], g[0])
-    propagate_steps(tangent.E, tangent.early, tangent.late, g, plain)
+    linear_response.propagate(tangent.E, tangent.early, tangent.late, g, plain)
     assert tangent.response(g) == pytest.approx(plain, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("A", SYSTEMS.values(), ids=SYSTEMS)
+def test_compiled_and_plain_propagators_are_the_same(A):
+    matrices = np.random.default_rng(6).uniform(0.5, 1.5, (11, 1, 1)) * A
+    plain = [np.empty((10, 3, 3)) for _ in range(3)]
+    linear_response.propagators(matrices, STEP, *plain)
+    for own, expected in zip(propagators_of(matrices, STEP), plain, strict=True):
+        assert own == pytest.approx(expected, rel=1e-9, abs=1e-12 * np.abs(expected).max())
+
+
+def forcings_of(g, direct):
+    """The columns of a forcing (n, s, k) and of what it adds to channels (n, k) by name, each from its first point on.
+    """
+    return [Forcing(0, g[:, :, k], {name: part[:, k] for name, part in direct.items()}) for k in range(g.shape[2])]
+
+
+@pytest.mark.parametrize("count", [1, 8, 11])
+def test_answers_as_they_are_read_are_those_of_the_states_on_the_grid(count):
+    """With a lag and late clocks, by the lag's own law and straight cubics; more answers than lanes, and fewer."""
+    tangent, rng = system(SYSTEMS["soft"]), np.random.default_rng(7)
+    g = np.cumsum(rng.normal(size=(80, 3, count)), axis=0)
+    direct = {"sum": np.cumsum(rng.normal(size=(80, count)), axis=0)}
+    times, at = STEP * np.arange(80), STEP * np.linspace(0.3, 78.9, 40)
+    reads = {"sum": reads_at(times, at, 3e-3), "first": reads_at(times, times)}
+    found = tangent.read_responses(reads, forcings_of(g, direct))
+    states = tangent.response(g)
+    assert found["first"] == pytest.approx(tangent.channel("first", states), rel=1e-9, abs=1e-9)
+    late = lagged(times, tangent.channel("sum", states, direct["sum"]), 3e-3)
+    weights = reads["sum"].weights
+    expected = sum(weights[:, j, None] * late[reads["sum"].first + j] for j in range(4))
+    assert found["sum"] == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+
+
+def test_a_cubic_is_read_exactly_at_any_time():
+    times, at = STEP * np.arange(12), STEP * np.array([0.0, 0.4, 1.0, 5.5, 10.2, 11.0])
+    first, weights, _ = reads_at(times, at)
+    cubic = np.polynomial.Polynomial([1.0, 200.0, -3e4, 4e6])
+    assert [w @ cubic(times[k : k + 4]) for k, w in zip(first, weights, strict=True)] == pytest.approx(cubic(at))
+
+
+def test_a_forcing_that_begins_late_answers_as_one_of_zeros_before():
+    tangent, g = system(SYSTEMS["soft"]), np.random.default_rng(8).normal(size=(20, 3))
+    whole = np.zeros((80, 3))
+    whole[31:51] = g
+    direct = np.concatenate([np.zeros(31), np.arange(20.0), np.zeros(29)])
+    reads = {"sum": reads_at(STEP * np.arange(80), STEP * np.arange(80))}
+    forcings = [Forcing(31, g, {"sum": np.arange(20.0)}), Forcing(0, whole, {"sum": direct})]
+    found = tangent.read_responses(reads, forcings)["sum"]
+    assert found[:, 0] == pytest.approx(found[:, 1], rel=1e-12)
+    assert found[40:, 0].any() and np.abs(found[:31]).max() < 1e-12
+
+
+def test_an_answer_that_is_read_and_grows_without_end_is_none():
+    A = np.diag([800.0 / (79 * STEP), -50.0, -5.0])
+    g = np.zeros((80, 3, 2))
+    g[1:, 0, 0] = g[1:, 1, 1] = 1.0
+    found = system(A).read_responses({"sum": reads_at(STEP * np.arange(80), STEP * np.arange(80))}, forcings_of(g, {}))
+    assert not found["sum"][:, 0].any() and found["sum"][:, 1].any()
 
 
 # ---------------------------------------------------------------- memories
@@ -215,18 +277,40 @@ def test_the_equations_hold_the_states_of_the_variant_alone():
     assert plain.active.tolist() == [0, 1, 2, 3, 4, 5] and plain.A.shape == (len(predictor.times), 6, 6)
     variant = nominal_variant().with_effect(FRICTION)
     trajectory = course_of("fast", variant)
-    model, own = predictor.reduced(trajectory.model, variant)
-    tangent = linearise_along(predictor, trajectory, own, model, predictor.coefficients_along(variant, model))
+    _, own = predictor.reduced(trajectory.model, variant)
+    compiled = compile_derivatives(trajectory.model, MEASURED_SIGNALS)
+    course = coefficient_course(trajectory.path, trajectory.knots, predictor.times)
+    partials = compiled.derivatives(trajectory.states, predictor.inputs, course)
+    tangent = linearise_along(predictor, trajectory, own, compiled, partials)
     assert tangent.active.tolist() == [0, 1, 2, 3, 4, 5, 6] and tangent.E.shape == (len(predictor.times) - 1, 7, 7)
 
 
-def test_slopes_of_states_are_exact_and_those_of_signals_differences():
+def test_slopes_of_channels_are_those_over_the_states():
     tangent = linear().tangent
     spool = tangent.slopes["spool_position"]
     assert np.array_equal(spool, np.tile(tangent.scale * (np.arange(6) == 4), (len(spool), 1)))
     flow = tangent.slopes["load_flow"]
     assert (flow[:, 4] > 0.0).all()  # the spool opens supply to port A
     assert np.abs(flow[:, [0, 1, 2, 3, 5]]).max() < 1e-3 * np.abs(flow[:, 4]).max()
+
+
+@pytest.mark.parametrize("name", ["fast", "slow"])
+def test_answers_to_small_changes_are_those_to_their_forcings(name):
+    """By derivatives of the equations and by what they add to the rates: to first order the same, in any order."""
+    parameters = ("feedback_rod_stiffness", "null_gap", "polarization_mmf", "land_length", "null_opening")
+    variants = [moved_valve(**{p: 1e-6}) for p in parameters]
+    variants.insert(2, nominal_variant().with_effect(CATALOGUE["null_gap_asymmetry"](difference=1e-11)))
+    variants.insert(4, nominal_variant())
+    small, finite = linear(name).small_difference(variants), linear(name).linear_difference(variants)
+    for channel, columns in small.items():
+        assert columns == pytest.approx(finite[channel], rel=1e-4, abs=1e-4 * np.abs(finite[channel]).max()), channel
+        assert not columns[:, 4].any()
+
+
+def test_records_that_rest_together_rest_as_they_do_alone():
+    posed = [bench_of(name).posed(moved_valve(spool_area=1e-2).with_effect(FRICTION)) for name in ("fast", "slow")]
+    for together, one in zip(at_rest_together(posed), posed, strict=True):
+        assert together == pytest.approx(one.at_rest(), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize(

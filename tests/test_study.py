@@ -308,7 +308,8 @@ def test_what_runs_alike_is_worked_out_once_and_reads_as_each_alone(biased):
     variant = study.nominal.variant
     for read, predictor in zip(predict_readings(study, variant), study.predictors, strict=True):
         alone = predictor.readings(predictor.run(variant), variant)
-        assert all(np.array_equal(read[name], alone[name]) for name in alone)
+        for name in alone:  # but for the rest, which records solve for together
+            assert read[name] == pytest.approx(alone[name], rel=0.0, abs=1e-6 * np.ptp(alone[name])), name
 
 
 @pytest.mark.parametrize("cores", [1, 3])
@@ -320,15 +321,19 @@ def test_work_on_the_records_is_the_same_on_one_core_and_on_more(cores, monkeypa
 def test_what_a_fit_has_run_is_not_run_again_to_see_from_it(biased, monkeypatch):
     study = biased[0].study
     fit = evaluated(study, biased[0].fit.point, ())
-    variant, asked, run = fit.variant(study.nominal), [], RecordPredictor.run
+    variant, asked, posed = fit.variant(study.nominal), [], RecordPredictor.posed
     for at_spacing in (study, study.without_oversampling()):
         _, columns = linearise_study(at_spacing, variant)
         with monkeypatch.context() as patch:
-            patch.setattr(RecordPredictor, "run", lambda predictor, other: asked.append(other) or run(predictor, other))
+            patch.setattr(
+                RecordPredictor, "posed", lambda predictor, other: asked.append(other) or posed(predictor, other)
+            )
             _, same = linearise_fit(at_spacing, fit)
         assert variant not in asked
         for mine, others in zip(same, columns, strict=True):
-            assert all(np.array_equal(mine[name], others[name]) for name in others)
+            for name in others:  # but for the rest, which records solve for together
+                size = np.abs(others[name]).max(axis=0)
+                assert np.all(np.abs(mine[name] - others[name]) <= 1e-4 * size), name
     assert asked  # what acts within a step is run on its own, see `is_simulated`
 
 

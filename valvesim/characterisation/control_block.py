@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from valvesim.channels import SIGNAL_CHANNELS, Inputs
-from valvesim.characterisation.linearisation import LINEARISED_OUTPUTS, refuse_command_rate, rest_of, trace_signals
+from valvesim.characterisation.linearisation import LINEARISED_OUTPUTS, refuse_command_rate, rest_of
 from valvesim.errors import InputError
 from valvesim.inputs import Command, Constant, evaluate
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.temperature_knots import temperature_knots
-from valvesim.solver.codegen import compile_model, derivatives, trace
+from valvesim.solver.codegen import compile_model, derivatives, trace, trace_signals
 from valvesim.valve.coefficients import Coefficients
 from valvesim.valve.equations import Model
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from valvesim.channels import SIGNAL_CHANNELS, Inputs
 from valvesim.errors import InputError, check_kind
-from valvesim.solver.codegen import derivatives, trace
+from valvesim.solver.codegen import derivatives, trace, trace_signals
 from valvesim.units import reads_units
 from valvesim.valve.coefficients import Coefficients, PartTemperatures
 from valvesim.valve.equations import NOMINAL, Model
@@ -118,15 +118,6 @@ def signal_derivatives(model: Model) -> Any:
     signals = trace_signals(model, at)
     matrices = [signals, *(casadi.densify(casadi.jacobian(signals, symbol)) for symbol in at.values())]
     return casadi.Function("signals", list(at.values()), matrices, list(at), ["signals", *("by_" + n for n in at)])
-
-
-def trace_signals(model: Model, at: dict[str, Any]) -> Any:
-    """The signals as a column of CasADi expressions in the symbols of `trace`."""
-    import casadi
-
-    arguments = [tuple(symbol[k] for k in range(symbol.shape[0])) for symbol in at.values()]
-    join: Any = casadi.vertcat
-    return casadi.densify(join(*model.signals(*arguments)))
 
 
 @functools.lru_cache(maxsize=16)

@@ -45,14 +45,14 @@ def _entries_at(scores: ScoreTest, port: str) -> list[tuple[FittedCandidate, ...
     """The catalogue's effects that act in the balance of a port, each at its typical amplitude, as starts of refits."""
     linear = scores.linearised[0]
     unit = term_effect(port, "current", (0.0, 1.0), (1.0, 1.0), name="unit_term")
-    own = _balance(linear.forcing(linear.variant.with_effect(unit(share=1.0)))[0])
+    own = _balance(linear.forcing(linear.variant.with_effect(unit(share=1.0))).rates)
     starts: dict[str, tuple[FittedCandidate, ...]] = {}
     for k, candidate in enumerate(scores.candidates):
         if candidate.effect is None or candidate.effect.balance is None or candidate.label in starts:
             continue
         try:
             member = at_typical(scores, k)
-            forcing = linear.forcing(member.apply_to(linear.variant))[0]
+            forcing = linear.forcing(member.apply_to(linear.variant)).rates
         except (SolveError, InputError):
             continue
         if np.any(forcing) and _balance(forcing) == own:

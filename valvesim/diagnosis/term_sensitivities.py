@@ -26,16 +26,13 @@ def term_sensitivities(
             continue
         own = [k for k, hypothesis in enumerate(terms) if hypothesis.port == port]
         unit = term_effect(port.name, "current", (0.0, 1.0), (1.0, 1.0), name="unit_term")
-        g, direct = linear.forcing(linear.variant.with_effect(unit(share=1.0)))
+        whole = linear.forcing(linear.variant.with_effect(unit(share=1.0)))
         basis = np.column_stack([term_basis(linear, terms[k], spans[k], knots) for k in own])
         columns = [k * knots + j for k in own for j in range(knots)]
         if port.name in DIRECT:
-            out[port.name][:, columns] = (np.asarray(direct[port.name])[:, None] * basis)[
-                :: linear.predictor.oversampling
-            ]
+            out[port.name][:, columns] = (whole.direct[port.name][:, None] * basis)[:: linear.predictor.oversampling]
             continue
-        parts = {name: d[:, None] * basis for name, d in direct.items()}
-        for name, moved in linear.forced_response(g[:, :, None] * basis[:, None, :], parts).items():
+        for name, moved in linear.forced_response([whole.times(b) for b in basis.T]).items():
             out[name][:, columns] = moved
     return out
 

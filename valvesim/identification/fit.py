@@ -15,7 +15,7 @@ import numpy as np
 from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory
+from valvesim.identification.predictor import ModelVariant, PosedRun, Trajectory, at_rest_together
 from valvesim.identification.prior import NominalModel
 from valvesim.identification.study import PreparedSession, Study, residual_of
 
@@ -102,11 +102,13 @@ def predict_readings(study: PreparedSession, variant: ModelVariant) -> tuple[dic
 def _run(study: PreparedSession, variant: ModelVariant) -> list[tuple[Trajectory, dict[str, np.ndarray]]]:
     """The trajectory of each training record and what its sensors would read."""
 
-    def run(predictor: RecordPredictor) -> tuple[Trajectory, dict[str, np.ndarray]]:
-        trajectory = predictor.run(variant)
-        return trajectory, predictor.readings(trajectory, variant)
 
-    return study.each(run, study.predictors)
+    def run(posed: PosedRun, initial: np.ndarray) -> tuple[Trajectory, dict[str, np.ndarray]]:
+        trajectory = posed.trajectory(initial)
+        return trajectory, posed.predictor.readings(trajectory, variant)
+
+    posed = study.each(lambda predictor: predictor.posed(variant), study.predictors)
+    return study.each(run, posed, at_rest_together(posed))
 
 
 def predict_together(

@@ -12,7 +12,7 @@ from valvesim.identification.candidates import Candidate
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
-from valvesim.identification.prior import NominalModel, NuisanceParameter
+from valvesim.identification.prior import NominalModel, NuisanceParameter, ToleratedTimeError
 from valvesim.valve.effect import Effect
 
 
@@ -59,7 +59,7 @@ def parameter_sensitivities(
     held = {p.name for p in plant if is_held(p, linear)}
     held |= {p.name for p in plant if p.input is not None and p.input.record != own}
     slow = [k for k, p in enumerate(plant) if p.name not in simulated | held]
-    moved = linear.linear_difference([perturbed[k] for k in slow])
+    moved = linear.small_difference([perturbed[k] for k in slow])
     pairs = zip(plant, perturbed, strict=True)
     run = {p.name: linear.simulated_difference(variant) for p, variant in pairs if p.name in simulated - held}
     out = {}
@@ -81,17 +81,20 @@ def parameter_sensitivities(
 
 
 def _sensor_slope(linear: LinearisedRecord, parameter: NuisanceParameter, channel: str) -> np.ndarray:
-    """Slope (n_samples,) of a reading over a sensor's small error, by a step much shorter than its deviation."""
+    """Slope (n_samples,) of a reading over a sensor's small error, by a step much shorter than its deviation; to both
+    sides for an error of when it reads: lines between points have a corner where a reading without it is.
+    """
     assert parameter.sensor is not None  # noqa: S101 - the caller has chosen those with a sensor
-    step, name = 0.1 * parameter.deviation, parameter.sensor.amplitude.name
+    sensor, step, name = parameter.sensor, 0.1 * parameter.deviation, parameter.sensor.amplitude.name
     at_valve = {channel: linear.trajectory.at_valve[channel]}
-    high, low = (
-        linear.predictor.apply_sensors(
-            at_valve, linear.trajectory, linear.variant.with_effect(parameter.sensor(**{name: by}))
-        )[channel]
-        for by in (step, -step)
-    )
-    return (high - low) / (2.0 * step)
+
+    def read(by: float) -> np.ndarray:
+        moved = linear.variant.with_effect(sensor(**{name: by}))
+        return linear.predictor.apply_sensors(at_valve, linear.trajectory, moved)[channel]
+
+    if isinstance(sensor, ToleratedTimeError):
+        return (read(step) - read(-step)) / (2.0 * step)
+    return (read(step) - linear.readings[channel]) / step
 
 
 def candidate_sensitivities(

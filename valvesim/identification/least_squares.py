@@ -12,11 +12,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit, moved_candidates, shapes_and_defaults, step_limits
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.study import Study
+
+SINGULAR = 1e-6  # of a Cholesky factor of scaled normal equations: below, some direction may not be seen
 
 
 def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
@@ -113,7 +116,13 @@ def bounded_step(H: np.ndarray, gradient: np.ndarray, limits: np.ndarray) -> np.
 def solve_normal(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """The solution of scaled normal equations; directions that the data do not see are left out."""
     scale = np.sqrt(np.where(np.diag(H) > 0.0, np.diag(H), 1.0))
-    return np.linalg.lstsq(H / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
+    scaled, right = H / np.outer(scale, scale), gradient / scale
+    if not len(right):
+        return right
+    factor, failed = dpotrf(scaled, lower=True)
+    if not failed and np.diag(factor).min() > SINGULAR:
+        return dpotrs(factor, right, lower=True)[0] / scale
+    return np.linalg.lstsq(scaled, right, rcond=SINGULAR**2)[0] / scale
 
 
 def normal_equations(

@@ -8,23 +8,36 @@ from typing import Any
 
 import numpy as np
 
-from valvesim.channels import Signals
-from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory, batch_of
+from valvesim.identification.predictor import (
+    MEASURED_SIGNALS,
+    ModelVariant,
+    RecordPredictor,
+    Trajectory,
+    batch_of,
+    coefficient_course,
+)
 from valvesim.identification.prior import ToleratedSensorError, ToleratedTimeError
-from valvesim.identification.tangent_linear import TangentLinear, first_order_response, linearise_along
+from valvesim.identification.tangent_linear import (
+    ChangedCoefficients,
+    Forcing,
+    Reads,
+    TangentLinear,
+    first_order_response,
+    linearise_along,
+    reads_at,
+)
+from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives, compile_derivatives
 from valvesim.valve.effect import ActiveEffect, Reading
-from valvesim.valve.thermal_network import TemperaturePath, joint_path
+from valvesim.valve.thermal_network import TemperaturePath
 from valvesim.valve.valve_model import ValveModel
 
-SIGNAL_NAMES = Signals._fields
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearisedRecord:
     """A record linearised about the trajectory of one variant: its readings, and the tangent equations.
 
-    `model` has the effects of the variant alone, in the order of the trajectory's; `along` (n or 1,) each are its flat
-    coefficients on the grid, `rates` and `signals` its own.
+    `model` has the effects of the variant alone, in the order of the trajectory's. Along the trajectory and its
+    coefficients' `course` stand the `values` (targets, n) of `compiled`, and its derivatives `partials` (entries, n).
     """
 
     predictor: RecordPredictor
@@ -33,9 +46,10 @@ class LinearisedRecord:
     tangent: TangentLinear
     model: ValveModel
     readings: dict[str, np.ndarray]
-    along: tuple
-    rates: tuple
-    signals: Any
+    compiled: CompiledDerivatives
+    course: CoefficientCourse
+    values: np.ndarray
+    partials: np.ndarray
 
     def residual(self) -> dict[str, np.ndarray]:
         """Measured minus predicted, (n_samples,) by channel."""
@@ -47,46 +61,53 @@ class LinearisedRecord:
         return {name: read[name] - own for name, own in self.readings.items()}
 
     def linear_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
-        """The same for several variants by the linearised equations, (n_samples, k): to first order in what they
-        change.
+        """The same for several variants by the linearised equations, (n_samples, k): to first order in what they add
+        to the rates.
 
         A variant has this linearised record's effects, then at most one more.
         """
-        samples = len(self.predictor.record.time)
-        out = {name: np.empty((samples, len(variants))) for name in self.readings}
-        chunk = max(int(self.predictor.options.sensitivity.forcing_bytes / self.tangent.A[:, 0].nbytes), 1)
-        for start in range(0, len(variants), chunk):
-            moved = self.forced_response(*self._forcings(variants[start : start + chunk]))
-            for name, columns in moved.items():
-                out[name][:, start : start + chunk] = columns
+        return self.forced_response([self.forcing(variant) for variant in variants])
+
+    def small_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
+        """The same where what the variants change is small: to first order in their coefficients too."""
+        few = self._changes_of_coefficients(variants)
+        others = [k for k in range(len(variants)) if k not in few]
+        changed = None
+        if few:
+            changes = np.stack(list(few.values()), axis=-1)
+            changed = ChangedCoefficients(changes, self.course, self.compiled, self.partials)
+        forcings = [self.forcing(variants[k]) for k in others]
+        order = np.argsort([*few, *others])
+        return {name: moved[:, order] for name, moved in self.forced_response(forcings, changed).items()}
+
+    def forced_response(
+        self, forcings: Sequence[Forcing], changed: ChangedCoefficients | None = None
+    ) -> dict[str, np.ndarray]:
+        """The response (n_samples, k) of the readings to changed coefficients, then to forcings."""
+        times, out = self.predictor.times, {}
+        if not forcings and changed is None:
+            return {name: np.empty((len(self.predictor.record.time), 0)) for name in self.trajectory.at_valve}
+        reads, late = dict[str, Reads](), dict[str, list[ActiveEffect]]()
+        for name in self.trajectory.at_valve:
+            late[name] = self._time_errors(name)
+            if self._altered(name):
+                reads[name] = reads_at(times, times)
+                continue
+            at = self._read_times(late[name])[:: self.predictor.oversampling]
+            reads[name] = reads_at(times, at, self.predictor.lags.get(name, 0.0))
+        for name, moved in self.tangent.read_responses(reads, forcings, changed).items():
+            out[name] = self._through_sensor(name, moved, late[name]) if self._altered(name) else moved
         return out
 
-    def forced_response(self, forcing: np.ndarray, direct: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The response (n_samples, k) of the readings to forcings (n, s, k) of the scaled rates and direct parts (n,
-        k).
-        """
-        response = self.tangent.response(forcing)
-        out = {}
-        for name, own in self.trajectory.at_valve.items():
-            plain, late = self.predictor.lags.get(name, 0.0) <= 0.0 and not self._altered(name), self._time_errors(name)
-            if plain and not late:
-                out[name] = self.tangent.channel(name, response, direct.get(name), self.predictor.oversampling)
-                continue
-            moved = self.tangent.channel(name, response, direct.get(name))
-            if plain:
-                out[name] = _read_at(self.predictor.times, moved, self._read_times(late))
-                continue
-            faults = tuple(a for a in self.variant.effects if not isinstance(a.effect, ToleratedSensorError))
-            variant = replace(self.variant, effects=(*faults, *late))
-            own = own[
-                :: self.predictor.sensor_oversampling
-            ]  # coarse for the sensor's corners: they are in both and cancel
-            nominal = self.predictor.apply_sensors({name: own}, self.trajectory, variant)[name]
-            out[name] = (
-                self.predictor.apply_sensors({name: own[:, None] + moved}, self.trajectory, variant)[name]
-                - nominal[:, None]
-            )
-        return out
+    def _through_sensor(self, name: str, moved: np.ndarray, late: Sequence[ActiveEffect]) -> np.ndarray:
+        """A channel's response (n_samples, k) as its sensor shows it, from that at the valve on the grid (n, k)."""
+        faults = tuple(a for a in self.variant.effects if not isinstance(a.effect, ToleratedSensorError))
+        variant = replace(self.variant, effects=(*faults, *late))
+        own = self.trajectory.at_valve[name]
+        own = own[:: self.predictor.sensor_oversampling]  # coarse for the sensor's corners: in both, they cancel
+        nominal = self.predictor.apply_sensors({name: own}, self.trajectory, variant)[name]
+        shown = self.predictor.apply_sensors({name: own[:, None] + moved}, self.trajectory, variant)[name]
+        return shown - nominal[:, None]
 
     def _altered(self, channel: str) -> bool:
         """Whether a sensor fault changes the response of a channel; errors within tolerance do not matter."""
@@ -100,118 +121,91 @@ class LinearisedRecord:
         return [a for a in acting if a.effect.channel == channel]
 
     def _read_times(self, late: Sequence[ActiveEffect]) -> np.ndarray:
-        """The times (n_samples,) at which a channel with such errors is read: what it would read of a clock."""
+        """The times (n,) at which a channel with such errors is read: what it would read of a clock."""
         times = self.predictor.times
         clock, oil = times, self.trajectory.oil[:: self.predictor.sensor_oversampling]
         for active in late:
             assert active.effect.reading is not None  # noqa: S101 - it errs in what it reads
             clock = active.effect.reading(Reading(times, clock, oil), active.values)
-        return clock[:: self.predictor.oversampling]
+        return clock
 
     def argument(self, variable: Any, states: tuple) -> np.ndarray:
         """A variable of a term (n,) along the trajectory."""
         return np.asarray(variable.along(self.model, states, tuple(self.predictor.inputs.T)))
 
-    def _forcings(self, variants: Sequence[ModelVariant]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """`forcing` of several variants, (n, s, k) and (n, k) by signal; those of other valves go together."""
-        n, k = len(self.predictor.times), len(variants)
-        g = np.empty((n, len(self.tangent.scale), k))
-        direct = {name: np.empty((n, k)) for name in self.trajectory.at_valve if name in SIGNAL_NAMES}
-        for group in self._batches(variants):
-            batch = variants[group[0]] if len(group) == 1 else batch_of([variants[j] for j in group])
-            path = None if len(group) == 1 else self._joint_path([variants[j] for j in group])
-            rates, signals = self.forcing(batch, path)
-            together = group[-1] - group[0] == len(group) - 1
-            at = slice(group[0], group[-1] + 1) if together else group  # a list takes six times as long
-            g[:, :, at] = rates.reshape(n, len(self.tangent.scale), -1)  # one where none of them acts
-            for name, part in signals.items():
-                direct[name][:, at] = part.reshape(n, -1)
-        return g, direct
-
-    def _batches(self, variants: Sequence[ModelVariant]) -> list[list[int]]:
-        """The indices of variants that are worked out together: of valves or of networks that differ alone."""
-        own, batches = self.variant, list[list[int]]()
-        own_knots = any(active.effect.temperatures is not None for active in own.effects)
-        size = max(self.predictor.options.sensitivity.batch_values // len(self.predictor.times), 1)
-        alone = set(range(len(variants)))
-        for alike in (
-            [j for j, one in enumerate(variants) if replace(one, valve=own.valve) == own],
-            [j for j, one in enumerate(variants) if not own_knots and replace(one, network=own.network) == own != one],
-        ):
-            alone -= set(alike)
-            batches += [alike[start : start + size] for start in range(0, len(alike), size)]
-        return [*batches, *([j] for j in sorted(alone))]
-
-    def _joint_path(self, variants: Sequence[ModelVariant]) -> TemperaturePath | None:
-        """The temperatures (batch, m) of variants whose networks differ; None where these are the trajectory's."""
-        if all(one.network == self.variant.network for one in variants):
-            return None
-        return joint_path([self.predictor.temperatures(one) for one in variants])
-
-    def forcing(
-        self, variant: ModelVariant, path: TemperaturePath | None = None
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """(scaled rates (n, s), direct parts (n,) by signal) that a variant adds along this trajectory.
-
-        A variant whose valve is a batch (batch, 1), or with a `path` of temperatures (batch, m), adds (n, s, batch) and
-        (n, batch).
+    def _changes_of_coefficients(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
+        """By how much the coefficients (m, n_c) at the knots of the trajectory's path change, of those variants, by
+        their places, that differ in no other way: their valves together, their networks together.
         """
-        if self._has_other_inputs_alone(variant):
-            return self._forcing_of_inputs(variant)
-        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
-        inputs = tuple((self.predictor.inputs if added is None else self.predictor.inputs + added).T)
-        n = len(self.predictor.times)
+        own, path, groups = self.variant, self.trajectory.path, list[tuple[list[int], ModelVariant, TemperaturePath]]()
+        of_valve = [k for k, one in enumerate(variants) if replace(one, valve=own.valve) == own]
+        if of_valve:
+            groups.append((of_valve, batch_of([variants[k] for k in of_valve]), path))
+        of_network = [k for k, one in enumerate(variants) if replace(one, network=own.network) == own != one]
+        if of_network and not self.predictor.has_own_knots(own):
+            networks = [network for k in of_network if (network := variants[k].network) is not None]
+            groups.append((of_network, own, self.predictor.temperatures_of(own, networks)))
+        changes = dict[int, np.ndarray]()
+        for group, batch, along in groups:
+            _, knots = self.predictor.coefficients_at_knots(batch, self.trajectory.model, along)
+            shape = len(group), len(path.times)
+            moved = np.stack([np.broadcast_to(column, shape) for column in knots], axis=-1) - self.trajectory.knots
+            changes |= dict(zip(group, moved, strict=True))
+        return changes
+
+    def forcing(self, variant: ModelVariant) -> Forcing:
+        """What a variant adds to the scaled rates and to the signals along this trajectory."""
         own = {effect.name for effect in self.model.effects}
         more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
+        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
+        if more:
+            return self._forcing_of_effects(variant, more, added)
+        rows, course = slice(None), self.course
+        if replace(variant, deviations=self.variant.deviations) == self.variant and self.predictor.same_temperatures(
+            variant, self.variant
+        ):
+            if added is None:
+                return Forcing(0, np.zeros((0, len(self.tangent.active))), {})
+            moved = np.flatnonzero(added.any(axis=1))
+            rows = slice(moved[0], moved[-1] + 1) if len(moved) else slice(0, 0)
+        else:
+            course = self._course_of(variant)
+        inputs = self.predictor.inputs[rows] if added is None else (self.predictor.inputs + added)[rows]
+        new = self.compiled.values(self.trajectory.states[rows], inputs, course.at(rows))
+        change = new - self.values[:, rows]
+        s = self.compiled.states.stop
+        return Forcing(
+            rows.start or 0, (change[:s][self.tangent.active] / self.tangent.scale[:, None]).T,
+            dict(zip(self.compiled.signals, change[s:], strict=True)),
+        )  # fmt: skip
+
+    def _course_of(self, variant: ModelVariant) -> CoefficientCourse:
+        """The coefficients of a variant of the trajectory's model along it."""
+        known = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
+        path, knots = self.predictor.coefficients_at_knots(variant, self.trajectory.model, known)
+        stacked = np.stack(np.broadcast_arrays(*knots, path.times)[:-1], axis=-1).astype(float)
+        return coefficient_course(path, stacked, self.predictor.times)
+
+    def _forcing_of_effects(
+        self, variant: ModelVariant, more: Sequence[ActiveEffect], added: np.ndarray | None
+    ) -> Forcing:
+        """`forcing` of a variant with effects that this one's model does not have."""
+        inputs = tuple((self.predictor.inputs if added is None else self.predictor.inputs + added).T)
         model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
-        if path is None and self.predictor.same_temperatures(variant, self.variant):
-            path = self.trajectory.path
+        path = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
         along = self.predictor.coefficients_along(variant, model, path=path)
         states = [self.trajectory.states[:, k] for k in self.tangent.active]
         for active in more:
             states += self._memory_trajectories(active, tuple(states), along)
-        dimensions = along[0].ndim
-
-        def column(values: Any) -> np.ndarray:
-            """(n,), or (n, 1) beside a batch."""
-            return np.asarray(values).reshape(-1, *(1,) * (dimensions - 1))
-
-        rates, signals = model.evaluate(tuple(map(column, states)), tuple(map(column, inputs)), along)
-        shape = (n, *np.broadcast_shapes(*(part.shape[1:] for part in along)))
-        g = np.empty((n, len(self.rates), *shape[1:]))
-        for k, (new, old) in enumerate(zip(rates, self.rates, strict=False)):
-            g[:, k] = (new - column(old)) / self.tangent.scale[k]
-        direct = {
-            name: np.broadcast_to(getattr(signals, name) - column(getattr(self.signals, name)), shape)
-            for name in self.trajectory.at_valve
-            if name in SIGNAL_NAMES
-        }
-        return g, direct
-
-    def _has_other_inputs_alone(self, variant: ModelVariant) -> bool:
-        if variant.deviations == self.variant.deviations:  # as those of a batch of valves are
-            return False
-        same = replace(variant, deviations=self.variant.deviations) == self.variant
-        return same and self.predictor.same_temperatures(variant, self.variant)
-
-    def _forcing_of_inputs(self, variant: ModelVariant) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """`forcing` of a variant that differs in its command and pressures alone, worked out where these differ."""
-        n = len(self.predictor.times)
-        g = np.zeros((n, len(self.rates)))
-        direct = {name: np.zeros(n) for name in self.trajectory.at_valve if name in SIGNAL_NAMES}
-        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
-        if added is None:
-            return g, direct
-        rows = np.flatnonzero(added.any(axis=1))
-        along = tuple(column if len(column) == 1 else column[rows] for column in self.along)
-        states = self.trajectory.states[np.ix_(rows, self.tangent.active)]
-        inputs = self.predictor.inputs[rows] + added[rows]
-        rates, signals = self.model.evaluate(tuple(states.T), tuple(inputs.T), along)
-        for k, (new, old) in enumerate(zip(rates, self.rates, strict=True)):
-            g[rows, k] = (new - _at(old, rows)) / self.tangent.scale[k]
-        for name, column in direct.items():
-            column[rows] = getattr(signals, name) - _at(getattr(self.signals, name), rows)
-        return g, direct
+        rates, signals = model.evaluate(tuple(states), inputs, along)
+        g = np.empty((len(self.predictor.times), len(self.tangent.active)))
+        for k, (new, at) in enumerate(zip(rates, self.tangent.active, strict=False)):
+            g[:, k] = (new - self.values[at]) / self.tangent.scale[k]
+        at = self.compiled.states.stop
+        return Forcing(0, g, {
+            name: np.broadcast_to(getattr(signals, name), len(g)) - self.values[at + k]
+            for k, name in enumerate(self.compiled.signals)
+        })  # fmt: skip
 
     def _memory_trajectories(self, active: ActiveEffect, states: tuple, along: tuple) -> list[np.ndarray]:
         """The memories (n,) of an effect along the trajectory: each linear in itself, so exact for a trajectory that
@@ -242,23 +236,6 @@ class LinearisedRecord:
         return memories
 
 
-def _read_at(times: np.ndarray, columns: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Columns (n, k) on an even grid at other times (m,), by cubics through the four points about each (Lagrange)."""
-    first = np.clip(np.searchsorted(times, at, "right") - 2, 0, len(times) - 4)
-    s = (at - times[first]) / (times[1] - times[0])
-    found = np.zeros((len(at), columns.shape[1]))
-    for j in range(4):
-        others = [i for i in range(4) if i != j]
-        weight = np.prod([(s - i) / (j - i) for i in others], axis=0)
-        found += weight[:, None] * columns[first + j]
-    return found
-
-
-def _at(values: Any, rows: np.ndarray) -> Any:
-    """A quantity along the trajectory at some rows of the grid; a constant as it is."""
-    return values[rows] if np.ndim(values) and len(values) > 1 else values
-
-
 def linearise_record(
     predictor: RecordPredictor, variant: ModelVariant, trajectory: Trajectory | None = None
 ) -> LinearisedRecord:
@@ -266,8 +243,12 @@ def linearise_record(
     trajectory = predictor.run(variant) if trajectory is None else predictor.on_grid(trajectory)
     predictor = predictor.under(variant.deviations)
     model, own = predictor.reduced(trajectory.model, variant)
-    along = predictor.coefficients_along(variant, model, path=trajectory.path)
-    tangent = linearise_along(predictor, trajectory, own, model, along)
-    rates, signals = model.evaluate(tuple(trajectory.states[:, own].T), tuple(predictor.inputs.T), along)
+    compiled = compile_derivatives(trajectory.model, MEASURED_SIGNALS)
+    course = coefficient_course(trajectory.path, trajectory.knots, predictor.times)
+    values = compiled.values(trajectory.states, predictor.inputs, course)
+    partials = compiled.derivatives(trajectory.states, predictor.inputs, course)
+    tangent = linearise_along(predictor, trajectory, own, compiled, partials)
     readings = predictor.readings(trajectory, variant)
-    return LinearisedRecord(predictor, variant, trajectory, tangent, model, readings, along, rates, signals)
+    return LinearisedRecord(
+        predictor, variant, trajectory, tangent, model, readings, compiled, course, values, partials
+    )

@@ -382,9 +382,10 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     """
     study = study.with_noise(nominal.study.noise)
     near = _with_edges_searched(linearise_nominal(study, rescored(study, nominal.fit)))
+    weighted = reweighted(down_weight_peaks(study, near.linearised), near)
     if has_uncertain_inputs(study):
-        weighted = reweighted(down_weight_peaks(study, near.linearised), near)
         return _converge(weighted, study.options.fit.nominal_ftol, progress)
+    near = unweighted(_converge(weighted, study.options.fit.preliminary_ftol, progress))
     full = _converge(near, study.options.fit.nominal_ftol, progress)
     left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
     follows = left <= study.options.fit.peak_ratio * max(left_between, 0.0) + 0.1 * full.fit.rows

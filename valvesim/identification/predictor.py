@@ -8,14 +8,14 @@ value unless the variant says otherwise, so that no combination of effects is ev
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from valvesim.channels import Inputs
-from valvesim.errors import InputError
+from valvesim.channels import Inputs, Signals
+from valvesim.errors import InputError, SolveError
 from valvesim.identification.between_samples import (
     Deviations,
     acting_on,
@@ -24,13 +24,14 @@ from valvesim.identification.between_samples import (
 )
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
-from valvesim.identification.session import Record, Session
+from valvesim.identification.session import OUTPUTS, Record, Session
 from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate, integrate_together
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import state_at_rest
 from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
+from valvesim.solver.partial_derivatives import CoefficientCourse, compile_derivatives
 from valvesim.units import quantities
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
 from valvesim.valve.effects.sensors import sensor_lag
@@ -38,6 +39,9 @@ from valvesim.valve.equations import Model
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath, ThermalNetwork, temperature_path
 from valvesim.valve.valve_model import ValveModel
+
+MEASURED_SIGNALS = tuple(name for name in Signals._fields if name in OUTPUTS)
+"""The signals that a record may have; its other outputs are states."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +63,7 @@ class ModelVariant:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A variant's run on the grid of its predictor: states (n, n_x) of `model`, in SI; its flat coefficients (n or
-    1, n_c).
+    """A variant's run on the grid of its predictor: states (n, n_x) of `model`, in SI.
 
     `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there,
     and `at_valve` the record's output channels (n_f,) before their sensors; `knots` (m, n_c) are the coefficients at
@@ -69,7 +72,6 @@ class Trajectory:
 
     model: Model
     states: np.ndarray
-    coefficients: np.ndarray
     fine: np.ndarray
     oil: np.ndarray
     at_valve: dict[str, np.ndarray]
@@ -178,16 +180,18 @@ class RecordPredictor:
         """The trajectory of a variant from rest. Raises InputError for impossible dimensions, SolveError where it
         fails.
         """
-        under, model = self.under(variant.deviations), self.model(variant.effects)
-        path, knots = self._coefficients(variant, model)
+        posed = self.posed(variant)
+        return posed.trajectory(posed.at_rest())
+
+    def posed(self, variant: ModelVariant) -> PosedRun:
+        """The run of a variant, posed. Raises InputError for impossible dimensions."""
+        model = self.model(variant.effects)
+        path, knots = self.coefficients_at_knots(variant, model)
         stacked = np.stack(np.broadcast_arrays(*knots), axis=-1).astype(float)
         flat = np.array(np.broadcast_to(stacked, (len(path.times), stacked.shape[-1])))
         compiled = compile_model(model, absent_coefficients(model, flat))
-        fine = _integrate(under, compiled, path, flat, self.switched_off(model, variant.effects))
-        oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
-        return self.on_grid(
-            Trajectory(model, fine, flat, fine, oil, under._outputs(model, fine, variant, path), path, flat)
-        )
+        off = self.switched_off(model, variant.effects)
+        return PosedRun(self, self.under(variant.deviations), compiled, path, flat, off)
 
     def readings_together(self, variants: Sequence[ModelVariant]) -> list[dict[str, np.ndarray]] | None:
         """The readings of a few variants that differ in their valves alone, at most `codegen.LANES`, which take their
@@ -196,33 +200,43 @@ class RecordPredictor:
         """
         first = variants[0]
         under, model = self.under(first.deviations), self.model(first.effects)
-        path, knots = self._coefficients(batch_of(variants), model)
+        path, knots = self.coefficients_at_knots(batch_of(variants), model)
         shape = len(variants), len(path.times)
         flat = np.stack([np.broadcast_to(one, shape) for one in knots], axis=-1).astype(float)
         compiled = compile_model(model, absent_coefficients(model, flat))
         off = self.switched_off(model, first.effects)
-        initial = _at_rest(under, compiled, flat[:, 0], off)
+        initial = state_at_rest(compiled, under.first_inputs, flat[:, 0], held=off, where=under.where)
         together = integrate_together(_problem(under, compiled, path, flat[0], initial[0], off), initial, flat)
         if together is None:
             return None
-        oil = between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
+        oil = self.oil_along(path)
         found = []
         for variant, fine, own in zip(variants, together, flat, strict=True):
-            at_valve = under._outputs(model, fine, variant, path)
-            found.append(self.readings(Trajectory(model, fine, own, fine, oil, at_valve, path, own), variant))
+            at_valve = under._outputs(model, fine, path, own)
+            found.append(self.readings(Trajectory(model, fine, fine, oil, at_valve, path, own), variant))
         return found
+
+    def oil_along(self, path: TemperaturePath) -> np.ndarray:
+        """The oil's temperature (n_f,) of a path on the fine grid."""
+        return between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
+
+    @property
+    def first_inputs(self) -> np.ndarray:
+        """The inputs (n_u,) that a run starts at rest under."""
+        return np.array(Inputs(*self.inputs[0])._replace(command_rate=0.0))
+
+    @property
+    def where(self) -> str:
+        """How a message about this record begins."""
+        return f"record {self.record.name}: "
 
     def on_grid(self, trajectory: Trajectory) -> Trajectory:
         """A trajectory of this predictor, or of the same at another spacing, on the grid of this one: nothing is
         integrated.
         """
-        knot_times = trajectory.path.times
-        along = trajectory.knots if len(knot_times) == 1 else between(self.times, knot_times, trajectory.knots).T
-        return replace(
-            trajectory, states=np.ascontiguousarray(trajectory.fine[:: self.sensor_oversampling]), coefficients=along
-        )
+        return replace(trajectory, states=np.ascontiguousarray(trajectory.fine[:: self.sensor_oversampling]))
 
-    def _coefficients(
+    def coefficients_at_knots(
         self, variant: ModelVariant, model: ValveModel, path: TemperaturePath | None = None
     ) -> tuple[TemperaturePath, tuple]:
         """Temperature path, and flat coefficients of a model at its knots, (), (m,) or (batch, m) each."""
@@ -245,24 +259,36 @@ class RecordPredictor:
 
     def temperatures(self, variant: ModelVariant) -> TemperaturePath:
         """The temperatures of a variant: on knots of their own where an effect acts on them."""
-        deviations, network = self._oil_deviations(variant), variant.network or self.scenario.thermal.network
+        network = variant.network or self.scenario.thermal.network
         acts = any(active.effect.temperatures is not None for active in variant.effects)
-        if not acts and not deviations and network == self.scenario.thermal.network:
+        if not acts and not self._oil_deviations(variant) and network == self.scenario.thermal.network:
             return self.path
-        oil = self.scenario.oil_temperature
-        if deviations:
-            oil = self._deviating("oil_temperature", oil, deviations)
-        if acts or (len(self.path.times) == 1 and not isinstance(oil, Constant)):
-            thermal = replace(self.scenario.thermal, network=network)
+        if self.has_own_knots(variant):
+            thermal, oil = replace(self.scenario.thermal, network=network), self._oil_temperature(variant)
             return temperature_knots(
                 replace(self.scenario, effects=variant.effects, thermal=thermal, oil_temperature=oil)
             )[0]
+        return self.temperatures_of(variant, network)
+
+    def has_own_knots(self, variant: ModelVariant) -> bool:
+        """Whether the temperatures of a variant are on other knots than those of the record."""
+        acts = any(active.effect.temperatures is not None for active in variant.effects)
+        return acts or (len(self.path.times) == 1 and not isinstance(self._oil_temperature(variant), Constant))
+
+    def temperatures_of(
+        self, variant: ModelVariant, network: ThermalNetwork | Sequence[ThermalNetwork] | None
+    ) -> TemperaturePath:
+        """The temperatures of a variant with another network, or with each of several, on the record's knots."""
         thermal = self.scenario.thermal
         return temperature_path(
-            oil, self.scenario.duration, network=network, initial=thermal.initial_temperature,
-            ambient=thermal.ambient_temperature, throttling=self.throttling, knots=self.path.times,
-            prescribed=self.scenario.part_temperatures,
+            self._oil_temperature(variant), self.scenario.duration, network=network,
+            initial=thermal.initial_temperature, ambient=thermal.ambient_temperature, throttling=self.throttling,
+            knots=self.path.times, prescribed=self.scenario.part_temperatures,
         )  # fmt: skip
+
+    def _oil_temperature(self, variant: ModelVariant) -> Command:
+        deviations, oil = self._oil_deviations(variant), self.scenario.oil_temperature
+        return self._deviating("oil_temperature", oil, deviations) if deviations else oil
 
     def coefficients_along(
         self,
@@ -276,7 +302,7 @@ class RecordPredictor:
         Of a variant whose valve is a batch, quantities (batch, 1), they are (n, batch), with ones where constant.
         `path` is that of the variant, where it is known.
         """
-        path, knots = self._coefficients(variant, model, path)
+        path, knots = self.coefficients_at_knots(variant, model, path)
         dimensions = max(np.ndim(value) for value in knots)
         columns = [np.array(value, dtype=float, ndmin=max(dimensions, 1)).T for value in knots]
         if len(path.times) == 1:
@@ -304,18 +330,19 @@ class RecordPredictor:
         return self.apply_sensors(trajectory.at_valve, trajectory, variant)
 
     def _outputs(
-        self, model: ValveModel, fine: np.ndarray, variant: ModelVariant, path: TemperaturePath
+        self, model: Model, fine: np.ndarray, path: TemperaturePath, knots: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """The record's output channels on the fine grid, (n_f,) each, as they are at the valve."""
+        """The record's output channels on the fine grid, (n_f,) each, as they are at the valve; `knots` (m, n_c) are
+        the coefficients at those of the path.
+        """
         names = self.record.outputs
         values = {channel.name: fine[:, k] for k, channel in enumerate(model.state_channels) if channel.name in names}
         if set(names) - set(values):
-            model, own = self.reduced(model, variant)
-            along = self.coefficients_along(variant, model, self.fine_times, path)
-            signals = model.signals(tuple(fine[:, own].T), Inputs(*self.fine_inputs.T), along)
-            for name in names:
-                if name not in values:
-                    values[name] = np.broadcast_to(getattr(signals, name), self.fine_times.shape)
+            found = compile_derivatives(model, MEASURED_SIGNALS).values(
+                fine, self.fine_inputs, coefficient_course(path, knots, self.fine_times)
+            )
+            at = len(model.state_channels)
+            values |= {name: found[at + k] for k, name in enumerate(MEASURED_SIGNALS) if name in names}
         return values
 
     def apply_sensors(
@@ -353,6 +380,54 @@ class RecordPredictor:
                 bend[1:-1] = np.abs(np.diff(self._apply_sensor(name, column, trajectory, variant), 2)) / 2.0
             curvatures[name] = maximum_filter1d(bend, 2 * self.options.predictor.curvature_reach + 1)[::step]
         return curvatures
+
+
+@dataclass(frozen=True, eq=False)
+class PosedRun:
+    """A variant's run of a record, posed: `under` is the record's predictor under the variant's inputs, `knots`
+    (m, n_c) are its coefficients at those of the `path`, `off` (n_x,) is true for memories of absent effects.
+    """
+
+    predictor: RecordPredictor
+    under: RecordPredictor
+    compiled: CompiledModel
+    path: TemperaturePath
+    knots: np.ndarray
+    off: np.ndarray
+
+    def at_rest(self) -> np.ndarray:
+        """The scaled states (n_x,) that it starts from."""
+        first = self.under.first_inputs
+        return state_at_rest(self.compiled, first, self.knots[:1], held=self.off, where=self.under.where)[0]
+
+    def trajectory(self, initial: np.ndarray) -> Trajectory:
+        """The trajectory from scaled states (n_x,) at rest."""
+        under, model, path = self.under, self.compiled.model, self.path
+        problem = _problem(under, self.compiled, path, self.knots, initial, self.off)
+        advice = "Is the valve of session.toml the one that was measured?"
+        fine = integrate(problem, what=f"{under.where}the simulation", advice=advice)[0]
+        at_valve = under._outputs(model, fine, path, self.knots)
+        oil = self.predictor.oil_along(path)
+        return self.predictor.on_grid(Trajectory(model, fine, fine, oil, at_valve, path, self.knots))
+
+
+def at_rest_together(posed: Sequence[PosedRun]) -> list[np.ndarray]:
+    """The scaled states (n_x,) that runs of one variant start from: records are members of one batch. Raises as
+    `PosedRun.at_rest` does.
+    """
+    first = posed[0]
+    if all(one.compiled is first.compiled for one in posed):
+        inputs = np.stack([one.under.first_inputs for one in posed])
+        with suppress(SolveError):  # which is told of its record below
+            return [*state_at_rest(first.compiled, inputs, np.stack([one.knots[0] for one in posed]), held=first.off)]
+    return [one.at_rest() for one in posed]
+
+
+def coefficient_course(path: TemperaturePath, knots: np.ndarray, times: np.ndarray) -> CoefficientCourse:
+    """Coefficients (m, n_c) at the knots of a path along a course of times (n,)."""
+    if len(path.times) == 1:
+        return CoefficientCourse(knots, np.zeros(len(times), dtype=np.int64), np.zeros(len(times)))
+    return CoefficientCourse(knots, *brackets(times, path.times))
 
 
 def _apply_reading(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.ndarray) -> np.ndarray:
@@ -475,21 +550,6 @@ def batch_of(variants: Sequence[ModelVariant]) -> ModelVariant:
         if any(value != values[0] for value in values):
             differing[name] = np.array(values)[:, None]
     return replace(variants[0], valve=replace(first, **differing))
-
-
-def _integrate(
-    predictor: RecordPredictor, compiled: CompiledModel, path: TemperaturePath, flat: np.ndarray, off: np.ndarray
-) -> np.ndarray:
-    """States (n_f, n_x) in SI on the predictor's fine grid, from rest under the first inputs."""
-    problem = _problem(predictor, compiled, path, flat, _at_rest(predictor, compiled, flat[:1], off)[0], off)
-    advice = "Is the valve of session.toml the one that was measured?"
-    return integrate(problem, what=f"record {predictor.record.name}: the simulation", advice=advice)[0]
-
-
-def _at_rest(predictor: RecordPredictor, compiled: CompiledModel, flat: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """The scaled states (members, n_x) at rest under the first inputs, for flat coefficients (members, n_c)."""
-    first = np.array(Inputs(*predictor.inputs[0])._replace(command_rate=0.0))
-    return state_at_rest(compiled, first, flat, held=off, where=f"record {predictor.record.name}: ")
 
 
 def _problem(

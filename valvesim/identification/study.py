@@ -92,11 +92,10 @@ class Study(PreparedSession):
         for name in record.outputs:
             noise = self.noise[name, record.pace]
             rows = noise.whiten(columns[name], record.usable[name])[:: self.stride]
-            for wider in (self.spread, self.discrepancy):
-                deviation = wider.get((record.name, name))
-                if deviation is not None:
-                    own = deviation[noise.kept(record.usable[name])][:: self.stride]
-                    rows = rows / np.hypot(1.0, own / noise.innovation)[:, None]
+            known = (self.spread.get((record.name, name)), self.discrepancy.get((record.name, name)))
+            if wider := [deviation for deviation in known if deviation is not None]:
+                beside = np.sum(np.square(wider), axis=0)[noise.kept(record.usable[name])][:: self.stride]
+                rows = rows / np.sqrt(1.0 + beside / noise.innovation**2)[:, None]
             weights = self.weights.get((record.name, name))
             white.append(rows if weights is None else rows * weights[:, None])
         return white

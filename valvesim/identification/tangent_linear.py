@@ -4,111 +4,37 @@ once.
 A change of a parameter, an effect or an unknown term is a forcing: what it adds to the rates along the trajectory,
 and to what the sensors read directly. The valve answers linearly with its Jacobian along the trajectory. So one run
 of the valve gives the answer to some hundred changes, each exact as its size goes to zero.
-
-Symbols
-    x scaled states, A(t) Jacobian, g(t) forcing, h step:  d' = A d + g
-    d_k+1 = E d_k + h [(phi1 - phi2) g_k + phi2 g_k+1],  E = exp(hA), phi1 = (E - I)/hA, phi2 = (phi1 - I)/hA
-    (exact for A constant and g straight over a step, however stiff)
-    by doubling: phi2(2A) = (phi1^2 + 2 phi2)/4, phi1(2A) = (E + I) phi1/2, E(2A) = E^2
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from valvesim.channels import Inputs
 from valvesim.identification.predictor import RecordPredictor, Trajectory
-from valvesim.solver.codegen import absent_coefficients, compile_model
-from valvesim.valve.valve_model import ValveModel
+from valvesim.solver.codegen import LANES
+from valvesim.solver.linear_response import compile_response
+from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives
+from valvesim.valve.laws import lag_of_step
 
 ENDLESS = 1e100  # scaled: squares of what is larger overflow
-FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0])
-
-
-TOGETHER = 8  # steps whose matrices are worked out at once: one of a processor's vectors, or two
-
-
-def propagators(A, h, E, early, late):
-    """Fill E, early and late (n-1, s, s) of the steps between the matrices A (n, s, s); compiled as it stands.
-
-    Some steps at a time, side by side in the last place: what the one of largest norm needs, all of them get.
-    """
-    n, s = A.shape[0], A.shape[1]
-    shape = (s, s, TOGETHER)
-    S, P, phi, late_phi, T = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
-    for first in range(0, n - 1, TOGETHER):
-        norm = 0.0
-        for side in range(TOGETHER):
-            k = min(first + side, n - 2)
-            for i in range(s):
-                row = 0.0
-                for j in range(s):
-                    S[i, j, side] = 0.5 * h * (A[k, i, j] + A[k + 1, i, j])
-                    row += abs(S[i, j, side])
-                norm = max(norm, row)
-        halvings = 0
-        while norm > 0.25:
-            norm *= 0.5
-            halvings += 1
-        shrink = 0.5**halvings
-        for i in range(s):
-            for j in range(s):
-                for side in range(TOGETHER):
-                    S[i, j, side] *= shrink
-                    late_phi[i, j, side] = 1.0 / 5040.0 if i == j else 0.0
-        for power in range(6, 1, -1):  # Horner's scheme of phi2 = sum S^k/(k+2)!
-            product(S, late_phi, T, 1.0 / FACTORIALS[power])
-            late_phi, T = T, late_phi
-        product(S, late_phi, phi, 1.0)
-        product(S, phi, P, 1.0)
-        for _ in range(halvings):  # doubling: no inverse is taken, so that a memory which rests does no harm
-            product(phi, phi, T, 0.0)
-            for i in range(s):
-                for j in range(s):
-                    for side in range(TOGETHER):
-                        late_phi[i, j, side] = 0.25 * (T[i, j, side] + 2.0 * late_phi[i, j, side])
-            product(P, phi, T, 0.0)
-            for i in range(s):
-                for j in range(s):
-                    for side in range(TOGETHER):
-                        phi[i, j, side] = 0.5 * (T[i, j, side] + phi[i, j, side])
-            product(P, P, T, 0.0)
-            P, T = T, P
-        for side in range(min(TOGETHER, n - 1 - first)):
-            k = first + side
-            for i in range(s):
-                for j in range(s):
-                    E[k, i, j] = P[i, j, side]
-                    early[k, i, j] = h * (phi[i, j, side] - late_phi[i, j, side])
-                    late[k, i, j] = h * late_phi[i, j, side]
-
-
-def product(X, Y, out, diagonal):
-    """Fill out = X Y + diagonal I, `TOGETHER` times: for so few states loops are faster than a library's calls."""
-    s = X.shape[0]
-    for i in range(s):
-        for j in range(s):
-            for side in range(TOGETHER):
-                out[i, j, side] = diagonal if i == j else 0.0
-            for k in range(s):
-                for side in range(TOGETHER):
-                    out[i, j, side] += X[i, k, side] * Y[k, j, side]
-
-
-def propagate_steps(E, early, late, g, d):
-    """Fill d (n, s, k) from forcings g (n, s, k), starting at rest: d_0 = -A^-1 g_0 is given in d[0]."""
-    for k in range(E.shape[0]):
-        d[k + 1] = E[k] @ d[k] + early[k] @ g[k] + late[k] @ g[k + 1]
 
 
 def relaxation_recursion(a, decay, share, z):
     """Fill z (n,): z_k+1 = decay_k z_k + share_k a_k."""
     for k in range(a.shape[0]):
         z[k + 1] = decay[k] * z[k] + share[k] * a[k]
+
+
+@functools.cache
+def _relaxation() -> Any:
+    from numba import njit
+
+    return njit(cache=True, nogil=True, error_model="numpy")(relaxation_recursion)
 
 
 def first_order_response(a: np.ndarray, b: np.ndarray, step: float) -> np.ndarray:
@@ -118,28 +44,58 @@ def first_order_response(a: np.ndarray, b: np.ndarray, step: float) -> np.ndarra
     a, b = np.array(a[1:]), np.array(b[1:])
     decay = np.exp(-b * step)
     share = np.where(np.abs(b * step) > 1e-9, -np.expm1(-b * step) / np.where(b == 0.0, 1.0, b), step)
-    _machine()[2](a, decay, share, z)
+    _relaxation()(a, decay, share, z)
     return z
 
 
-def fill_propagators(A: np.ndarray, h: float, E: np.ndarray, early: np.ndarray, late: np.ndarray) -> None:
-    """`propagators`, compiled."""
-    _machine()[0](A, h, E, early, late)
+def propagators_of(A: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """E, early and late (n-1, s, s) of the steps h between the matrices A (n, s, s), see `solver.linear_response`."""
+    E, early, late = (np.empty((len(A) - 1, *A.shape[1:])) for _ in range(3))
+    compile_response(A.shape[1]).propagators(np.ascontiguousarray(A), h, E, early, late)
+    return E, early, late
 
 
-@functools.cache
-def _machine() -> tuple[Any, Any, Any]:
-    from numba import njit
-    from numba.extending import register_jitable
+class Reads(NamedTuple):
+    """How a channel is read: with a first-order `lag` (s), and each time by four points of the grid from `first` (r,)
+    on, rising, by `weights` (r, 4).
+    """
 
-    register_jitable(product)
-    options: Any = {"cache": True, "nogil": True, "error_model": "numpy"}
-    return njit(**options)(propagators), njit(**options)(propagate_steps), njit(**options)(relaxation_recursion)
+    first: np.ndarray
+    weights: np.ndarray
+    lag: float = 0.0
 
 
-@dataclass(frozen=True)
+def reads_at(times: np.ndarray, at: np.ndarray, lag: float = 0.0) -> Reads:
+    """Reads at times (r,), rising, of what is on an even grid: by cubics through the four points about each (Lagrange).
+    """
+    first = np.clip(np.searchsorted(times, at, "right") - 2, 0, len(times) - 4)
+    s = (at - times[first]) / (times[1] - times[0])
+    weights = np.empty((len(at), 4))
+    for j in range(4):
+        others = [i for i in range(4) if i != j]
+        weights[:, j] = np.prod([(s - i) / (j - i) for i in others], axis=0)
+    return Reads(first, weights, lag)
+
+
+class Forcing(NamedTuple):
+    """What a change adds to the scaled rates (rows, s) and directly to channels, by name (rows,), from a point of the
+    course on; before and after it adds nothing.
+    """
+
+    start: int
+    rates: np.ndarray
+    direct: Mapping[str, np.ndarray]
+
+    def times(self, share: np.ndarray) -> Forcing:
+        """So much of it (rows,) at each point."""
+        return Forcing(self.start, self.rates * share[:, None], {k: part * share for k, part in self.direct.items()})
+
+
+@dataclass(frozen=True, eq=False)
 class TangentLinear:
-    """The equations linear along a trajectory: `response` solves them, `slopes` are the channels' over the states."""
+    """The equations linear along a trajectory of an even `step` (s): `response` solves them, `slopes` are those of the
+    channels over the states.
+    """
 
     active: np.ndarray  # indices of the states that take part
     scale: np.ndarray
@@ -148,6 +104,7 @@ class TangentLinear:
     early: np.ndarray
     late: np.ndarray
     slopes: dict[str, np.ndarray]  # channel -> (n, s), d(channel)/d(scaled state)
+    step: float = float("nan")
 
     def response(self, forcing: np.ndarray) -> np.ndarray:
         """Sensitivities (n, s, k) of the scaled states to forcings (n, s, k) of the scaled rates, at rest with the
@@ -157,72 +114,179 @@ class TangentLinear:
         """
         g = np.ascontiguousarray(forcing)
         d = np.empty_like(g)
-        d[0] = -np.linalg.lstsq(self.A[0], g[0], rcond=1e-12)[0]  # a memory at rest stays where it is
-        _machine()[1](self.E, self.early, self.late, g, d)
+        d[0] = self._at_rest(g[0])
+        compile_response(len(self.active)).propagate(self.E, self.early, self.late, g, d)
         bounded = (d.min(axis=(0, 1)) > -ENDLESS) & (d.max(axis=(0, 1)) < ENDLESS)
         d[:, :, ~bounded] = 0.0
         return d
 
-    def channel(self, name: str, response: np.ndarray, direct: np.ndarray | None = None, every: int = 1) -> np.ndarray:
-        """Sensitivities (n, k) of a channel at the valve: through the states, and what reads on it directly.
+    def _at_rest(self, g: np.ndarray) -> np.ndarray:
+        """The scaled states (s, k) at rest under a forcing (s, k): a memory at rest stays where it is."""
+        return -np.linalg.lstsq(self.A[0], g, rcond=1e-12)[0]
 
-        At `every` so many points alone, (n / every, k).
+    def channel(self, name: str, response: np.ndarray, direct: np.ndarray | None = None) -> np.ndarray:
+        """Sensitivities (n, k) of a channel at the valve: through the states, and what reads on it directly."""
+        through = np.einsum("ns,nsk->nk", self.slopes[name], response)
+        return through if direct is None else through + direct
+
+    def read_responses(
+        self, reads: Mapping[str, Reads], forcings: Sequence[Forcing], changed: ChangedCoefficients | None = None
+    ) -> dict[str, np.ndarray]:
+        """The answers (r, k) of channels as they are read, to changed coefficients, then to forcings. As `response`
+        does, zero where one grows without end.
         """
-        through = np.einsum("ns,nsk->nk", self.slopes[name][::every], response[::every])
-        return through if direct is None else through + direct[::every]
+        names, s = list(reads), len(self.active)
+        blocks = changed.blocks(self.active, self.scale, names) if changed else ChangedBlocks.none(len(self.A))
+        given = len(blocks.order)
+        answers = given + len(forcings)
+        lengths = [len(one.rates) for one in forcings]
+        forced, forced_at = np.zeros((sum(lengths), s + len(names))), np.cumsum([0, *lengths])
+        start = np.zeros((s, LANES * -(-answers // LANES)))
+        start[:, :given] = blocks.forcing_at_first(s)
+        for j, one in enumerate(forcings):
+            rows = slice(forced_at[j], forced_at[j + 1])
+            forced[rows, :s] = one.rates
+            for name, part in one.direct.items():
+                if name in reads:
+                    forced[rows, s + names.index(name)] = part
+            if one.start == 0 and lengths[j]:
+                start[:, given + j] = one.rates[0]
+        start = np.ascontiguousarray(np.moveaxis(self._at_rest(start).reshape(s, -1, LANES), 1, 0))
+        at = np.cumsum([0, *(len(one.first) for one in reads.values())])
+        out, largest = np.empty((at[-1], len(start), LANES)), np.empty((len(start), LANES))
+        lags = np.array([lag_of_step(one.lag, self.step) for one in reads.values()])
+        compile_response(s).read_responses(
+            self.E, self.early, self.late, start, np.stack([self.slopes[name] for name in names]), blocks.changes,
+            blocks.place, blocks.share, blocks.partials, blocks.entries, blocks.rows, blocks.columns, blocks.factors,
+            blocks.entries_at, answers, forced, np.array([one.start for one in forcings], dtype=np.int64), forced_at,
+            lags, np.concatenate([one.first for one in reads.values()]),
+            np.concatenate([one.weights for one in reads.values()]), at, out, largest,
+        )  # fmt: skip
+        found = out.reshape(len(out), -1)[:, :answers]
+        found[:, largest.ravel()[:answers] >= ENDLESS] = 0.0
+        own = np.append(np.argsort(blocks.order), np.arange(given, answers))
+        return {name: found[at[k] : at[k + 1], own] for k, name in enumerate(names)}
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedCoefficients:
+    """Small `changes` (m, n_c, k) of coefficients at the knots of a course, and the derivatives `partials` (., n) of
+    `compiled` along it.
+    """
+
+    changes: np.ndarray
+    course: CoefficientCourse
+    compiled: CompiledDerivatives
+    partials: np.ndarray
+
+    def blocks(self, active: np.ndarray, scale: np.ndarray, names: Sequence[str]) -> ChangedBlocks:
+        """The changes in blocks, those beside each other that change the same coefficients; of the rates of the active
+        states, and of channels.
+        """
+        compiled, s = self.compiled, len(active)
+        row_of = np.full(compiled.states.stop + len(compiled.signals), -1)
+        row_of[active] = np.arange(s)
+        factor_of = np.ones(len(row_of))
+        factor_of[active] = 1.0 / scale
+        for k, name in enumerate(compiled.signals):
+            if name in names:
+                row_of[compiled.states.stop + k] = s + list(names).index(name)
+        entries = compiled.entries(slice(0, len(row_of)), compiled.coefficients)
+        entries = entries[row_of[compiled.targets[entries]] >= 0]
+        coefficient = compiled.arguments[entries] - compiled.coefficients.start
+        moves = np.any(self.changes, axis=0, keepdims=True)[0]  # (n_c, k)
+        order = np.lexsort((np.argmax(moves, axis=0), -moves.sum(axis=0)))
+        changes, chosen, columns, at = list[np.ndarray](), list[np.ndarray](), list[np.ndarray](), [0]
+        for first in range(0, len(order), LANES):
+            own = order[first : first + LANES]
+            moving = np.flatnonzero(moves[:, own].any(axis=1))
+            place = np.full(len(moves), -1)
+            place[moving] = sum(one.shape[1] for one in changes) + np.arange(len(moving))
+            changes.append(np.zeros((len(self.changes), len(moving), LANES)))
+            changes[-1][:, :, : len(own)] = self.changes[:, moving][:, :, own]
+            acts = place[coefficient] >= 0
+            chosen.append(entries[acts])
+            columns.append(place[coefficient[acts]])
+            at.append(at[-1] + len(chosen[-1]))
+        every = np.concatenate(chosen)
+        targets = compiled.targets[every]
+        return ChangedBlocks(
+            order, np.concatenate(changes, axis=1), self.course.place, self.course.share, self.partials, every,
+            row_of[targets], np.concatenate(columns), factor_of[targets], np.array(at),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedBlocks:
+    """Changes of coefficients in blocks, as `solver.linear_response.read_responses` takes them, in another `order`."""
+
+    order: np.ndarray
+    changes: np.ndarray
+    place: np.ndarray
+    share: np.ndarray
+    partials: np.ndarray
+    entries: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    factors: np.ndarray
+    entries_at: np.ndarray
+
+    @staticmethod
+    def none(n: int) -> ChangedBlocks:
+        """No change along n points."""
+        no = np.zeros(0, dtype=np.int64)
+        return ChangedBlocks(
+            no, np.zeros((1, 0, LANES)), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros((0, n)), no, no, no,
+            np.zeros(0), np.zeros(1, dtype=np.int64),
+        )  # fmt: skip
+
+    def forcing_at_first(self, s: int) -> np.ndarray:
+        """What the changes add to the scaled rates at the first point, (s, k)."""
+        g = np.zeros((s, LANES * (len(self.entries_at) - 1)))
+        for b, (first, last) in enumerate(zip(self.entries_at, self.entries_at[1:], strict=False)):
+            for e in range(first, last):
+                if self.rows[e] < s:
+                    slope = self.factors[e] * self.partials[self.entries[e], 0]
+                    g[self.rows[e], LANES * b : LANES * (b + 1)] += slope * self.changes[0, self.columns[e]]
+        return g[:, : len(self.order)]
 
 
 def linearise_along(
-    predictor: RecordPredictor, trajectory: Trajectory, active: np.ndarray, model: ValveModel, along: tuple
-) -> TangentLinear:
+    predictor: RecordPredictor, trajectory: Trajectory, active: np.ndarray, compiled: CompiledDerivatives,
+    partials: np.ndarray,
+) -> TangentLinear:  # fmt: skip
     """The equations along a trajectory, in its `active` states: memories of absent effects take no part.
 
-    `model` has those states, and `along` are its flat coefficients on the grid.
+    `partials` are the derivatives of its model along it.
     """
-    compiled = compile_model(trajectory.model, absent_coefficients(trajectory.model, trajectory.coefficients))
-    scale = compiled.scale
+    scale = np.array([channel.scale for channel in trajectory.model.state_channels])
     n, s = trajectory.states.shape
-    A = np.empty((n, s, s))
-    compiled.jacobians(
-        np.ascontiguousarray(trajectory.states / scale),
-        predictor.inputs,
-        np.ascontiguousarray(trajectory.coefficients),
-        A,
-    )
+    A = np.zeros((n, s, s))
+    for e in compiled.entries(compiled.states, compiled.states):
+        i, j = compiled.targets[e], compiled.arguments[e]
+        A[:, i, j] = partials[e] * (scale[j] / scale[i])
     A = np.ascontiguousarray(A[:, active][:, :, active])
     h = float(predictor.times[1] - predictor.times[0])
-    E, early, late = (np.empty((n - 1, len(active), len(active))) for _ in range(3))
-    fill_propagators(A, h, E, early, late)
-    slopes = _slopes(predictor, trajectory, active, scale, model, along)
-    return TangentLinear(active, scale[active], A, E, early, late, slopes)
+    return TangentLinear(
+        active, scale[active], A, *propagators_of(A, h), _slopes(predictor, active, scale, compiled, partials), h
+    )
 
 
 def _slopes(
-    predictor: RecordPredictor,
-    trajectory: Trajectory,
-    active: np.ndarray,
-    scale: np.ndarray,
-    model: ValveModel,
-    along: tuple,
-) -> dict[str, np.ndarray]:
-    """d(channel)/d(scaled state), (n, s): exact for states, differences for signals."""
-    n, names = len(predictor.times), predictor.record.outputs
-    slopes = {name: np.zeros((n, len(active))) for name in names}
-    own = [channel.name for channel in trajectory.model.state_channels]
-    for name in names:
+    predictor: RecordPredictor, active: np.ndarray, scale: np.ndarray, compiled: CompiledDerivatives,
+    partials: np.ndarray,
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """d(channel)/d(scaled state), (n, s)."""
+    n, s = len(predictor.times), compiled.states.stop
+    own = [channel.name for channel in compiled.model.state_channels]
+    slopes = {}
+    for name in predictor.record.outputs:
+        whole = np.zeros((n, s))
         if name in own:
-            at = own.index(name)
-            if at in active:
-                slopes[name][:, np.flatnonzero(active == at)[0]] = scale[at]
-    signals = [name for name in names if name not in own and name != "body_temperature"]
-    if signals:
-        u, own_states = Inputs(*predictor.inputs.T), [trajectory.states[:, at] for at in active]
-        for k, at in enumerate(active):
-            step = 1e-4 * scale[at]
-            high, low = (
-                model.signals((*own_states[:k], own_states[k] + by, *own_states[k + 1 :]), u, along)
-                for by in (step, -step)
-            )
-            for name in signals:
-                slopes[name][:, k] = (getattr(high, name) - getattr(low, name)) / (2 * step) * scale[at]
+            whole[:, own.index(name)] = scale[own.index(name)]
+        else:
+            at = s + compiled.signals.index(name)
+            for e in compiled.entries(slice(at, at + 1), compiled.states):
+                whole[:, compiled.arguments[e]] = partials[e] * scale[compiled.arguments[e]]
+        slopes[name] = np.ascontiguousarray(whole[:, active])
     return slopes

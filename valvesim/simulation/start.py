@@ -15,22 +15,24 @@ def state_at_rest(
     compiled: CompiledModel, inputs: np.ndarray, flat: np.ndarray, *, held: np.ndarray | None = None, where: str = "",
     first_member: int = 0,
 ) -> np.ndarray:  # fmt: skip
-    """The scaled states at rest (members, n) under constant inputs, for flat coefficients (members, n_c).
+    """The scaled states at rest (members, n) under constant inputs (n_u,), or (members, n_u) those of each, for flat
+    coefficients (members, n_c).
 
     States in `held` (n,) keep what the static solution has. Raises SolveError, beginning with `where`, where no state
     is at rest; it counts members from `first_member` on.
     """
     model = compiled.model
-    columns = model.rest(tuple(inputs), model.valve_coefficients(tuple(flat.T)))
+    columns = model.rest(tuple(inputs.T), model.valve_coefficients(tuple(flat.T)))
     y = np.column_stack([np.broadcast_to(column, len(flat)) for column in columns])
     y = np.ascontiguousarray(y / compiled.scale)
     if not any(effect.balance for effect in model.effects):
         return y
+    own = np.array(np.broadcast_to(inputs, (len(flat), inputs.shape[-1])), order="C")
     for k in range(len(y)):
         member = f"member {first_member + k}: " if first_member or len(y) > 1 else ""
         y[k] = settle(
-            functools.partial(_into, compiled.derivative, inputs, flat[k]),
-            functools.partial(_into, compiled.jacobian, inputs, flat[k]),
+            functools.partial(_into, compiled.derivative, own[k], flat[k]),
+            functools.partial(_into, compiled.jacobian, own[k], flat[k]),
             y[k], model.state_channels, where=where + member, held=held,
         )  # fmt: skip
     return y

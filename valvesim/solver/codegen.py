@@ -64,14 +64,30 @@ def trace(model: Model, absent: frozenset[str] = frozenset()) -> tuple[Any, dict
     casadi.GlobalOptions.setNumpyMode(-1)
     sizes = (len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names))
     x, u, c = (casadi.SX.sym(name, size) for name, size in zip("xuc", sizes, strict=True))
-    present = zip(_split(c), model.coefficient_names, strict=True)
-    rates = model.rhs(_split(x), _split(u), tuple(casadi.SX(0) if name in absent else one for one, name in present))
+    rates = model.rhs(_split(x), _split(u), _present(model, c, absent))
     vector: Any = casadi.vertcat
     return vector(*rates), {"state": x, "inputs": u, "coefficients": c}
 
 
 def _split(vector: Any) -> tuple:
     return tuple(vector[k] for k in range(vector.shape[0]))
+
+
+def _present(model: Model, c: Any, absent: frozenset[str]) -> tuple:
+    """The symbols of the flat coefficients, zero in the places of those that are absent."""
+    import casadi
+
+    named = zip(_split(c), model.coefficient_names, strict=True)
+    return tuple(casadi.SX(0) if name in absent else one for one, name in named)
+
+
+def trace_signals(model: Model, at: dict[str, Any], absent: frozenset[str] = frozenset()) -> Any:
+    """The signals of a model as a column of CasADi expressions in the symbols of `trace`."""
+    import casadi
+
+    x, u, c = at.values()
+    join: Any = casadi.vertcat
+    return casadi.densify(join(*model.signals(_split(x), _split(u), _present(model, c, absent))))
 
 
 @functools.lru_cache(maxsize=64)
@@ -89,7 +105,8 @@ def derivatives(model: Model) -> Any:
     return casadi.Function("derivatives", list(at.values()), matrices, list(at), names)
 
 
-_ONE_AT_A_TIME = threading.Lock()
+ONE_AT_A_TIME = threading.Lock()
+"""CasADi traces in one thread alone, and no thread compiles what another is about to have."""
 
 
 def compile_model(model: Model, absent: frozenset[str] = frozenset()) -> CompiledModel:
@@ -97,7 +114,7 @@ def compile_model(model: Model, absent: frozenset[str] = frozenset()) -> Compile
 
     With the terms of `absent` coefficients left out (see `absent_coefficients`) it is for runs in which they are zero.
     """
-    with _ONE_AT_A_TIME:  # CasADi traces in one thread alone, and no thread compiles what another is about to have
+    with ONE_AT_A_TIME:
         return _compile(model, absent)
 
 
@@ -113,7 +130,7 @@ LANES = 8  # valves that take their steps together: two or one of a processor's 
 
 def compile_lanes(compiled: CompiledModel) -> Any:
     """`run` of a compiled model for `LANES` valves together; as long to compile as the model itself."""
-    with _ONE_AT_A_TIME:
+    with ONE_AT_A_TIME:
         return _compile_lanes(compiled.model, compiled.absent)
 
 
@@ -129,25 +146,25 @@ def _load(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) ->
     for function in _CALLED:
         register_jitable(forceinline=True)(function)  # an array that is handed on is some ten numbers
     return cache.load(
-        _short_name(model, absent, lanes),
+        short_name(model, absent, str(lanes)),
         lambda: source(model, absent, lanes),
         (*_CALLED, straight_line.intrinsics),
         lambda module: _call_once(module, model, lanes),
     )
 
 
-def _short_name(model: Model, absent: frozenset[str], lanes: int) -> list[str] | None:
+def short_name(model: Model, absent: frozenset[str], what: str) -> list[str] | None:
     """What tells a model of this package alone from every other; None for one with a user's effect or drive."""
     own = type(model.drive) in (CurrentDrive, VoltageDrive) and all(
         CATALOGUE.get(effect.name) is effect for effect in model.effects
     )  # fmt: skip
     if not own:
         return None
-    return [type(model.drive).__name__, *(e.name for e in model.effects), "", *sorted(absent), str(lanes)]
+    return [type(model.drive).__name__, *(e.name for e in model.effects), "", *sorted(absent), what]
 
 
 @contextlib.contextmanager
-def _second_level() -> Iterator[None]:
+def second_level() -> Iterator[None]:
     """LLVM's second level of optimisation: the third takes a tenth longer and makes nothing faster."""
     from numba.core import config as numba_config
 
@@ -161,7 +178,7 @@ def _second_level() -> Iterator[None]:
 
 def _call_once(module: ModuleType, model: Model, lanes: int) -> None:
     """Each function called to nowhere, so that it is compiled here and not in somebody's first run."""
-    with _second_level():
+    with second_level():
         _call(module, model, lanes)
 
 
@@ -254,7 +271,7 @@ def print_rates(
 
     u, u_t = casadi.SX.sym("u", n_u), casadi.SX.sym("u_t", n_u)
     c, c_t = casadi.SX.sym("c", len(prepared)), casadi.SX.sym("c_t", len(prepared))
-    f = join(*_on_symbols(rates, y=y, u=u, c=c))
+    f = join(*symbolic_outputs(rates, y=y, u=u, c=c))
     jacobian: Any = casadi.jacobian(f, y)
     f_t: Any = casadi.jtimes(f, join(u, c), join(u_t, c_t))
     entries = list(zip(*jacobian.sparsity().get_triplet(), strict=True))
@@ -272,7 +289,7 @@ def print_rates(
     return PrintedEquations(lines, len(prepared), entries)
 
 
-def _on_symbols(lines: Sequence[str], **arguments: Any) -> list[Any]:
+def symbolic_outputs(lines: Sequence[str], **arguments: Any) -> list[Any]:
     """The outputs `out` of printed lines that run on CasADi's symbols."""
     import casadi
 

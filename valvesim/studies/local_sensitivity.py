@@ -18,7 +18,7 @@ import numpy as np
 from valvesim.channels import Inputs
 from valvesim.characterisation.position_loop import PositionLoop
 from valvesim.errors import InputError
-from valvesim.identification.tangent_linear import TangentLinear, fill_propagators
+from valvesim.identification.tangent_linear import TangentLinear, propagators_of
 from valvesim.inputs import evaluate
 from valvesim.simulation.temperature_knots import between
 from valvesim.studies.distributions import Distribution
@@ -117,9 +117,7 @@ def _run_slopes(
     A = np.empty((len(times), len(scale), len(scale)))
     u, c = (np.ascontiguousarray(np.column_stack(np.broadcast_arrays(*one))) for one in nominal)
     compiled.jacobians(np.ascontiguousarray(states / scale), u, c, A)
-    E, early, late = (np.empty((len(times) - 1, *A.shape[1:])) for _ in range(3))
-    fill_propagators(A, float(times[1] - times[0]), E, early, late)
-    tangent = TangentLinear(np.arange(len(scale)), scale, A, E, early, late, {})
+    tangent = TangentLinear(np.arange(len(scale)), scale, A, *propagators_of(A, float(times[1] - times[0])), {})
     response = tangent.response(forcing / scale[:, None]) * scale[:, None]
     since = every * int(np.searchsorted(times[::every], start * (1.0 - 1e-12)))
     slopes = {}

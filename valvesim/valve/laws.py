@@ -134,7 +134,7 @@ def lagged(times, values, time_constant):
     if len(step) > 1 and np.ptp(step) < 1e-9 * step[0]:
         from scipy.signal import lfilter
 
-        left, ramp = np.exp(-step[0]), -np.expm1(-step[0]) / step[0]
+        left, ramp = lag_of_step(time_constant, float(times[1] - times[0]))
         return values + np.concatenate([0.0 * values[:1], lfilter([-ramp], [1.0, -left], change, axis=0)])
     left = np.exp(-step)
     ramp = np.divide(-np.expm1(-step), step, out=np.ones_like(step), where=step > 0.0)
@@ -142,6 +142,16 @@ def lagged(times, values, time_constant):
     pairs = zip(left.tolist(), (ramp * change).tolist(), strict=True)
     distance = accumulate(pairs, lambda d, pair: pair[0] * d - pair[1], initial=0.0)
     return values + np.fromiter(distance, float, len(values))
+
+
+def lag_of_step(time_constant: float, step: float) -> tuple[float, float]:
+    """(what is left of the distance of a first-order lag from its input after a step, what of a change that is straight
+    over the step is added to it); (0, 0) without a lag. Times in s.
+    """
+    if time_constant <= 0.0:
+        return 0.0, 0.0
+    share = step / time_constant
+    return float(np.exp(-share)), float(-np.expm1(-share) / share)
 
 
 def dahl_rate(rate, memory, width):

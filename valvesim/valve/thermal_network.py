@@ -119,7 +119,7 @@ def temperature_path(
     oil_temperature: Command,
     end: float,
     *,
-    network: ThermalNetwork | None,
+    network: ThermalNetwork | Sequence[ThermalNetwork] | None,
     initial: float | Mapping[str, float] | None = None,
     ambient: float = 20.0,
     throttling: Callable | None = None,
@@ -129,10 +129,10 @@ def temperature_path(
 ) -> TemperaturePath:
     """Oil and part temperatures from 0 to `end` s.
 
-    `network` None holds every part at the oil's temperature (the paper's assumption). `initial` (°C) is where the parts
-    start, see `starting_temperatures`. `throttling(T)` is added to the oil temperature, K. Parts that are `prescribed`
-    have these temperatures, °C, and the others follow them. The times (m,) are `knots`, or those of `first_knots` at
-    this `spacing`.
+    `network` None holds every part at the oil's temperature (the paper's assumption); the parts of several networks are
+    (networks, m). `initial` (°C) is where the parts start, see `starting_temperatures`. `throttling(T)` is added to the
+    oil temperature, K. Parts that are `prescribed` have these temperatures, °C, and the others follow them. The times
+    (m,) are `knots`, or those of `first_knots` at this `spacing`.
     """
     times = first_knots((oil_temperature, *prescribed.values()), end, spacing) if knots is None else knots
     oil = _before_jumps(oil_temperature, times)
@@ -141,34 +141,33 @@ def temperature_path(
     held = {name: _before_jumps(command, times) for name, command in prescribed.items()}
     if network is None:
         return TemperaturePath(times=times, parts=replace(PartTemperatures.uniform(oil), **held))
+    networks = [network] if isinstance(network, ThermalNetwork) else network
     start = starting_temperatures(initial, float(oil[0]))
     free = [name for name in THERMAL_NODES if name not in held]
     sources = np.column_stack([*held.values(), oil, np.full(len(times), ambient)])
     first = np.array([getattr(start, name) for name in free])
-    T = _followed(*network.matrices(tuple(held)), times, sources, first)
-    parts = PartTemperatures(oil=oil, **{name: T[:, k] for k, name in enumerate(free)}, **held)
+    M, N = (np.array(each) for each in zip(*(one.matrices(tuple(held)) for one in networks), strict=True))
+    T = _followed(M, N, times, sources, first)
+    if isinstance(network, ThermalNetwork):
+        T = T[0]
+    parts = PartTemperatures(oil=oil, **{name: T[..., k] for k, name in enumerate(free)}, **held)
     return TemperaturePath(times=times, parts=parts)
 
 
-def joint_path(paths: Sequence[TemperaturePath]) -> TemperaturePath:
-    """Paths on the same knots as one, each part (k, m)."""
-    parts = {name: np.stack([getattr(path.parts, name) for path in paths]) for name in PART_NAMES}
-    return TemperaturePath(times=paths[0].times, parts=PartTemperatures(**parts))
-
-
 def _followed(M: np.ndarray, N: np.ndarray, times: np.ndarray, sources: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """T (m, n) of T' = M T + N u from its `first` (n,), for `sources` u (m, s) straight between the times (m,)."""
-    T = np.empty((len(times), len(first)))
-    T[0] = first
+    """T (..., m, n) of T' = M T + N u from its `first` (n,), for `sources` u (m, s) straight between the times (m,); of
+    one network or of several (..., n, n).
+    """
+    T = np.empty((*M.shape[:-2], len(times), len(first)))
+    T[..., 0, :] = first
     steps = np.diff(times)
     _, shown, which = np.unique([f"{step:.9g}" for step in steps], return_index=True, return_inverse=True)
-    propagators = [_propagator(M, N, step) for step in steps[shown]]  # of steps that differ by more than rounding
-    if propagators:
-        E, F, G = (np.array(matrices) for matrices in zip(*propagators, strict=True))
-        driven = np.einsum("kij,kj->ki", F[which], sources[:-1])
-        driven += np.einsum("kij,kj->ki", G[which], np.diff(sources, axis=0))
+    if len(steps):  # of which many differ by rounding alone
+        E, F, G = _propagators(M[..., None, :, :], N[..., None, :, :], steps[shown])
+        driven = np.einsum("...kij,kj->...ki", F[..., which, :, :], sources[:-1])
+        driven += np.einsum("...kij,kj->...ki", G[..., which, :, :], np.diff(sources, axis=0))
         for k, one in enumerate(which):
-            T[k + 1] = E[one] @ T[k] + driven[k]
+            T[..., k + 1, :] = (E[..., one, :, :] @ T[..., k, :, None])[..., 0] + driven[..., k, :]
     return T
 
 
@@ -179,25 +178,28 @@ def starting_temperatures(initial: float | Mapping[str, float] | None, oil: floa
     return PartTemperatures(oil=oil, **{name: float(given.get(name, oil)) for name in THERMAL_NODES})
 
 
-def _propagator(M: np.ndarray, N: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """T(step) = E T(0) + F u(0) + G (u(step) - u(0)) for u straight in between: exact, by one matrix exponential."""
-    n, m = N.shape
-    block = np.zeros((n + 2 * m, n + 2 * m))
-    block[:n, :n], block[:n, n : n + m] = M * step, N * step
-    block[n : n + m, n + m :] = np.eye(m)
+def _propagators(M: np.ndarray, N: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """T(step) = E T(0) + F u(0) + G (u(step) - u(0)) for u straight in between, of each step: exact, by one matrix
+    exponential. M is (..., 1, n, n), N (..., 1, n, s) and E, F, G (..., steps, n, .).
+    """
+    n, m = N.shape[-2:]
+    block = np.zeros((*M.shape[:-3], len(steps), n + 2 * m, n + 2 * m))
+    block[..., :n, :n], block[..., :n, n : n + m] = M * steps[:, None, None], N * steps[:, None, None]
+    block[..., n : n + m, n + m :] = np.eye(m)
     big = exponential(block)
-    return big[:n, :n], big[:n, n : n + m], big[:n, n + m :]
+    return big[..., :n, :n], big[..., :n, n : n + m], big[..., :n, n + m :]
 
 
 def exponential(A: np.ndarray) -> np.ndarray:
-    """e^A of a small square matrix: its Taylor series at A/2^s, of norm below 1/2, squared s times.
+    """e^A of small square matrices (..., n, n): its Taylor series at A/2^s, of norm below 1/2, squared s times.
 
     Source: C. Moler, C. Van Loan, SIAM Review 45 (2003) 3, methods 1 and 3. scipy's takes a quarter of a run's start-up
     to import.
     """
-    squarings = max(int(np.ceil(np.log2(max(np.abs(A).sum(axis=1).max(), 0.25)))) + 1, 0)
+    largest = np.abs(A).sum(axis=-1).max(initial=0.25)
+    squarings = max(int(np.ceil(np.log2(largest))) + 1, 0)
     A = A / 2.0**squarings
-    term = total = np.eye(len(A))
+    term = total = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
     for k in range(1, 17):  # 2^-16/16! is below rounding
         term = term @ A / k
         total = total + term

@@ -1,0 +1,261 @@
+"""The linear response to many changes along a course, compiled for a number of states: the loops of `TangentLinear`.
+
+Changes go side by side, `LANES` to a block. What is done to a block in a step is printed for so many states
+(`straight_line`); the loops around it are plain Python that numba compiles.
+
+Symbols
+    x scaled states, A(t) Jacobian, g(t) forcing, h step:  d' = A d + g
+    d_k+1 = E d_k + h [(phi1 - phi2) g_k + phi2 g_k+1],  E = exp(hA), phi1 = (E - I)/hA, phi2 = (phi1 - I)/hA
+    (exact for A constant and g straight over a step, however stiff)
+    by doubling: phi2(2A) = (phi1^2 + 2 phi2)/4, phi1(2A) = (E + I) phi1/2, E(2A) = E^2
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from valvesim.solver import cache, straight_line
+from valvesim.solver.codegen import LANES, ONE_AT_A_TIME, second_level
+
+FACTORIALS = (1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0)
+LARGEST_NORM = 0.25  # of a matrix whose series is taken
+
+
+def product(X, Y, out, diagonal):
+    """Fill out = X Y + diagonal I of matrices (s, s, lanes)."""
+    out[:] = np.einsum("ikl,kjl->ijl", X, Y) + diagonal * np.eye(len(X))[:, :, None]
+
+
+def march(E, early, late, d, before, g, out):
+    """Fill out = E d + early before + late g of matrices (s, s) and blocks (s or more, lanes)."""
+    s = len(E)
+    out[:s] = E @ d[:s] + early @ before[:s] + late @ g[:s]
+
+
+def channel(slope, d, direct, out):
+    """Fill out = direct + slope d of a slope (s,) and blocks (s, lanes), (1, lanes), (1, lanes)."""
+    out[0] = direct[0] + slope @ d
+
+
+def printed(s: int) -> list[str]:
+    """The lines of `product`, `march` and `channel` for s states."""
+    every = range(s)
+    lines = ["def product(X, Y, out, diagonal):"]
+    for i in every:
+        for j in every:
+            terms = " + ".join(f"X[{i}, {k}] * Y[{k}, {j}]" for k in every)
+            lines.append(f"    out[{i}, {j}] = {'diagonal + ' if i == j else ''}{terms}")
+    lines.append("def march(E, early, late, d, before, g, out):")
+    for i in every:
+        steps = (f"E[{i}, {j}] * d[{j}] + early[{i}, {j}] * before[{j}] + late[{i}, {j}] * g[{j}]" for j in every)
+        lines.append(f"    out[{i}] = {' + '.join(steps)}")
+    lines.append("def channel(slope, d, direct, out):")
+    lines.append(f"    out[0] = direct[0] + {' + '.join(f'slope[{i}] * d[{i}]' for i in every)}")
+    return lines
+
+
+def propagators(A, h, E, early, late):
+    """Fill E, early and late (n-1, s, s) of the steps between the matrices A (n, s, s).
+
+    Some steps at a time, side by side in the last place: what the one of largest norm needs, all of them get.
+    """
+    n, s, lanes = A.shape[0], A.shape[1], 8
+    shape = (s, s, lanes)
+    S, P, phi, late_phi, T = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
+    for first in range(0, n - 1, lanes):
+        norm = 0.0
+        for side in range(lanes):
+            k = min(first + side, n - 2)
+            for i in range(s):
+                row = 0.0
+                for j in range(s):
+                    S[i, j, side] = 0.5 * h * (A[k, i, j] + A[k + 1, i, j])
+                    row += abs(S[i, j, side])
+                norm = max(norm, row)
+        halvings = 0
+        while norm > LARGEST_NORM:
+            norm *= 0.5
+            halvings += 1
+        shrink = 0.5**halvings
+        for i in range(s):
+            for j in range(s):
+                for side in range(lanes):
+                    S[i, j, side] *= shrink
+                    late_phi[i, j, side] = 1.0 / FACTORIALS[7] if i == j else 0.0
+        for power in range(6, 1, -1):  # Horner's scheme of phi2 = sum S^k/(k+2)!
+            product(S, late_phi, T, 1.0 / FACTORIALS[power])
+            late_phi, T = T, late_phi
+        product(S, late_phi, phi, 1.0)
+        product(S, phi, P, 1.0)
+        for _ in range(halvings):  # doubling: no inverse is taken, so that a memory which rests does no harm
+            product(phi, phi, T, 0.0)
+            for i in range(s):
+                for j in range(s):
+                    for side in range(lanes):
+                        late_phi[i, j, side] = 0.25 * (T[i, j, side] + 2.0 * late_phi[i, j, side])
+            product(P, phi, T, 0.0)
+            for i in range(s):
+                for j in range(s):
+                    for side in range(lanes):
+                        phi[i, j, side] = 0.5 * (T[i, j, side] + phi[i, j, side])
+            product(P, P, T, 0.0)
+            P, T = T, P
+        for side in range(min(lanes, n - 1 - first)):
+            k = first + side
+            for i in range(s):
+                for j in range(s):
+                    E[k, i, j] = P[i, j, side]
+                    early[k, i, j] = h * (phi[i, j, side] - late_phi[i, j, side])
+                    late[k, i, j] = h * late_phi[i, j, side]
+
+
+def propagate(E, early, late, g, d):
+    """Fill d (n, s, k) from forcings g (n, s, k), starting at rest: d_0 = -A^-1 g_0 is given in d[0]."""
+    for k in range(E.shape[0]):
+        d[k + 1] = E[k] @ d[k] + early[k] @ g[k] + late[k] @ g[k + 1]
+
+
+def read_responses(
+    E, early, late, start, slopes, changes, place, share, partials, entries, rows, columns, factors, entries_at,
+    answers, forced, forced_from, forced_at, lags, first, weights, reads, out, largest,
+):  # fmt: skip
+    """Fill out (r, blocks, lanes), the answers of channels as they are read, to changes of coefficients and then to
+    forcings, along a course of n points; and `largest` (blocks, lanes), how far the states went.
+
+    `changes` (m, q, lanes) are those of a coefficient in a block, at the knots; `place` and `share` (n,) tell where
+    points are among these. Of the entries of block b, `entries_at[b]` to `entries_at[b + 1]`, each is a row
+    `entries[e]` of the derivatives `partials` (., n): of target `rows[e]`, a rate (s of them) or a channel, by change
+    `columns[e]`, and counts `factors[e]` times. The last answers are to forcings, each the rows `forced_at[j]` to
+    `forced_at[j + 1]` of `forced` (., s + channels) from point `forced_from[j]` on. `start` (blocks, s, lanes) are the
+    answers at the first point, `slopes` (channels, n, s) those of the channels over the states. Channel j follows with
+    a first-order lag, `lags[j]` (how much of its distance is left after a step, and of a change added to it), and is
+    read `reads[j + 1] - reads[j]` times, each by four points from `first` on, rising, with `weights` (r, 4).
+    """
+    channels, n, s = slopes.shape
+    blocks, lanes, last = start.shape[0], 8, changes.shape[0] - 1
+    change, d, moved = np.empty((changes.shape[1], lanes)), start.copy(), np.empty((blocks, s, lanes))
+    g, before = np.zeros((blocks, s + channels, lanes)), np.zeros((blocks, s + channels, lanes))
+    recent, following = np.empty((channels, 4, blocks, 1, lanes)), reads[:-1].copy()
+    distance, value = np.zeros((channels, blocks, lanes)), np.zeros((channels, blocks, lanes))
+    largest[:] = 0.0
+    for at in range(n):
+        here, after, part = place[at], min(place[at] + 1, last), share[at]
+        for q in range(changes.shape[1]):
+            for v in range(lanes):
+                change[q, v] = changes[here, q, v] + part * (changes[after, q, v] - changes[here, q, v])
+        g[:] = 0.0
+        for b in range(entries_at.shape[0] - 1):
+            for e in range(entries_at[b], entries_at[b + 1]):
+                slope, i, q = factors[e] * partials[entries[e], at], rows[e], columns[e]
+                for v in range(lanes):
+                    g[b, i, v] += slope * change[q, v]
+        for j in range(forced_from.shape[0]):
+            row = forced_at[j] + at - forced_from[j]
+            if forced_at[j] <= row < forced_at[j + 1]:
+                answer = answers - forced_from.shape[0] + j
+                for i in range(s + channels):
+                    g[answer // lanes, i, answer % lanes] = forced[row, i]
+        if at > 0:
+            for b in range(blocks):
+                march(E[at - 1], early[at - 1], late[at - 1], d[b], before[b], g[b], moved[b])
+            d, moved = moved, d
+        for b in range(blocks):
+            for i in range(s):
+                for v in range(lanes):
+                    largest[b, v] = max(largest[b, v], abs(d[b, i, v]))
+        before, g = g, before
+        for j in range(channels):
+            for b in range(blocks):
+                channel(slopes[j, at], d[b], before[b, s + j], recent[j, at % 4, b])
+                if lags[j, 1] != 0.0:
+                    for v in range(lanes):
+                        new = recent[j, at % 4, b, 0, v]
+                        if at > 0:
+                            distance[j, b, v] = lags[j, 0] * distance[j, b, v] - lags[j, 1] * (new - value[j, b, v])
+                        value[j, b, v] = new
+                        recent[j, at % 4, b, 0, v] = new + distance[j, b, v]
+            while following[j] < reads[j + 1] and first[following[j]] == at - 3:
+                r = following[j]
+                w0, w1, w2, w3 = weights[r, 0], weights[r, 1], weights[r, 2], weights[r, 3]
+                r0, r1, r2, r3 = (at - 3) % 4, (at - 2) % 4, (at - 1) % 4, at % 4
+                for b in range(blocks):
+                    for v in range(lanes):
+                        out[r, b, v] = (
+                            w0 * recent[j, r0, b, 0, v] + w1 * recent[j, r1, b, 0, v]
+                            + w2 * recent[j, r2, b, 0, v] + w3 * recent[j, r3, b, 0, v]
+                        )  # fmt: skip
+                following[j] += 1
+    for b in range(blocks):
+        for i in range(s):
+            for v in range(lanes):
+                if not abs(d[b, i, v]) < 1e300:
+                    largest[b, v] = np.inf
+
+
+LOOPS: Sequence[Any] = (propagators, propagate, read_responses)
+OPTIONS = "nogil=True, error_model='numpy', fastmath={'contract'}"  # a product may be added without rounding
+
+
+def compile_response(states: int) -> ModuleType:
+    """The module with `LOOPS` compiled for a number of states; some seconds the first time on a machine."""
+    with ONE_AT_A_TIME:
+        return _compile(states)
+
+
+@functools.lru_cache(maxsize=64)
+def _compile(states: int) -> ModuleType:
+    return cache.load(
+        ["linear response", str(states)],
+        lambda: response_source(states),
+        (straight_line.intrinsics,),
+        lambda module: _call_once(module, states),
+    )
+
+
+def response_source(states: int) -> str:
+    """The Python source of the loops for a number of states."""
+    columns = dict.fromkeys(("X", "Y", "out", "E", "early", "late"), states)
+    return "\n".join(
+        [
+            f'"""Printed by valvesim.solver.linear_response for {states} states."""',
+            "import numpy as np",
+            "from numba import njit",
+            "from valvesim.solver.linear_response import FACTORIALS, LARGEST_NORM",
+            "from valvesim.solver.straight_line import intrinsics",
+            'LINES = """',
+            *printed(states),
+            '"""',
+            f"globals().update(intrinsics(LINES, lanes={LANES}, columns={columns}, "
+            "shared=('E', 'early', 'late', 'slope')))",
+            *(f"@njit({OPTIONS})\n{_with_sizes(function, states)}" for function in LOOPS),
+        ]
+    )
+
+
+def _with_sizes(function: Any, states: int) -> str:
+    """A function's source with its sizes in figures, so that loops over states and lanes are unrolled."""
+    text = inspect.getsource(function)
+    text = text.replace("n, s, lanes = A.shape[0], A.shape[1], 8", f"n, s, lanes = A.shape[0], {states}, {LANES}")
+    text = text.replace("channels, n, s = slopes.shape", f"channels, n, s = slopes.shape[0], slopes.shape[1], {states}")
+    return text.replace("blocks, lanes, last = start.shape[0], 8, ", f"blocks, lanes, last = start.shape[0], {LANES}, ")
+
+
+def _call_once(module: ModuleType, s: int) -> None:
+    """Each function called on next to nothing, so that it is compiled here and not in somebody's first run."""
+    E, no, nothing = np.zeros((1, s, s)), np.zeros(0, dtype=np.int64), np.zeros(0)
+    at = np.zeros(1, dtype=np.int64)
+    with second_level():
+        module.propagators(np.zeros((2, s, s)), 1.0, E, E.copy(), E.copy())
+        module.propagate(E, E, E, np.zeros((2, s, 1)), np.zeros((2, s, 1)))
+        module.read_responses(
+            E, E, E, np.zeros((0, s, LANES)), np.zeros((0, 2, s)), np.zeros((1, 0, LANES)),
+            np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros((0, 2)), no, no, no, nothing, at,
+            0, np.zeros((0, s)), no, at, np.zeros((0, 2)), no, np.zeros((0, 4)), at, np.zeros((0, 0, LANES)),
+            np.zeros((0, LANES)),
+        )  # fmt: skip
