@@ -49,7 +49,8 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION  # noqa: E402
 from valvesim.identification.session_toml import load_session  # noqa: E402
 from valvesim.identification.study import prepare_session  # noqa: E402
 
-SETS = {"working": (700_000, 300), "second": (800_000, 300), "third": (820_000, 300)}  # first seed, sessions
+SETS = {"working": (700_000, 300), "second": (800_000, 300), "third": (820_000, 300),
+        "fourth": (840_000, 300)}  # first seed, sessions
 RESULTS = ROOT / "benchmarks" / "results" / "bench_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "bench_sessions.md"
 CLEAR = 8.0  # d' from which a cause should be named

@@ -8,8 +8,7 @@ from scipy.linalg import expm
 from test_prediction import FRICTION, HYSTERESIS, bench_of, course_of, nominal_variant
 
 from valvesim.identification.linearised_record import linearise_record
-from valvesim.identification.predictor import ModelVariant
-from valvesim.identification.predictor import MEASURED_SIGNALS, at_rest_together, coefficient_course
+from valvesim.identification.predictor import MEASURED_SIGNALS, ModelVariant, at_rest_together, coefficient_course
 from valvesim.identification.tangent_linear import (
     Forcing,
     TangentLinear,

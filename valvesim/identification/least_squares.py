@@ -31,9 +31,10 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
     next may lead back into a curved valley, further down.
     """
     metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.layout])
+    gram = jacobian.T @ jacobian
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
     for _ in range(study.options.fit.steps):
-        H, gradient = normal_equations(fit, jacobian, options=study.options)
+        H, gradient = normal_equations(fit, jacobian, gram, options=study.options)
         limits = step_limits(fit, study.nominal, options=study.options)
         if fit is best:
             best = fit = replace(fit, predicted_reduction=predict_reduction(H, gradient, limits))
@@ -60,7 +61,10 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
         if (length := float(moved @ (metric * moved))) > 0.0 and float(
             changed @ changed
         ) > study.options.fit.update_threshold:
-            jacobian = jacobian + np.outer((changed - jacobian @ moved) / length, metric * moved)
+            left, along = (changed - jacobian @ moved) / length, metric * moved
+            crossed = np.outer(jacobian.T @ left, along)
+            gram = gram + crossed + crossed.T + float(left @ left) * np.outer(along, along)
+            jacobian = jacobian + np.outer(left, along)
         gained = best.chi_square - new.chi_square
         if gained > 0.0:
             failures = 0 if gained > 0.5 * best.predicted_reduction else failures + 1
@@ -126,11 +130,13 @@ def solve_normal(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
 
 
 def normal_equations(
-    fit: Fit, jacobian: np.ndarray, *, options: IdentificationOptions
+    fit: Fit, jacobian: np.ndarray, gram: np.ndarray | None = None, *, options: IdentificationOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(H, gradient) of the nuisance parameters, then of the fitted candidates, with their priors."""
+    """(H, gradient) of the nuisance parameters, then of the fitted candidates, with their priors; `gram` is J'J, where
+    it is known.
+    """
     p = len(fit.point)
-    H = jacobian.T @ jacobian
+    H = jacobian.T @ jacobian if gram is None else gram.copy()
     prior = np.array([1.0] * p + [0.0 if not shape else options.fit.shape_deviation**-2 for _, shape in fit.layout])
     gradient = jacobian.T @ fit.residual
     gradient[:p] -= fit.point
