@@ -11,6 +11,7 @@ from valvesim.valve.laws import (
     bridge_flux,
     contact_force,
     dahl_rate,
+    lag_of_step,
     lagged,
     land_opening,
     magnetic_torque,
@@ -297,6 +298,16 @@ def test_lag_is_the_same_over_one_line_and_over_its_pieces(tau, seed):
     fine = np.sort(np.append(times, rng.uniform(times[0], times[-1], 20)))
     whole = lagged(fine, np.interp(fine, times, values), tau)
     assert np.interp(times, fine, whole) == pytest.approx(lagged(times, values, tau), abs=1e-12)
+
+
+@pytest.mark.parametrize("share", [1e-6, 0.1, 1.0, 50.0])
+def test_lag_of_a_step_of_time_leaves_its_distance_by_the_exponential(share):
+    """Of an input that rises straight from 0 to 1 within the step, from rest: 1 - tau/h (1 - e^(-h/tau))."""
+    left, ramp = lag_of_step(2.0, 2.0 * share)
+    assert left == pytest.approx(np.exp(-share)) and ramp == pytest.approx((1.0 - np.exp(-share)) / share, rel=1e-6)
+    risen = lagged(np.array([0.0, 2.0 * share]), np.array([0.0, 1.0]), 2.0)[1]
+    assert 1.0 - ramp == pytest.approx(risen, abs=1e-9)
+    assert lag_of_step(0.0, 1.0) == (0.0, 0.0)
 
 
 def test_lag_without_a_time_constant_is_the_values_themselves():

@@ -334,6 +334,19 @@ def test_one_start_for_all_is_that_of_each_part():
     assert (values(one) == values(each)).all()
 
 
+@given(st.lists(st.floats(0.3, 3.0), min_size=1, max_size=4))
+def test_parts_of_several_networks_together_are_those_of_each_alone(factors):
+    networks = [dataclasses.replace(NETWORK, oil_to_spool=NETWORK.oil_to_spool * factor) for factor in factors]
+    oil, body = Step(before=20.0, after=90.0, time=0.7), Constant(value=30.0)
+    shared = {"initial": -10.0, "prescribed": {"body": body}, "spacing": 0.05}
+    together = temperature_path(oil, 3.0, network=networks, **shared)
+    for k, network in enumerate(networks):
+        alone = temperature_path(oil, 3.0, network=network, **shared)
+        for part in THERMAL_NODES:
+            found = np.broadcast_to(getattr(together.parts, part), (len(networks), len(alone.times)))[k]
+            assert found == pytest.approx(getattr(alone.parts, part), rel=1e-12), part
+
+
 @pytest.mark.parametrize("size", [0.0, 1e-9, 0.1, 3.0, 300.0])
 def test_the_matrix_exponential_is_that_of_scipy(size):
     from scipy.linalg import expm
