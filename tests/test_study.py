@@ -11,14 +11,19 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from valvesim.errors import InputError, SolveError
-from valvesim.identification import hypothesis_fit, nominal_fit
+from valvesim.identification import hypothesis_fit, least_squares, nominal_fit
 from valvesim.identification import study as studies
 from valvesim.identification.fit import Fit, FittedCandidate, moved_candidates, predict_readings, step_limits
 from valvesim.identification.fit import evaluate_fit as evaluated
 from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.input_choice import HELD_NAME, are_delays
-from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, predict_reduction
+from valvesim.identification.least_squares import (
+    bounded_step,
+    levenberg_marquardt,
+    normal_equations,
+    predict_reduction,
+)
 from valvesim.identification.noise_estimation import identify_noise
 from valvesim.identification.nominal_fit import (
     fit_nominal,
@@ -362,6 +367,27 @@ def test_a_fit_that_starts_beyond_the_bounds_comes_back_into_them_step_by_step(b
     assert high[k] == -OPTIONS.fit.longest_step and np.all(low <= high)
     fit, _ = levenberg_marquardt(nominal.study, start, nominal.J, 1e-3 * start.chi_square)
     assert fit.chi_square < start.chi_square and fit.point[k] < point[k]
+
+
+def test_normal_equations_follow_the_updates_of_the_jacobian(biased, monkeypatch):
+    nominal, seen = biased[0], []
+    point = nominal.fit.point + 0.3
+    start = evaluated(nominal.study, point, ())
+
+    def looked_at(fit, jacobian, gram, *, options):
+        seen.append(jacobian)
+        assert gram == pytest.approx(jacobian.T @ jacobian, rel=1e-9, abs=1e-9 * np.abs(gram).max())
+        return normal_equations(fit, jacobian, gram, options=options)
+
+    monkeypatch.setattr(least_squares, "normal_equations", looked_at)
+    levenberg_marquardt(nominal.study, start, nominal.J, 0.1)
+    assert len(seen) > 2 and not np.array_equal(seen[0], seen[-1])  # Broyden's update was made
+    for own, known in zip(
+        normal_equations(start, nominal.J, options=OPTIONS),
+        normal_equations(start, nominal.J, nominal.J.T @ nominal.J, options=OPTIONS),
+        strict=True,
+    ):
+        assert np.array_equal(own, known)
 
 
 # ---------------------------------------------------------------- steps inside limits
