@@ -3,7 +3,9 @@
     .venv/bin/python benchmarks/bench_sessions.py run --count 20        # of the working set; goes on where it stopped
     .venv/bin/python benchmarks/bench_sessions.py run --one-by-one      # one imperfection at a time
     .venv/bin/python benchmarks/bench_sessions.py run --set third       # 300 sessions, to be opened once, at the end
-    .venv/bin/python benchmarks/bench_sessions.py distances --set third --engine COMMIT  # their d', worked out anew
+    .venv/bin/python benchmarks/bench_sessions.py run --set fourth --no-distances  # d' is left to the next
+    .venv/bin/python benchmarks/bench_sessions.py distances --set fourth           # d' where it is missing
+    .venv/bin/python benchmarks/bench_sessions.py distances --set third --engine COMMIT  # d' of its rows, anew
     .venv/bin/python benchmarks/bench_sessions.py report --set third    # docs/bench_sessions.md from what there is
 
 `--part 1/2` takes every second session from the first on, so that two processes share a set.
@@ -76,13 +78,16 @@ def one_by_one() -> Iterator[tuple[int, str | None, tuple[str, ...]]]:
                 yield first + 1000 + k, hidden, (imperfection,)
 
 
-def diagnosed(seed: int, hidden: str | None, imperfections: tuple[str, ...]) -> dict[str, Any]:
-    """One session, written to a folder and diagnosed from that alone."""
+def diagnosed(
+    seed: int, hidden: str | None, imperfections: tuple[str, ...], *, measured: bool = True
+) -> dict[str, Any]:
+    """One session, written to a folder and diagnosed from that alone; its d' too where it is `measured`."""
     row: dict[str, Any] = {"seed": seed, "hidden": hidden, "imperfections": list(imperfections)}
     with tempfile.TemporaryDirectory() as folder:
         case, bench = draw_bench(seed, "effect" if hidden else "none", name=hidden, imperfections=imperfections)
         write_bench_session(case, bench, folder)
-        row["distance"] = distance(case, bench, folder) if hidden else 0.0
+        if measured or not hidden:
+            row["distance"] = distance(case, bench, folder) if hidden else 0.0
         worked = time.process_time()
         try:
             found = vs.diagnose(folder)
@@ -139,7 +144,9 @@ def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
     return round(most, 1)
 
 
-def run(name: str, start: int, count: int | None, single: bool, part: tuple[int, int], results: Path) -> None:
+def run(
+    name: str, start: int, count: int | None, single: bool, part: tuple[int, int], results: Path, measured: bool
+) -> None:
     """Diagnose what the results do not have yet from the `start`-th on, a line each."""
     results.parent.mkdir(parents=True, exist_ok=True)
     done = {(row["seed"], row["hidden"], tuple(row["imperfections"])) for row in read_rows(results)}
@@ -149,7 +156,7 @@ def run(name: str, start: int, count: int | None, single: bool, part: tuple[int,
         if count is not None and k >= count:
             break
         if k >= start and spec not in done and k % part[1] == part[0] - 1:
-            row = diagnosed(*spec) | {"engine": engine}
+            row = diagnosed(*spec, measured=measured) | {"engine": engine}
             with open(results, "a", encoding="utf-8") as file:
                 file.write(json.dumps(row, ensure_ascii=False) + "\n")
             print(row["seed"], hidden_words(row), row["outcome"], row.get("set"), flush=True)
@@ -242,16 +249,16 @@ def _measured(rows: list[dict[str, Any]]) -> dict[str, str]:
 
 
 def measure_distances(name: str, results: Path, engine: str) -> None:
-    """Work the d' of the rows of an engine out anew, in place."""
+    """Work out the d' of the rows that have none, and anew that of those of an engine, in place."""
     specs = {seed: (hidden, imperfections) for seed, hidden, imperfections in sessions(name)}
     rows = read_rows(results)
     for row in rows:
-        if row["hidden"] and row.get("engine", "unknown") == engine:
+        if row["seed"] in specs and row["hidden"] and ("distance" not in row or row.get("engine") == engine):
             hidden, imperfections = specs[row["seed"]]
             case, bench = draw_bench(row["seed"], "effect", name=hidden, imperfections=imperfections)
             with tempfile.TemporaryDirectory() as folder:
                 write_bench_session(case, bench, folder)
-                before, row["distance"] = row["distance"], distance(case, bench, folder)
+                before, row["distance"] = row.get("distance"), distance(case, bench, folder)
             print(row["seed"], hidden, before, row["distance"], flush=True)
     write_rows(results, rows)
 
@@ -294,14 +301,15 @@ def main() -> None:
     parser.add_argument("--start", type=int, default=0, help="the first of them")
     parser.add_argument("--count", type=int, help="the first so many of the set")
     parser.add_argument("--one-by-one", action="store_true", help="one imperfection at a time")
-    parser.add_argument("--engine", default="unknown", help="whose distances are worked out anew")
+    parser.add_argument("--engine", help="whose distances are worked out anew")
+    parser.add_argument("--distances", action=argparse.BooleanOptionalAction, default=True, help="d' with each session")
     parser.add_argument("--part", default="1/1", help="k/n: every n-th session from the k-th on")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT)
     given = parser.parse_args()
     if given.what == "run":
         k, n = map(int, given.part.split("/"))
-        run(given.name, given.start, given.count, given.one_by_one, (k, n), given.results)
+        run(given.name, given.start, given.count, given.one_by_one, (k, n), given.results, given.distances)
     elif given.what == "distances":
         measure_distances(given.name, given.results, given.engine)
     else:
