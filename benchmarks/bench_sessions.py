@@ -205,7 +205,8 @@ def report(name: str, results: Path, document: Path) -> None:
         "drawn for it, however little that shows. d' is what it changes of the readings before noise and rounding,",
         "less what a fit of valve, instruments, ripple and the times of edges takes up of it, samples next to sharp",
         "peaks counting less as in every fit beside a ripple; and no more than a figure that does the same would be",
-        "off, in prior deviations. (Of the second set, d' is from before the times of edges were among that.)", "",
+        "off, in prior deviations. (Of the second set, d' is from before the times of edges were among that.)",
+        f"It has been worked out for {sum('distance' in row for row in rows)} of them: these count by d'.", "",
         f"Engines, by commit: {_engines(rows)}.", "",
         f"| measured (95 % interval after Wilson) | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}",
         *(f"| {test} | {' | '.join(one[test] for one in columns.values())} |" for test in columns["this set"]), "",
@@ -219,7 +220,7 @@ def _measured(rows: list[dict[str, Any]]) -> dict[str, str]:
     """What was measured in some sessions, in words: counts with Wilson's intervals, and the time."""
     healthy = [row for row in rows if row["hidden"] is None]
     faulty = [row for row in rows if row["hidden"] is not None and ":" not in row["outcome"]]
-    clear = [row for row in faulty if row["distance"] >= CLEAR]
+    clear = [row for row in faulty if row.get("distance", 0.0) >= CLEAR]
     tests = {
         "false alarms on healthy valves": [row["outcome"] != "no_discrepancy" for row in healthy],
         f"right cause first, d' of {CLEAR:g} and more": [is_right(row["first"], row["hidden"]) for row in clear],
