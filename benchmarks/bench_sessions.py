@@ -206,7 +206,7 @@ def report(name: str, results: Path, document: Path) -> None:
         "less what a fit of valve, instruments, ripple and the times of edges takes up of it, samples next to sharp",
         "peaks counting less as in every fit beside a ripple; and no more than a figure that does the same would be",
         "off, in prior deviations. (Of the second set, d' is from before the times of edges were among that.)",
-        f"It has been worked out for {sum('distance' in row for row in rows)} of them: these count by d'.", "",
+        f"It has been worked out for {_measured_of(rows)}: these count by d'.", "",
         f"Engines, by commit: {_engines(rows)}.", "",
         f"| measured (95 % interval after Wilson) | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}",
         *(f"| {test} | {' | '.join(one[test] for one in columns.values())} |" for test in columns["this set"]), "",
@@ -214,6 +214,12 @@ def report(name: str, results: Path, document: Path) -> None:
         *(_line(row) for row in rows), "",
     ]  # fmt: skip
     document.write_text("\n".join(lines), encoding="utf-8")
+
+
+def _measured_of(rows: list[dict[str, Any]]) -> str:
+    """Of how many sessions with a cause there is a d'."""
+    faulty = [row for row in rows if row["hidden"]]
+    return f"{sum('distance' in row for row in faulty)} of the {len(faulty)} sessions with a cause"
 
 
 def _measured(rows: list[dict[str, Any]]) -> dict[str, str]:
@@ -249,19 +255,20 @@ def _measured(rows: list[dict[str, Any]]) -> dict[str, str]:
     }
 
 
-def measure_distances(name: str, results: Path, engine: str) -> None:
+def measure_distances(name: str, results: Path, engine: str | None) -> None:
     """Work out the d' of the rows that have none, and anew that of those of an engine, in place."""
     specs = {seed: (hidden, imperfections) for seed, hidden, imperfections in sessions(name)}
-    rows = read_rows(results)
-    for row in rows:
-        if row["seed"] in specs and row["hidden"] and ("distance" not in row or row.get("engine") == engine):
+    for row in read_rows(results):
+        anew = engine is not None and row.get("engine") == engine
+        if row["seed"] in specs and row["hidden"] and ("distance" not in row or anew):
             hidden, imperfections = specs[row["seed"]]
             case, bench = draw_bench(row["seed"], "effect", name=hidden, imperfections=imperfections)
             with tempfile.TemporaryDirectory() as folder:
                 write_bench_session(case, bench, folder)
-                before, row["distance"] = row.get("distance"), distance(case, bench, folder)
-            print(row["seed"], hidden, before, row["distance"], flush=True)
-    write_rows(results, rows)
+                measured = distance(case, bench, folder)
+            print(row["seed"], hidden, row.get("distance"), measured, flush=True)
+            rows = read_rows(results)  # as they are by now
+            write_rows(results, [one | {"distance": measured} if one["seed"] == row["seed"] else one for one in rows])
 
 
 def _engines(rows: list[dict[str, Any]]) -> str:

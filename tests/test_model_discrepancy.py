@@ -58,6 +58,10 @@ def test_a_sample_counts_by_its_noise_and_its_discrepancy(biased_fit):
     as_much = study.with_discrepancy({(predictor.record.name, name): np.sqrt(3.0) * innovation * off[name]})
     wider = as_much.whiten(predictor, {each: values[:, None] for each, values in off.items()})
     np.testing.assert_allclose(wider[0], 0.5 * plain[0])
+    half = {(predictor.record.name, name): np.sqrt(1.5) * innovation * off[name]}
+    twice = replace(study, spread=half, discrepancy=half)
+    both = twice.whiten(predictor, {each: values[:, None] for each, values in off.items()})
+    np.testing.assert_allclose(both[0], 0.5 * plain[0])  # their variances add up
     for same, before in zip(wider[1:], plain[1:], strict=True):
         np.testing.assert_array_equal(same, before)
 

@@ -7,20 +7,23 @@ import pytest
 from scipy.linalg import expm
 from test_prediction import FRICTION, HYSTERESIS, bench_of, course_of, nominal_variant
 
+from valvesim.identification import tangent_linear
 from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.predictor import MEASURED_SIGNALS, ModelVariant, at_rest_together, coefficient_course
 from valvesim.identification.tangent_linear import (
+    ChangedCoefficients,
     Forcing,
     TangentLinear,
     first_order_response,
     linearise_along,
     propagators_of,
-    reads_at,
     relaxation_recursion,
+    sampled_at,
 )
 from valvesim.solver import linear_response
-from valvesim.solver.partial_derivatives import compile_derivatives
+from valvesim.solver.partial_derivatives import CoefficientCourse, compile_derivatives
 from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.equations import Model
 from valvesim.valve.laws import lagged
 
 STEP = 1e-3
@@ -97,14 +100,6 @@ def test_answers_add_up():
     assert tangent.response(f - 3.0 * g) == pytest.approx(tangent.response(f) - 3.0 * tangent.response(g), abs=1e-12)
 
 
-def test_a_channel_is_its_slopes_and_what_reads_on_it_directly():
-    tangent = system(SYSTEMS["soft"])
-    answers = np.random.default_rng(2).normal(size=(80, 3, 4))
-    assert tangent.channel("first", answers) == pytest.approx(2.0 * answers[:, 0])
-    direct = np.arange(80.0 * 4).reshape(80, 4)
-    assert tangent.channel("sum", answers, direct) == pytest.approx(answers.sum(axis=1) + direct)
-
-
 def test_compiled_and_plain_march_are_the_same():
     tangent, g = system(SYSTEMS["springy"]), np.random.default_rng(3).normal(size=(80, 3, 2))
     plain = np.zeros_like(g)
@@ -135,19 +130,42 @@ def test_answers_as_they_are_read_are_those_of_the_states_on_the_grid(count):
     g = np.cumsum(rng.normal(size=(80, 3, count)), axis=0)
     direct = {"sum": np.cumsum(rng.normal(size=(80, count)), axis=0)}
     times, at = STEP * np.arange(80), STEP * np.linspace(0.3, 78.9, 40)
-    reads = {"sum": reads_at(times, at, 3e-3), "first": reads_at(times, times)}
+    reads = {"sum": sampled_at(times, at, 3e-3), "first": sampled_at(times, times)}
     found = tangent.read_responses(reads, forcings_of(g, direct))
     states = tangent.response(g)
-    assert found["first"] == pytest.approx(tangent.channel("first", states), rel=1e-9, abs=1e-9)
-    late = lagged(times, tangent.channel("sum", states, direct["sum"]), 3e-3)
+    assert found["first"] == pytest.approx(2.0 * states[:, 0], rel=1e-9, abs=1e-9)
+    late = lagged(times, states.sum(axis=1) + direct["sum"], 3e-3)
     weights = reads["sum"].weights
     expected = sum(weights[:, j, None] * late[reads["sum"].first + j] for j in range(4))
     assert found["sum"] == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
 
 
+def test_compiled_and_plain_responses_are_the_same(monkeypatch):
+    """Changes of coefficients between knots, in blocks of other coefficients each, beside forcings and a lag."""
+    model, rng = Model(), np.random.default_rng(9)
+    compiled = compile_derivatives(model, MEASURED_SIGNALS)
+    n, coefficients = 20, len(model.coefficient_names)
+    moved = rng.choice(coefficients, 11)
+    changes = np.zeros((3, coefficients, 11))
+    changes[:, moved, np.arange(11)] = rng.normal(size=(3, 11))
+    course = CoefficientCourse(np.zeros((3, coefficients)), np.repeat([0, 1], 10), rng.uniform(0.0, 1.0, n))
+    changed = ChangedCoefficients(changes, course, compiled, rng.normal(size=(len(compiled.targets), n)))
+    matrices = rng.normal(size=(n, 6, 6)) - 5.0 * np.eye(6)
+    slopes = {"load_flow": rng.normal(size=(n, 6)), "spool_position": rng.normal(size=(n, 6))}
+    tangent = TangentLinear(np.arange(6), np.full(6, 2.0), matrices, *propagators_of(matrices, 0.01), slopes, 0.01)
+    times = 0.01 * np.arange(n)
+    reads = {"load_flow": sampled_at(times, times, 0.02), "spool_position": sampled_at(times, times[2:15] + 0.004)}
+    forcings = [Forcing(5, rng.normal(size=(9, 6)), {"load_flow": rng.normal(size=9)})]
+    found = tangent.read_responses(reads, forcings, changed)
+    monkeypatch.setattr(tangent_linear, "compile_response", lambda states: linear_response)
+    for name, plain in tangent.read_responses(reads, forcings, changed).items():
+        assert found[name] == pytest.approx(plain, rel=1e-9, abs=1e-9 * np.abs(plain).max()), name
+        assert plain.any(axis=0).sum() > 8  # some coefficients are of another drive
+
+
 def test_a_cubic_is_read_exactly_at_any_time():
     times, at = STEP * np.arange(12), STEP * np.array([0.0, 0.4, 1.0, 5.5, 10.2, 11.0])
-    first, weights, _ = reads_at(times, at)
+    first, weights, _ = sampled_at(times, at)
     cubic = np.polynomial.Polynomial([1.0, 200.0, -3e4, 4e6])
     assert [w @ cubic(times[k : k + 4]) for k, w in zip(first, weights, strict=True)] == pytest.approx(cubic(at))
 
@@ -157,7 +175,7 @@ def test_a_forcing_that_begins_late_answers_as_one_of_zeros_before():
     whole = np.zeros((80, 3))
     whole[31:51] = g
     direct = np.concatenate([np.zeros(31), np.arange(20.0), np.zeros(29)])
-    reads = {"sum": reads_at(STEP * np.arange(80), STEP * np.arange(80))}
+    reads = {"sum": sampled_at(STEP * np.arange(80), STEP * np.arange(80))}
     forcings = [Forcing(31, g, {"sum": np.arange(20.0)}), Forcing(0, whole, {"sum": direct})]
     found = tangent.read_responses(reads, forcings)["sum"]
     assert found[:, 0] == pytest.approx(found[:, 1], rel=1e-12)
@@ -168,7 +186,8 @@ def test_an_answer_that_is_read_and_grows_without_end_is_none():
     A = np.diag([800.0 / (79 * STEP), -50.0, -5.0])
     g = np.zeros((80, 3, 2))
     g[1:, 0, 0] = g[1:, 1, 1] = 1.0
-    found = system(A).read_responses({"sum": reads_at(STEP * np.arange(80), STEP * np.arange(80))}, forcings_of(g, {}))
+    times = STEP * np.arange(80)
+    found = system(A).read_responses({"sum": sampled_at(times, times)}, forcings_of(g, {}))
     assert not found["sum"][:, 0].any() and found["sum"][:, 1].any()
 
 
@@ -264,6 +283,13 @@ def test_answers_are_proportional_to_a_small_change():
     answers = linear().linear_difference([moved_valve(spool_area=1e-4), moved_valve(spool_area=2e-4)])
     for channel, columns in answers.items():
         assert columns[:, 1] == pytest.approx(2.0 * columns[:, 0], abs=2e-3 * np.abs(columns).max()), channel
+
+
+def test_an_effect_that_does_nothing_adds_nothing():
+    """To the last digit: which balance it acts in is not asked of rounding."""
+    still = CATALOGUE["spool_coulomb_friction"](friction_force=0.0)
+    forcing = linear().forcing(nominal_variant().with_effect(still))
+    assert not forcing.rates.any() and not any(np.any(part) for part in forcing.direct.values())
 
 
 def test_no_change_has_no_answer():

@@ -32,7 +32,7 @@ def term_sensitivities(
         if port.name in DIRECT:
             out[port.name][:, columns] = (whole.direct[port.name][:, None] * basis)[:: linear.predictor.oversampling]
             continue
-        for name, moved in linear.forced_response([whole.times(b) for b in basis.T]).items():
+        for name, moved in linear.forced_response([whole.scaled_by(b) for b in basis.T]).items():
             out[name][:, columns] = moved
     return out
 
@@ -54,8 +54,7 @@ def term_basis(
 
 def argument(linear: LinearisedRecord, hypothesis: TermHypothesis) -> np.ndarray:
     """A hypothesis's variable (n,) along a linearised record's trajectory, lagged where it is."""
-    states = [linear.trajectory.states[:, k] for k in linear.tangent.active]
-    u = linear.argument(hypothesis.variable, tuple(states))
+    u = linear.argument(hypothesis.variable, linear.active_states)
     if hypothesis.memory != LAG:
         return u
     b = np.full(len(u), 1.0 / hypothesis.time_constant)

@@ -102,7 +102,6 @@ def predict_readings(study: PreparedSession, variant: ModelVariant) -> tuple[dic
 def _run(study: PreparedSession, variant: ModelVariant) -> list[tuple[Trajectory, dict[str, np.ndarray]]]:
     """The trajectory of each training record and what its sensors would read."""
 
-
     def run(posed: PosedRun, initial: np.ndarray) -> tuple[Trajectory, dict[str, np.ndarray]]:
         trajectory = posed.trajectory(initial)
         return trajectory, posed.predictor.readings(trajectory, variant)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,11 +21,11 @@ from valvesim.identification.prior import ToleratedSensorError, ToleratedTimeErr
 from valvesim.identification.tangent_linear import (
     ChangedCoefficients,
     Forcing,
-    Reads,
+    Sampling,
     TangentLinear,
     first_order_response,
     linearise_along,
-    reads_at,
+    sampled_at,
 )
 from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives, compile_derivatives
 from valvesim.valve.effect import ActiveEffect, Reading
@@ -66,7 +67,13 @@ class LinearisedRecord:
 
         A variant has this linearised record's effects, then at most one more.
         """
-        return self.forced_response([self.forcing(variant) for variant in variants])
+        points = len(self.predictor.times) * (len(self.tangent.active) + len(self.trajectory.at_valve))
+        few = max(int(self.predictor.options.sensitivity.forcing_bytes / (8 * points)), 1)
+        parts = [
+            self.forced_response([self.forcing(variant) for variant in variants[start : start + few]])
+            for start in range(0, max(len(variants), 1), few)
+        ]
+        return {name: np.column_stack([part[name] for part in parts]) for name in self.readings}
 
     def small_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
         """The same where what the variants change is small: to first order in their coefficients too."""
@@ -87,14 +94,14 @@ class LinearisedRecord:
         times, out = self.predictor.times, {}
         if not forcings and changed is None:
             return {name: np.empty((len(self.predictor.record.time), 0)) for name in self.trajectory.at_valve}
-        reads, late = dict[str, Reads](), dict[str, list[ActiveEffect]]()
+        reads, late = dict[str, Sampling](), dict[str, list[ActiveEffect]]()
         for name in self.trajectory.at_valve:
             late[name] = self._time_errors(name)
             if self._altered(name):
-                reads[name] = reads_at(times, times)
+                reads[name] = sampled_at(times, times)
                 continue
             at = self._read_times(late[name])[:: self.predictor.oversampling]
-            reads[name] = reads_at(times, at, self.predictor.lags.get(name, 0.0))
+            reads[name] = sampled_at(times, at, self.predictor.lags.get(name, 0.0))
         for name, moved in self.tangent.read_responses(reads, forcings, changed).items():
             out[name] = self._through_sensor(name, moved, late[name]) if self._altered(name) else moved
         return out
@@ -142,9 +149,9 @@ class LinearisedRecord:
         if of_valve:
             groups.append((of_valve, batch_of([variants[k] for k in of_valve]), path))
         of_network = [k for k, one in enumerate(variants) if replace(one, network=own.network) == own != one]
-        if of_network and not self.predictor.has_own_knots(own):
-            networks = [network for k in of_network if (network := variants[k].network) is not None]
-            groups.append((of_network, own, self.predictor.temperatures_of(own, networks)))
+        networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
+        if networks and None not in networks and not self.predictor.has_own_knots(own):
+            groups.append((of_network, own, self.predictor.temperatures_of(own, [one for one in networks if one])))
         changes = dict[int, np.ndarray]()
         for group, batch, along in groups:
             _, knots = self.predictor.coefficients_at_knots(batch, self.trajectory.model, along)
@@ -193,19 +200,28 @@ class LinearisedRecord:
         inputs = tuple((self.predictor.inputs if added is None else self.predictor.inputs + added).T)
         model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
         path = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
-        along = self.predictor.coefficients_along(variant, model, path=path)
-        states = [self.trajectory.states[:, k] for k in self.tangent.active]
+        along, states = self.predictor.coefficients_along(variant, model, path), list(self.active_states)
         for active in more:
             states += self._memory_trajectories(active, tuple(states), along)
-        rates, signals = model.evaluate(tuple(states), inputs, along)
+        (rates, signals), (own_rates, own_signals) = model.evaluate(tuple(states), inputs, along), self.evaluated
         g = np.empty((len(self.predictor.times), len(self.tangent.active)))
-        for k, (new, at) in enumerate(zip(rates, self.tangent.active, strict=False)):
-            g[:, k] = (new - self.values[at]) / self.tangent.scale[k]
-        at = self.compiled.states.stop
+        for k, (new, old) in enumerate(zip(rates, own_rates, strict=False)):
+            g[:, k] = (new - old) / self.tangent.scale[k]
         return Forcing(0, g, {
-            name: np.broadcast_to(getattr(signals, name), len(g)) - self.values[at + k]
-            for k, name in enumerate(self.compiled.signals)
+            name: np.broadcast_to(getattr(signals, name) - getattr(own_signals, name), len(g))
+            for name in self.compiled.signals
         })  # fmt: skip
+
+    @property
+    def active_states(self) -> tuple[np.ndarray, ...]:
+        """The states (n,) that take part."""
+        return tuple(self.trajectory.states[:, k] for k in self.tangent.active)
+
+    @functools.cached_property
+    def evaluated(self) -> tuple[tuple, Any]:
+        """Rates and signals as `Model.evaluate` has them: beside an effect that does nothing, these and no rounding."""
+        along = self.predictor.coefficients_along(self.variant, self.model, self.trajectory.path)
+        return self.model.evaluate(self.active_states, tuple(self.predictor.inputs.T), along)
 
     def _memory_trajectories(self, active: ActiveEffect, states: tuple, along: tuple) -> list[np.ndarray]:
         """The memories (n,) of an effect along the trajectory: each linear in itself, so exact for a trajectory that

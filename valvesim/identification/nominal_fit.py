@@ -377,8 +377,8 @@ def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None]) -> N
 
 
 def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float], None]) -> NominalFit:
-    """A preliminary fit continued at full weight; with peaks down-weighted where the model cannot follow them, or
-    where what the inputs do is not known to the microseconds that a peak takes.
+    """A preliminary fit continued, first with peaks down-weighted, then at full weight; not where the model cannot
+    follow the peaks, or where what the inputs do is not known to the microseconds that a peak takes.
     """
     study = study.with_noise(nominal.study.noise)
     near = _with_edges_searched(linearise_nominal(study, rescored(study, nominal.fit)))

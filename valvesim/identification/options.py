@@ -215,12 +215,6 @@ class SensitivityOptions:
     """How sensitivities are worked out."""
 
     forcing_bytes: float = option(1.5e8, "byte", "forcings that are solved for at once", "memory")
-    batch_values: int = option(
-        65_536,
-        "1",
-        "values of one quantity along a trajectory for a batch of valves",
-        "they stay in the processor's cache",
-    )
     step: float = option(
         0.01,
         "1",

@@ -291,24 +291,16 @@ class RecordPredictor:
         return self._deviating("oil_temperature", oil, deviations) if deviations else oil
 
     def coefficients_along(
-        self,
-        variant: ModelVariant,
-        model: ValveModel,
-        times: np.ndarray | None = None,
-        path: TemperaturePath | None = None,
+        self, variant: ModelVariant, model: ValveModel, path: TemperaturePath | None = None
     ) -> tuple:
-        """Flat coefficients of a model for a variant on the grid (or at `times`), (n,) each, (1,) where constant.
-
-        Of a variant whose valve is a batch, quantities (batch, 1), they are (n, batch), with ones where constant.
-        `path` is that of the variant, where it is known.
+        """Flat coefficients of a model for a variant on the grid, (n,) each, (1,) where constant; `path` is that of the
+        variant, where it is known.
         """
         path, knots = self.coefficients_at_knots(variant, model, path)
-        dimensions = max(np.ndim(value) for value in knots)
-        columns = [np.array(value, dtype=float, ndmin=max(dimensions, 1)).T for value in knots]
+        columns = [np.atleast_1d(np.asarray(value, dtype=float)) for value in knots]
         if len(path.times) == 1:
             return tuple(columns)
-        k, share = brackets(self.times if times is None else times, path.times)
-        share = share.reshape(-1, *(1,) * (columns[0].ndim - 1))
+        k, share = brackets(self.times, path.times)
         return tuple(
             column[:1] if np.all(column == column[0]) else linear_interpolation(column, k, share) for column in columns
         )

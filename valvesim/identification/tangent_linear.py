@@ -1,9 +1,13 @@
 """How small changes of a valve show in its sensors: the linearised equations along a trajectory, solved for many at
 once.
 
-A change of a parameter, an effect or an unknown term is a forcing: what it adds to the rates along the trajectory,
-and to what the sensors read directly. The valve answers linearly with its Jacobian along the trajectory. So one run
-of the valve gives the answer to some hundred changes, each exact as its size goes to zero.
+A change of an effect or an unknown term is a forcing: what it adds to the rates along the trajectory, and to what the
+sensors read directly; that of a parameter is one by the derivatives of the equations with respect to their
+coefficients. The valve answers linearly with its Jacobian along the trajectory. So one run of the valve gives the
+answer to some hundred changes, each exact as its size goes to zero.
+
+Symbols
+    d scaled states, A Jacobian, g forcing:  d' = A d + g;  E, early, late of a step: `solver.linear_response`
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from valvesim.solver.linear_response import compile_response
 from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives
 from valvesim.valve.laws import lag_of_step
 
-ENDLESS = 1e100  # scaled: squares of what is larger overflow
+DIVERGED = 1e100  # scaled: squares of what is larger overflow
 
 
 def relaxation_recursion(a, decay, share, z):
@@ -55,7 +59,7 @@ def propagators_of(A: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, np.
     return E, early, late
 
 
-class Reads(NamedTuple):
+class Sampling(NamedTuple):
     """How a channel is read: with a first-order `lag` (s), and each time by four points of the grid from `first` (r,)
     on, rising, by `weights` (r, 4).
     """
@@ -65,8 +69,9 @@ class Reads(NamedTuple):
     lag: float = 0.0
 
 
-def reads_at(times: np.ndarray, at: np.ndarray, lag: float = 0.0) -> Reads:
-    """Reads at times (r,), rising, of what is on an even grid: by cubics through the four points about each (Lagrange).
+def sampled_at(times: np.ndarray, at: np.ndarray, lag: float = 0.0) -> Sampling:
+    """Sampling at times (r,), none before the last, of what is on an even grid of times (n,), four or more: by cubics
+    through the four points about each (Lagrange).
     """
     first = np.clip(np.searchsorted(times, at, "right") - 2, 0, len(times) - 4)
     s = (at - times[first]) / (times[1] - times[0])
@@ -74,7 +79,7 @@ def reads_at(times: np.ndarray, at: np.ndarray, lag: float = 0.0) -> Reads:
     for j in range(4):
         others = [i for i in range(4) if i != j]
         weights[:, j] = np.prod([(s - i) / (j - i) for i in others], axis=0)
-    return Reads(first, weights, lag)
+    return Sampling(first, weights, lag)
 
 
 class Forcing(NamedTuple):
@@ -86,7 +91,7 @@ class Forcing(NamedTuple):
     rates: np.ndarray
     direct: Mapping[str, np.ndarray]
 
-    def times(self, share: np.ndarray) -> Forcing:
+    def scaled_by(self, share: np.ndarray) -> Forcing:
         """So much of it (rows,) at each point."""
         return Forcing(self.start, self.rates * share[:, None], {k: part * share for k, part in self.direct.items()})
 
@@ -94,7 +99,7 @@ class Forcing(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class TangentLinear:
     """The equations linear along a trajectory of an even `step` (s): `response` solves them, `slopes` are those of the
-    channels over the states.
+    channels over the states (the output matrix).
     """
 
     active: np.ndarray  # indices of the states that take part
@@ -104,7 +109,7 @@ class TangentLinear:
     early: np.ndarray
     late: np.ndarray
     slopes: dict[str, np.ndarray]  # channel -> (n, s), d(channel)/d(scaled state)
-    step: float = float("nan")
+    step: float
 
     def response(self, forcing: np.ndarray) -> np.ndarray:
         """Sensitivities (n, s, k) of the scaled states to forcings (n, s, k) of the scaled rates, at rest with the
@@ -116,7 +121,7 @@ class TangentLinear:
         d = np.empty_like(g)
         d[0] = self._at_rest(g[0])
         compile_response(len(self.active)).propagate(self.E, self.early, self.late, g, d)
-        bounded = (d.min(axis=(0, 1)) > -ENDLESS) & (d.max(axis=(0, 1)) < ENDLESS)
+        bounded = (d.min(axis=(0, 1)) > -DIVERGED) & (d.max(axis=(0, 1)) < DIVERGED)
         d[:, :, ~bounded] = 0.0
         return d
 
@@ -124,24 +129,19 @@ class TangentLinear:
         """The scaled states (s, k) at rest under a forcing (s, k): a memory at rest stays where it is."""
         return -np.linalg.lstsq(self.A[0], g, rcond=1e-12)[0]
 
-    def channel(self, name: str, response: np.ndarray, direct: np.ndarray | None = None) -> np.ndarray:
-        """Sensitivities (n, k) of a channel at the valve: through the states, and what reads on it directly."""
-        through = np.einsum("ns,nsk->nk", self.slopes[name], response)
-        return through if direct is None else through + direct
-
     def read_responses(
-        self, reads: Mapping[str, Reads], forcings: Sequence[Forcing], changed: ChangedCoefficients | None = None
+        self, reads: Mapping[str, Sampling], forcings: Sequence[Forcing], changed: ChangedCoefficients | None = None
     ) -> dict[str, np.ndarray]:
-        """The answers (r, k) of channels as they are read, to changed coefficients, then to forcings. As `response`
-        does, zero where one grows without end.
+        """The responses (r, k) of channels as they are read, to changed coefficients, then to forcings. As with
+        `response`, zero where one grows without end.
         """
         names, s = list(reads), len(self.active)
         blocks = changed.blocks(self.active, self.scale, names) if changed else ChangedBlocks.none(len(self.A))
         given = len(blocks.order)
-        answers = given + len(forcings)
+        count = given + len(forcings)
         lengths = [len(one.rates) for one in forcings]
         forced, forced_at = np.zeros((sum(lengths), s + len(names))), np.cumsum([0, *lengths])
-        start = np.zeros((s, LANES * -(-answers // LANES)))
+        start = np.zeros((s, LANES * -(-count // LANES)))
         start[:, :given] = blocks.forcing_at_first(s)
         for j, one in enumerate(forcings):
             rows = slice(forced_at[j], forced_at[j + 1])
@@ -153,18 +153,18 @@ class TangentLinear:
                 start[:, given + j] = one.rates[0]
         start = np.ascontiguousarray(np.moveaxis(self._at_rest(start).reshape(s, -1, LANES), 1, 0))
         at = np.cumsum([0, *(len(one.first) for one in reads.values())])
-        out, largest = np.empty((at[-1], len(start), LANES)), np.empty((len(start), LANES))
+        out, largest = np.full((at[-1], len(start), LANES), np.nan), np.empty((len(start), LANES))
         lags = np.array([lag_of_step(one.lag, self.step) for one in reads.values()])
         compile_response(s).read_responses(
             self.E, self.early, self.late, start, np.stack([self.slopes[name] for name in names]), blocks.changes,
             blocks.place, blocks.share, blocks.partials, blocks.entries, blocks.rows, blocks.columns, blocks.factors,
-            blocks.entries_at, answers, forced, np.array([one.start for one in forcings], dtype=np.int64), forced_at,
+            blocks.entries_at, count, forced, np.array([one.start for one in forcings], dtype=np.int64), forced_at,
             lags, np.concatenate([one.first for one in reads.values()]),
             np.concatenate([one.weights for one in reads.values()]), at, out, largest,
         )  # fmt: skip
-        found = out.reshape(len(out), -1)[:, :answers]
-        found[:, largest.ravel()[:answers] >= ENDLESS] = 0.0
-        own = np.append(np.argsort(blocks.order), np.arange(given, answers))
+        found = out.reshape(len(out), -1)[:, :count]
+        found[:, largest.ravel()[:count] >= DIVERGED] = 0.0
+        own = np.append(np.argsort(blocks.order), np.arange(given, count))
         return {name: found[at[k] : at[k + 1], own] for k, name in enumerate(names)}
 
 
@@ -194,7 +194,7 @@ class ChangedCoefficients:
         entries = compiled.entries(slice(0, len(row_of)), compiled.coefficients)
         entries = entries[row_of[compiled.targets[entries]] >= 0]
         coefficient = compiled.arguments[entries] - compiled.coefficients.start
-        moves = np.any(self.changes, axis=0, keepdims=True)[0]  # (n_c, k)
+        moves = np.array(self.changes.any(axis=0))  # (n_c, k)
         order = np.lexsort((np.argmax(moves, axis=0), -moves.sum(axis=0)))
         changes, chosen, columns, at = list[np.ndarray](), list[np.ndarray](), list[np.ndarray](), [0]
         for first in range(0, len(order), LANES):

@@ -64,7 +64,8 @@ def trace(model: Model, absent: frozenset[str] = frozenset()) -> tuple[Any, dict
     casadi.GlobalOptions.setNumpyMode(-1)
     sizes = (len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names))
     x, u, c = (casadi.SX.sym(name, size) for name, size in zip("xuc", sizes, strict=True))
-    rates = model.rhs(_split(x), _split(u), _present(model, c, absent))
+    present = zip(_split(c), model.coefficient_names, strict=True)
+    rates = model.rhs(_split(x), _split(u), tuple(casadi.SX(0) if name in absent else one for one, name in present))
     vector: Any = casadi.vertcat
     return vector(*rates), {"state": x, "inputs": u, "coefficients": c}
 
@@ -73,21 +74,12 @@ def _split(vector: Any) -> tuple:
     return tuple(vector[k] for k in range(vector.shape[0]))
 
 
-def _present(model: Model, c: Any, absent: frozenset[str]) -> tuple:
-    """The symbols of the flat coefficients, zero in the places of those that are absent."""
-    import casadi
-
-    named = zip(_split(c), model.coefficient_names, strict=True)
-    return tuple(casadi.SX(0) if name in absent else one for one, name in named)
-
-
-def trace_signals(model: Model, at: dict[str, Any], absent: frozenset[str] = frozenset()) -> Any:
+def trace_signals(model: Model, at: dict[str, Any]) -> Any:
     """The signals of a model as a column of CasADi expressions in the symbols of `trace`."""
     import casadi
 
-    x, u, c = at.values()
     join: Any = casadi.vertcat
-    return casadi.densify(join(*model.signals(_split(x), _split(u), _present(model, c, absent))))
+    return casadi.densify(join(*model.signals(*map(_split, at.values()))))
 
 
 @functools.lru_cache(maxsize=64)
@@ -154,7 +146,9 @@ def _load(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) ->
 
 
 def short_name(model: Model, absent: frozenset[str], what: str) -> list[str] | None:
-    """What tells a model of this package alone from every other; None for one with a user's effect or drive."""
+    """What tells the code of a model of this package, and `what` code it is, from every other; None for a model with a
+    user's effect or drive.
+    """
     own = type(model.drive) in (CurrentDrive, VoltageDrive) and all(
         CATALOGUE.get(effect.name) is effect for effect in model.effects
     )  # fmt: skip
@@ -341,14 +335,20 @@ def _integrator_source(n: int, lanes: int, n_c: int, rated: bool) -> str:
     Printed rather than called with them as arguments: numba keeps no compiled code of a function that takes functions,
     and loops of a known length are unrolled.
     """
-    text = inspect.getsource(rodas5p.integrate)
-    for plain, printed in (
+    return with_replaced(
+        rodas5p.integrate,
         ("def integrate(", "def run("),
         ("prepare, linearise, factor, step, error, bend, within, n_c, ", ""),
         ("n, lanes = y.shape", f"n, lanes, n_c = {n}, {lanes}, {n_c}"),
         ("rated = True", f"rated = {rated}"),
-    ):
+    )
+
+
+def with_replaced(function: Any, *replaced: tuple[str, str]) -> str:
+    """The source of a function with some of its text in other words, each once."""
+    text = inspect.getsource(function)
+    for plain, printed in replaced:
         if plain not in text:
-            raise RuntimeError(f"rodas5p.integrate has no {plain!r}")
+            raise RuntimeError(f"{function.__module__}.{function.__name__} has no {plain!r}")
         text = text.replace(plain, printed, 1)
     return text

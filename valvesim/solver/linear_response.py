@@ -4,8 +4,9 @@ Changes go side by side, `LANES` to a block. What is done to a block in a step i
 (`straight_line`); the loops around it are plain Python that numba compiles.
 
 Symbols
-    x scaled states, A(t) Jacobian, g(t) forcing, h step:  d' = A d + g
-    d_k+1 = E d_k + h [(phi1 - phi2) g_k + phi2 g_k+1],  E = exp(hA), phi1 = (E - I)/hA, phi2 = (phi1 - I)/hA
+    d scaled states (s of them), A(t) Jacobian, g(t) forcing, h step of the course (n points):  d' = A d + g
+    d_k+1 = E d_k + early g_k + late g_k+1,  early = h (phi1 - phi2), late = h phi2
+    E = exp(hA), phi1 = (E - I)/hA, phi2 = (phi1 - I)/hA
     (exact for A constant and g straight over a step, however stiff)
     by doubling: phi2(2A) = (phi1^2 + 2 phi2)/4, phi1(2A) = (E + I) phi1/2, E(2A) = E^2
 """
@@ -13,7 +14,6 @@ Symbols
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
@@ -21,10 +21,11 @@ from typing import Any
 import numpy as np
 
 from valvesim.solver import cache, straight_line
-from valvesim.solver.codegen import LANES, ONE_AT_A_TIME, second_level
+from valvesim.solver.codegen import LANES, ONE_AT_A_TIME, second_level, with_replaced
 
 FACTORIALS = (1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0)
 LARGEST_NORM = 0.25  # of a matrix whose series is taken
+LARGEST = 1e300  # of a number of use
 
 
 def product(X, Y, out, diagonal):
@@ -32,26 +33,26 @@ def product(X, Y, out, diagonal):
     out[:] = np.einsum("ikl,kjl->ijl", X, Y) + diagonal * np.eye(len(X))[:, :, None]
 
 
-def march(E, early, late, d, before, g, out):
+def advance(E, early, late, d, before, g, out):
     """Fill out = E d + early before + late g of matrices (s, s) and blocks (s or more, lanes)."""
     s = len(E)
     out[:s] = E @ d[:s] + early @ before[:s] + late @ g[:s]
 
 
 def channel(slope, d, direct, out):
-    """Fill out = direct + slope d of a slope (s,) and blocks (s, lanes), (1, lanes), (1, lanes)."""
-    out[0] = direct[0] + slope @ d
+    """Fill out (1, lanes) = direct + slope d of a slope (s,), a block (s, lanes) and a row (lanes,)."""
+    out[0] = direct + slope @ d
 
 
 def printed(s: int) -> list[str]:
-    """The lines of `product`, `march` and `channel` for s states."""
+    """The lines of `product`, `advance` and `channel` for s states."""
     every = range(s)
     lines = ["def product(X, Y, out, diagonal):"]
     for i in every:
         for j in every:
             terms = " + ".join(f"X[{i}, {k}] * Y[{k}, {j}]" for k in every)
             lines.append(f"    out[{i}, {j}] = {'diagonal + ' if i == j else ''}{terms}")
-    lines.append("def march(E, early, late, d, before, g, out):")
+    lines.append("def advance(E, early, late, d, before, g, out):")
     for i in every:
         steps = (f"E[{i}, {j}] * d[{j}] + early[{i}, {j}] * before[{j}] + late[{i}, {j}] * g[{j}]" for j in every)
         lines.append(f"    out[{i}] = {' + '.join(steps)}")
@@ -65,7 +66,8 @@ def propagators(A, h, E, early, late):
 
     Some steps at a time, side by side in the last place: what the one of largest norm needs, all of them get.
     """
-    n, s, lanes = A.shape[0], A.shape[1], 8
+    n = A.shape[0]
+    s, lanes = A.shape[1], LANES
     shape = (s, s, lanes)
     S, P, phi, late_phi, T = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
     for first in range(0, n - 1, lanes):
@@ -123,22 +125,24 @@ def propagate(E, early, late, g, d):
 
 def read_responses(
     E, early, late, start, slopes, changes, place, share, partials, entries, rows, columns, factors, entries_at,
-    answers, forced, forced_from, forced_at, lags, first, weights, reads, out, largest,
+    responses, forced, forced_from, forced_at, lags, first, weights, reads, out, largest,
 ):  # fmt: skip
-    """Fill out (r, blocks, lanes), the answers of channels as they are read, to changes of coefficients and then to
-    forcings, along a course of n points; and `largest` (blocks, lanes), how far the states went.
+    """Fill out (r, blocks, lanes), the responses of channels as they are read, to changes of coefficients and then to
+    forcings, along a course of n points; and `largest` (blocks, lanes), how far the states went, endless where they end
+    as no number.
 
     `changes` (m, q, lanes) are those of a coefficient in a block, at the knots; `place` and `share` (n,) tell where
     points are among these. Of the entries of block b, `entries_at[b]` to `entries_at[b + 1]`, each is a row
     `entries[e]` of the derivatives `partials` (., n): of target `rows[e]`, a rate (s of them) or a channel, by change
-    `columns[e]`, and counts `factors[e]` times. The last answers are to forcings, each the rows `forced_at[j]` to
-    `forced_at[j + 1]` of `forced` (., s + channels) from point `forced_from[j]` on. `start` (blocks, s, lanes) are the
-    answers at the first point, `slopes` (channels, n, s) those of the channels over the states. Channel j follows with
-    a first-order lag, `lags[j]` (how much of its distance is left after a step, and of a change added to it), and is
-    read `reads[j + 1] - reads[j]` times, each by four points from `first` on, rising, with `weights` (r, 4).
+    `columns[e]`, and counts `factors[e]` times. Of so many `responses` the last are to forcings, each the rows
+    `forced_at[j]` to `forced_at[j + 1]` of `forced` (., s + channels) from point `forced_from[j]` on. `start`
+    (blocks, s, lanes) are the responses at the first point, `slopes` (channels, n, s) those of the channels over the
+    states. Channel j follows with a first-order lag, `lags[j]` (how much of its distance is left after a step, and of a
+    change added to it), and is read `reads[j + 1] - reads[j]` times, each by four points from `first` on, none before
+    the last, with `weights` (r, 4).
     """
-    channels, n, s = slopes.shape
-    blocks, lanes, last = start.shape[0], 8, changes.shape[0] - 1
+    s, lanes = slopes.shape[2], LANES
+    channels, n, blocks, last = slopes.shape[0], slopes.shape[1], start.shape[0], changes.shape[0] - 1
     change, d, moved = np.empty((changes.shape[1], lanes)), start.copy(), np.empty((blocks, s, lanes))
     g, before = np.zeros((blocks, s + channels, lanes)), np.zeros((blocks, s + channels, lanes))
     recent, following = np.empty((channels, 4, blocks, 1, lanes)), reads[:-1].copy()
@@ -158,12 +162,12 @@ def read_responses(
         for j in range(forced_from.shape[0]):
             row = forced_at[j] + at - forced_from[j]
             if forced_at[j] <= row < forced_at[j + 1]:
-                answer = answers - forced_from.shape[0] + j
+                response = responses - forced_from.shape[0] + j
                 for i in range(s + channels):
-                    g[answer // lanes, i, answer % lanes] = forced[row, i]
+                    g[response // lanes, i, response % lanes] = forced[row, i]
         if at > 0:
             for b in range(blocks):
-                march(E[at - 1], early[at - 1], late[at - 1], d[b], before[b], g[b], moved[b])
+                advance(E[at - 1], early[at - 1], late[at - 1], d[b], before[b], g[b], moved[b])
             d, moved = moved, d
         for b in range(blocks):
             for i in range(s):
@@ -194,7 +198,7 @@ def read_responses(
     for b in range(blocks):
         for i in range(s):
             for v in range(lanes):
-                if not abs(d[b, i, v]) < 1e300:
+                if not abs(d[b, i, v]) < LARGEST:  # nor a number
                     largest[b, v] = np.inf
 
 
@@ -213,7 +217,7 @@ def _compile(states: int) -> ModuleType:
     return cache.load(
         ["linear response", str(states)],
         lambda: response_source(states),
-        (straight_line.intrinsics,),
+        (straight_line.intrinsics, propagators),
         lambda module: _call_once(module, states),
     )
 
@@ -226,7 +230,7 @@ def response_source(states: int) -> str:
             f'"""Printed by valvesim.solver.linear_response for {states} states."""',
             "import numpy as np",
             "from numba import njit",
-            "from valvesim.solver.linear_response import FACTORIALS, LARGEST_NORM",
+            "from valvesim.solver.linear_response import FACTORIALS, LARGEST, LARGEST_NORM",
             "from valvesim.solver.straight_line import intrinsics",
             'LINES = """',
             *printed(states),
@@ -240,10 +244,11 @@ def response_source(states: int) -> str:
 
 def _with_sizes(function: Any, states: int) -> str:
     """A function's source with its sizes in figures, so that loops over states and lanes are unrolled."""
-    text = inspect.getsource(function)
-    text = text.replace("n, s, lanes = A.shape[0], A.shape[1], 8", f"n, s, lanes = A.shape[0], {states}, {LANES}")
-    text = text.replace("channels, n, s = slopes.shape", f"channels, n, s = slopes.shape[0], slopes.shape[1], {states}")
-    return text.replace("blocks, lanes, last = start.shape[0], 8, ", f"blocks, lanes, last = start.shape[0], {LANES}, ")
+    sizes: dict[Any, tuple[tuple[str, str], ...]] = {
+        propagators: (("s, lanes = A.shape[1], LANES", f"s, lanes = {states}, {LANES}"),),
+        read_responses: (("s, lanes = slopes.shape[2], LANES", f"s, lanes = {states}, {LANES}"),),
+    }
+    return with_replaced(function, *sizes.get(function, ()))
 
 
 def _call_once(module: ModuleType, s: int) -> None:

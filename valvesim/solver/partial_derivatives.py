@@ -46,7 +46,7 @@ class CoefficientCourse(NamedTuple):
         return CoefficientCourse(self.knots, self.place[rows], self.share[rows])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CompiledDerivatives:
     """The rates and some signals of a model, and their partial derivatives, ready to be worked out along a course.
 
@@ -90,22 +90,17 @@ class CompiledDerivatives:
         return out
 
 
-def compile_derivatives(
-    model: Model, signals: Sequence[str], absent: frozenset[str] = frozenset()
-) -> CompiledDerivatives:
-    """The derivatives of a model and of the signals so named; some seconds the first time on a machine.
-
-    The coefficients named `absent` are taken for zero.
-    """
+def compile_derivatives(model: Model, signals: Sequence[str]) -> CompiledDerivatives:
+    """The derivatives of a model and of the signals so named; a second or two the first time on a machine."""
     with ONE_AT_A_TIME:
-        return _compile(model, tuple(signals), absent)
+        return _compile(model, tuple(signals))
 
 
 @functools.lru_cache(maxsize=64)
-def _compile(model: Model, signals: tuple[str, ...], absent: frozenset[str]) -> CompiledDerivatives:
+def _compile(model: Model, signals: tuple[str, ...]) -> CompiledDerivatives:
     module = cache.load(
-        short_name(model, absent, f"derivatives of {' '.join(signals)}"),
-        lambda: derivatives_source(model, signals, absent),
+        short_name(model, frozenset(), f"derivatives of {' '.join(signals)}"),
+        lambda: derivatives_source(model, signals),
         (straight_line.intrinsics,),
         lambda module: _call_once(module, model),
     )
@@ -121,13 +116,13 @@ def _call_once(module: ModuleType, model: Model) -> None:
         module.fill_derivatives(x, u, *course, np.zeros((1, 0)))
 
 
-def derivatives_source(model: Model, signals: Sequence[str], absent: frozenset[str] = frozenset()) -> str:
+def derivatives_source(model: Model, signals: Sequence[str]) -> str:
     """The Python source: `fill_values`, `fill_derivatives`, and where the derivatives stand."""
     import casadi
 
     join: Any = casadi.vertcat
-    rates, at = trace(model, absent)
-    named = trace_signals(model, at, absent)
+    rates, at = trace(model)
+    named = trace_signals(model, at)
     names = [channel.name for channel in model.signal_channels]
     outputs = join(rates, *(named[names.index(name)] for name in signals))
     arguments = dict(zip("xuc", at.values(), strict=True))
