@@ -25,7 +25,7 @@ from valvesim.solver.codegen import LANES, ONE_AT_A_TIME, second_level, with_rep
 
 FACTORIALS = (1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0)
 LARGEST_NORM = 0.25  # of a matrix whose series is taken
-LARGEST = 1e300  # of a number of use
+OVERFLOW = 1e300  # of a number of use
 
 
 def product(X, Y, out, diagonal):
@@ -198,7 +198,7 @@ def read_responses(
     for b in range(blocks):
         for i in range(s):
             for v in range(lanes):
-                if not abs(d[b, i, v]) < LARGEST:  # nor a number
+                if not abs(d[b, i, v]) < OVERFLOW:  # nor a number
                     largest[b, v] = np.inf
 
 
@@ -230,7 +230,7 @@ def response_source(states: int) -> str:
             f'"""Printed by valvesim.solver.linear_response for {states} states."""',
             "import numpy as np",
             "from numba import njit",
-            "from valvesim.solver.linear_response import FACTORIALS, LARGEST, LARGEST_NORM",
+            "from valvesim.solver.linear_response import FACTORIALS, OVERFLOW, LARGEST_NORM",
             "from valvesim.solver.straight_line import intrinsics",
             'LINES = """',
             *printed(states),
