@@ -11,7 +11,7 @@ from hidden_plant import truth
 import valvesim as vs
 from valvesim.diagnosis import apart, bench_faults
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _plainest, _shift_words, _waves_apart
+from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _shift_words, _waves_apart
 from valvesim.diagnosis.detection import _is_stretched
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
@@ -121,18 +121,6 @@ def test_a_meter_that_drifts_far_is_no_alarm_and_any_other_figure_that_is_far_of
     ):  # fmt: skip
         study = SimpleNamespace(nominal=SimpleNamespace(parameters=parameters))
         assert _is_stretched(SimpleNamespace(study=study, fit=SimpleNamespace(point=np.array(point))), 3.8) == expected
-
-
-def test_beside_a_strong_cause_the_plainest_of_alike_laws_is_fitted():
-    def start(name):
-        return (SimpleNamespace(candidate=SimpleNamespace(name=name, effect=CATALOGUE.get(name))),)
-
-    silting, coulomb, lag, figure = (
-        start(name) for name in ("spool_silting", "spool_coulomb_friction", "eddy_current_lag", "parameter:spool_mass")
-    )
-    assert _plainest([silting, lag, coulomb]) is coulomb
-    assert _plainest([silting, lag, (*coulomb, *lag)]) is silting  # a pair is no plainer
-    assert _plainest([lag, coulomb]) is lag and _plainest([figure, coulomb]) is figure
 
 
 def test_beside_a_wave_the_ends_of_each_record_do_not_count(biased_session):

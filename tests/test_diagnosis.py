@@ -437,7 +437,7 @@ def test_where_one_of_a_pair_is_slight_the_other_is_fitted_alone_too_from_where_
     lap, air = explained(0.0, "spool_lap", "entrained_air").fit.fitted
     asked, share = [], 1e-3
 
-    def fit_hypothesis(nominal, start, point):
+    def fit_hypothesis(nominal, start, point, worthwhile):
         asked.append(([member.candidate.name for member in start], point))
         left = (
             (start[0], replace(start[1], above_neutral=share * air.candidate.typical))
@@ -494,7 +494,7 @@ def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypa
 
 def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_that_does_not(monkeypatch):
     monkeypatch.setattr(
-        refits, "fit_hypothesis", lambda nominal, start, point: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0)
+        refits, "fit_hypothesis", lambda nominal, start, point, worthwhile: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0)
     )
     best, behind = (
         stretched(100.0, 0.5, "spool_lap"),
@@ -554,11 +554,13 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
     hysteresis = explained(0.0, "magnetic_hysteresis").fit.fitted[0]
     tried = []
 
-    def refitted(nominal, starts, point, options):
+    def refitted(nominal, starts, point, beside, options):
         tried.extend([member.candidate.name for member in start] for start in starts)
         return [explained(50.0, *names) if len(names) == 2 else explained(500.0, *names) for names in tried[-1:]]
 
     monkeypatch.setattr(second_cause, "fit_starts", refitted)
+    monkeypatch.setattr(second_cause, "comes_near", lambda nominal, best, start, options: start[0].candidate in near)
+    near = [lap.candidate, air.candidate]
     monkeypatch.setattr(second_cause, "fit_hypothesis", lambda nominal, start, point: replace(best.fit, fitted=start))
     tested = lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit, z=lambda: np.array([9.0, 8.0]))  # noqa: E731
     monkeypatch.setattr(second_cause, "score_test", tested)
@@ -570,6 +572,9 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
     assert {"spool_lap", "entrained_air"} <= {one.label for one in found}  # each alone as well
     one = [explained(100.0, "spool_lap")]
     assert with_other_pairs(None, one, BEFORE) == (one, BEFORE)
+    near.clear()  # where neither alone comes near the records beside neither another is sought
+    tried.clear()
+    assert with_other_pairs(None, [best], BEFORE) == ([best], BEFORE) and not tried
 
 
 def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeypatch):
@@ -617,7 +622,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     scores = SimpleNamespace(options=DIAGNOSIS, candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
     tried, chi_squares, alone = [], {other: 50.0, "thermal_lag": None}, {}
 
-    def each_alone(nominal, starts, point, options):
+    def each_alone(nominal, starts, point, beside, options):
         return [explained(alone.get(member.candidate.name, 500.0), member.candidate.name) for (member,) in starts]
 
     def falls(nominal, starts):
@@ -630,7 +635,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
         return replace(pair.fit, fitted=start, chi_square=chi_square) if chi_square is not None else None
 
     monkeypatch.setattr(refits, "fit_starts", each_alone)
-    monkeypatch.setattr(refits, "_comes_near", lambda *_, **__: True)
+    monkeypatch.setattr(refits, "comes_near", lambda *_, **__: True)
     monkeypatch.setattr(second_cause, "reductions_from_prior", falls)
     monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
     monkeypatch.setattr(

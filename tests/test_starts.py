@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from valvesim.diagnosis import refits, second_cause
+from valvesim.diagnosis import refits, second_cause, starts
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.refits import alike_hypotheses, fit_starts, plainer_hypotheses, reduced_hypotheses, restarted
 from valvesim.diagnosis.score_test import ScoreTest, search_size
-from valvesim.diagnosis.second_cause import at_full_weight, typical_starts, with_other_pairs, with_second_cause
-from valvesim.diagnosis.starts import start_points
+from valvesim.diagnosis.second_cause import at_full_weight, with_other_pairs, with_second_cause
+from valvesim.diagnosis.starts import simulated_starts, start_points, typical_starts
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
@@ -100,7 +100,7 @@ def test_typical_amplitudes_are_tried_in_either_direction_and_the_best_of_those_
         tried[:] = [(one.candidate, np.sign(one.above_neutral)) for (one,) in starts]
         return np.array([{(BIAS, -1.0): 50.0, (FRICTION, 1.0): 80.0}.get(each, -1.0) for each in tried])
 
-    monkeypatch.setattr(second_cause, "reductions_from_prior", falls)
+    monkeypatch.setattr(starts, "reductions_from_prior", falls)
     found = typical_starts(None, scores({BIAS: 0.0, FRICTION: 0.0}))
     assert tried == [(BIAS, 1.0), (BIAS, -1.0), (FRICTION, 1.0)]
     assert [(one.candidate, one.above_neutral) for (one,) in found] == [
@@ -116,7 +116,7 @@ def fitted(monkeypatch):
     """Refits that end at the chi-squares set here, by the names of their causes; score tests in which nothing shows."""
     ends, begun = {}, []
 
-    def fits(nominal, starts, point=None, *, options):
+    def fits(nominal, starts, point=None, *, beside=(), options):
         begun.extend(labels(starts))
         ran = [(start, ends[label]) for start, label in zip(starts, labels(starts), strict=True) if label in ends]
         return [FittedHypothesis(replace(hypothesis(0.0).fit, fitted=s, chi_square=c), options=options) for s, c in ran]
@@ -129,7 +129,7 @@ def fitted(monkeypatch):
     monkeypatch.setattr(refits, "fit_starts", fits)
     monkeypatch.setattr(refits, "evaluate_fit", evaluated)
     monkeypatch.setattr(second_cause, "fit_starts", fits)
-    monkeypatch.setattr(second_cause, "score_test", lambda nominal, fit, *, options: scores({BIAS: 0.0}, fit))
+    monkeypatch.setattr(second_cause, "score_test", lambda nominal, fit, **_: scores({BIAS: 0.0}, fit))
     return SimpleNamespace(ends=ends, begun=begun)
 
 
@@ -227,8 +227,9 @@ def test_of_a_pair_that_one_explains_as_well_the_one_is_left(fitted):
 
 
 def test_causes_that_cannot_be_simulated_are_none(monkeypatch):
-    monkeypatch.setattr(refits, "fit_hypothesis", lambda nominal, start, point: None)
-    monkeypatch.setattr(second_cause, "fit_hypothesis", lambda nominal, start, point: None)
+    monkeypatch.setattr(refits, "fit_hypothesis", lambda nominal, start, point, **_: None)
+    monkeypatch.setattr(second_cause, "fit_hypothesis", lambda nominal, start, point, **_: None)
+    monkeypatch.setattr(second_cause, "comes_near", lambda *_, **__: True)
     pair = hypothesis(1000.0, LAP, AIR)
     assert fit_starts(NOMINAL, [pair.fit.fitted], options=DIAGNOSIS) == []
     before = scores({AIR: 3.0}, pair.fit)

@@ -147,7 +147,7 @@ def test_a_refit_far_from_the_records_is_made_robustly(biased, monkeypatch):
     (candidate,) = [c for c in nominal.study.candidates if c.label == "sensor_bias@load_flow"]
     afar = replace(nominal.study.options, fit=replace(nominal.study.options.fit, inadequate_ratio=0.1))
     far = replace(nominal, study=replace(nominal.study, options=afar))
-    monkeypatch.setattr(hypothesis_fit, "_fit_robustly", lambda nominal, fit, linearisations: "robust")
+    monkeypatch.setattr(hypothesis_fit, "_fit_robustly", lambda nominal, fit, *_: "robust")
     assert fit_hypothesis(far, (FittedCandidate(candidate, 0.0),)) == "robust"
 
 

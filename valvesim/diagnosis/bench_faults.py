@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
-from valvesim.diagnosis.detection import nuisance_covariance, wald_statistic
+from valvesim.diagnosis.detection import beyond_noise, nuisance_covariance, wald_statistic
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.refits import largest_shift, plainest_name
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
-from valvesim.diagnosis.starts import start_points
+from valvesim.diagnosis.starts import simulated_starts
 from valvesim.identification.between_samples import Wave
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
@@ -102,25 +101,27 @@ def with_faults_beside_cause(
     """The same by what the likeliest cause leaves, fitted a little: what the nominal valve leaves is all of the cause
     where it is inadequate. Last the fit of that cause beside what the bench did, if there was anything to be fitted.
 
-    Where the cause has carried figures of the nominal fit away its fit begins from within tolerance.
+    Its fit begins from within tolerance: the cause may have carried figures of the nominal fit away.
     """
-    starts, few = start_points(scores, frozenset()), options.isolation.near_linearisations
-    if not starts or is_adequate(nominal.fit, options=options.identification):
+    few, at, tried = options.isolation.near_linearisations, nominal, False
+    if is_adequate(nominal.fit, options=options.identification):
         return nominal, scores, None
-    start, at, tried = _plainest(starts), nominal, False
-    if largest_shift(nominal.fit) > options.isolation.shifted:
-        fit = fit_from_prior(nominal, start, few)
-    else:
-        fit = fit_hypothesis(nominal, start, linearisations=few)
+    fit = None
+    for start in simulated_starts(nominal, scores):
+        other = fit_from_prior(nominal, start, few)
+        if other is not None and (fit is None or other.chi_square < fit.chi_square):
+            fit = other
+        if fit is not None and _leaves_noise(fit, at.study, options=options):
+            break
     for _ in range(options.bench.most_faults):
         if fit is None:
             break
-        beside = score_test(at, fit, options=options)
+        beside = score_test(at, fit, terms=(), options=options)
         if (tuned := _tuned_beside(at, fit, beside)) is not None:
             at, fit = tuned
             if (better_fit := fit_hypothesis(at, fit.fitted, fit.point, few)) is None:
                 break
-            fit, beside = better_fit, score_test(at, better_fit, options=options)
+            fit, beside = better_fit, score_test(at, better_fit, terms=(), options=options)
         likeliest = _likeliest(at, beside, options=options)
         if likeliest is not None:
             at, more = _widened(at, likeliest.parameters), np.zeros(len(likeliest.parameters))
@@ -129,7 +130,7 @@ def with_faults_beside_cause(
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:
             at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
-        elif not tried and not is_adequate(fit, options=options.identification):
+        elif not tried and not _leaves_noise(fit, at.study, options=options):
             (at, fit), tried = _best_inputs(at, fit, few), True
         else:
             break
@@ -139,12 +140,9 @@ def with_faults_beside_cause(
     return nominal, score_test(nominal, nominal.fit, options=options), fit
 
 
-def _plainest(starts: Sequence[tuple[FittedCandidate, ...]]) -> tuple[FittedCandidate, ...]:
-    """The likeliest of single starts, or the one of the plainer effect that it may be: it is fitted with fewer figures
-    and leaves hardly more.
-    """
-    name = plainest_name(starts[0][0].candidate)
-    return next((one for one in starts if len(one) == 1 and one[0].candidate.name == name), starts[0])
+def _leaves_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> bool:
+    """Whether a fit comes near the records and leaves no more than noise, as far as that is verified."""
+    return is_adequate(fit, options=options.identification) and beyond_noise(fit, study, options=options) == 0.0
 
 
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:

@@ -7,7 +7,7 @@ once more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,10 +39,10 @@ from valvesim.diagnosis.model_selection import (
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import (
     alike_hypotheses,
+    far_off,
     fit_starts,
     largest_shift,
     plainer_hypotheses,
-    plainest_name,
     reduced_hypotheses,
     refined_hypotheses,
     restarted,
@@ -53,13 +53,12 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.second_cause import (
     at_full_weight,
     effects_for_parameters,
-    typical_starts,
     with_other_pairs,
     with_second_cause,
     with_singles_from_prior,
     without_corrections_of_laws,
 )
-from valvesim.diagnosis.starts import single_starts, start_points
+from valvesim.diagnosis.starts import single_starts, start_points, typical_starts
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
@@ -165,6 +164,7 @@ def _isolated(
     progress: Callable[[str, float], None],
     known: Sequence[Fit],
     beside: Sequence[Fit],
+    left_out: Set[str] = frozenset(),
     *,
     options: DiagnosisOptions,
 ) -> Isolation:
@@ -182,7 +182,7 @@ def _isolated(
         nominal, scores = better, score_test(better, better.fit, options=options)
     wider = with_model_discrepancy(nominal, distinct(found, options=options)[:1], options=options)
     if wider is None:
-        found = _fitted_further(nominal, found, likeliest, options=options)
+        found = _fitted_further(nominal, found, likeliest, left_out, options=options)
         wider = with_model_discrepancy(nominal, found, options=options)
     if wider is not None:
         nominal, scores, beside = _with_bench(wider, score_test(wider, wider.fit, options=options), options=options)
@@ -195,7 +195,8 @@ def _isolated(
     if left and not known and (wider := with_fault_left(nominal, left[0], options=options)) is not None:
         alike = answer_set_of(nominal, found, options=options)
         anew = score_test(wider, wider.fit, options=options)
-        return _isolated(wider, anew, progress, [one.fit for one in alike], [], options=options)
+        known = [one.fit for one in alike]
+        return _isolated(wider, anew, progress, known, [], far_off(found, options=options), options=options)
     nominal, scores, found, final = _verified(nominal, scores, level, found, left)
     level = scores.level(options.detection.false_alarm)
     if not found:
@@ -204,16 +205,23 @@ def _isolated(
 
 
 def _fitted_further(
-    nominal: NominalFit, found: Sequence[FittedHypothesis], likeliest: str, *, options: DiagnosisOptions
+    nominal: NominalFit,
+    found: Sequence[FittedHypothesis],
+    likeliest: str,
+    left_out: Set[str] = frozenset(),
+    *,
+    options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
     """The found, best first, with fits that may have stopped short taken up again, alike effects in the places of the
-    best's, the best refined, and its candidates tried one fewer.
+    best's, the best refined, and its candidates tried one fewer. Labels `left_out` are known to come nowhere near.
     """
     found = [*found, *restarted(nominal, found, likeliest, options=options)]
-    found += plainer_hypotheses(nominal, found, options=options)
-    found += alike_hypotheses(nominal, found, options=options)
+    found += plainer_hypotheses(nominal, found, left_out, options=options)
+    found += alike_hypotheses(nominal, found, left_out, options=options)
+    left_out = left_out | far_off(found, options=options)
     found = refined_hypotheses(nominal, found, options=options)
-    found += refined_hypotheses(nominal, plainer_hypotheses(nominal, found, options=options), options=options)
+    plainer = plainer_hypotheses(nominal, found, left_out, options=options)
+    found += refined_hypotheses(nominal, plainer, options=options)
     return reduced_hypotheses(nominal, distinct(found, options=options), options=options)
 
 
@@ -308,19 +316,19 @@ def _first_hypotheses(
     labels, laws = {one.label for one in begun}, set[str]()
     if point is not None and begun and is_adequate(begun[0].fit, options=scores.options.identification):
         point = begun[0].fit.point  # what the bench did, and the valve, are known beside it
-        laws = {plainest_name(candidate) for candidate in begun[0].candidates}  # alike ones follow from its figures
+        laws = {candidate.plainest for candidate in begun[0].candidates}  # alike ones follow from its figures
     while starts := start_points(scores, failed):
         first, pairs = starts[0][0].candidate, [start for start in starts if len(start) > 1]
         likeliest = first.label
         alone = [
             start for start in starts
             if len(start) == 1
-            and start[0].candidate.label not in labels and plainest_name(start[0].candidate) not in laws
+            and start[0].candidate.label not in labels and start[0].candidate.plainest not in laws
         ]  # fmt: skip
-        found = [*begun, *fit_starts(nominal, alone, point, progress, options=scores.options)]
+        found = [*begun, *fit_starts(nominal, alone, point, progress, beside=begun, options=scores.options)]
         if not any(_explains_all(one.fit, nominal, options=scores.options) for one in found):
-            found += fit_starts(nominal, pairs, point, progress, options=scores.options)
-        if plainest_name(first) in laws or any(likeliest == c.label for one in found for c in one.candidates):
+            found += fit_starts(nominal, pairs, point, progress, beside=found, options=scores.options)
+        if first.plainest in laws or any(likeliest == c.label for one in found for c in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others
     return found, likeliest

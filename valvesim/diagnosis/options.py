@@ -109,6 +109,12 @@ class IsolationOptions:
     refined_gain: float = option(
         30.0, "1", "chi-square that a refinement may gain: what is further behind is not refined", "mostly below 5"
     )
+    amounts: tuple[float, ...] = option(
+        (0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0),
+        "1",
+        "times the same share of its typical amplitude in which another law of the best's is tried first",
+        "friction of different laws",
+    )
     seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)
     second_share: float = option(0.8, "1", "share of the largest z from which they are", JUDGEMENT)
     unexplained_share: float = option(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -28,12 +29,13 @@ def restarted(
     more = _pairs_from_members(nominal, found, options=options)
     least = min((one.fit for one in (*found, *more)), key=lambda fit: fit.chi_square)
     more += _from_best_point(nominal, [*found, *more], least, options=options)
-    renewed = (
-        options.isolation.restarts if is_adequate(least, options=options.identification) else 0
-    )  # times that a promise may be; far off none holds
+    near = is_adequate(least, options=options.identification)
+    renewed = options.isolation.restarts if near else 0  # times that a promise may be; far off none holds
     left_to_alike = [known for known, _ in _alike_in_place(nominal, [*found, *more], options=options)]
     for one in [*found, *more]:
         if any(one.fit is known for known in left_to_alike):
+            continue
+        if near and not is_adequate(one.fit, options=options.identification):
             continue
         if (
             one.label == likeliest
@@ -67,12 +69,8 @@ def _from_best_point(
     """
     if not largest_shift(least) < options.isolation.shifted < largest_shift(nominal.fit):
         return []
-    return fit_starts(
-        nominal,
-        [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted],
-        least.point,
-        options=options,
-    )
+    shifted = [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted]
+    return fit_starts(nominal, shifted, least.point, beside=found, options=options)
 
 
 def largest_shift(fit: Fit) -> float:
@@ -107,27 +105,43 @@ def fit_starts(
     point: np.ndarray | None = None,
     progress: Callable[[float], None] = lambda share: None,
     *,
+    beside: Sequence[FittedHypothesis] = (),
     options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
-    """The hypotheses of starts that can be run, each refitted from a point of the nuisance parameters."""
-    found = []
+    """The hypotheses of starts that can be run, each refitted from a point of the nuisance parameters; those that do
+    not come near the records are given up early where one does, of these or of those `beside`.
+    """
+    found = list[FittedHypothesis]()
     for k, start in enumerate(starts):
         progress(k / len(starts))
-        fits = [fit := fit_hypothesis(nominal, start, point)]
+        near = any(is_adequate(one.fit, options=options.identification) for one in (*beside, *found))
+        worthwhile = options.identification.fit.inadequate_ratio * nominal.fit.rows if near else None
+        fits = [fit := fit_hypothesis(nominal, start, point, worthwhile=worthwhile)]
         if fit is None:
             continue
         more = tuple(member for member in fit.fitted if not is_negligible(member, options.isolation.slight_share))
         if 0 < len(more) < len(start):  # from there, one alone may get where it could not before
-            fits.append(fit_hypothesis(nominal, more, fit.point))
+            fits.append(fit_hypothesis(nominal, more, fit.point, worthwhile=worthwhile))
         found += [FittedHypothesis(one, options=options) for one in fits if one is not None]
     return found
 
 
+def far_off(found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> frozenset[str]:
+    """The labels of those that do not come near the records where the best does."""
+    near = {one.label for one in found if is_adequate(one.fit, options=options.identification)}
+    return frozenset(one.label for one in found if near) - near
+
+
 def plainer_hypotheses(
-    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+    nominal: NominalFit,
+    found: Sequence[FittedHypothesis],
+    left_out: Set[str] = frozenset(),
+    *,
+    options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
     """The best with the plainer effect in the place of each that is one without its own feature, fitted from the best's
-    figures: what a search has met first need not be what there is, and the plainer may have stopped short.
+    figures: what a search has met first need not be what there is, and the plainer may have stopped short. Labels
+    `left_out` have been fitted from there.
     """
     if not found:
         return []
@@ -138,19 +152,58 @@ def plainer_hypotheses(
         for candidate in [c for c in nominal.study.candidates if c.name == plainer and plainer not in taken][:1]:
             known = _known_in_place(best, k, candidate, found)
             starts.append(_in_its_place(best, k, candidate) if known is None else _from_best(best, k, known))
-    return fit_starts(nominal, starts, best.fit.point, options=options)
+    return _fitted_in_place(nominal, _without(left_out, starts), best, options=options)
 
 
 def alike_hypotheses(
-    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+    nominal: NominalFit,
+    found: Sequence[FittedHypothesis],
+    left_out: Set[str] = frozenset(),
+    *,
+    options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
     """The best with an effect alike in the place of each, one that is the same plainer one with another feature, from
-    the best's figures: those not fitted before, and those that explain much less. They may have stopped short.
+    the best's figures: those not fitted before, and those that explain much less. They may have stopped short. Labels
+    `left_out` have been fitted from there.
     """
     if not found:
         return []
-    starts = [start for _, start in _alike_in_place(nominal, found, options=options)]
-    return fit_starts(nominal, starts, distinct(found, options=options)[0].fit.point, options=options)
+    starts = _without(left_out, [start for _, start in _alike_in_place(nominal, found, options=options)])
+    return _fitted_in_place(nominal, starts, distinct(found, options=options)[0], options=options)
+
+
+def _fitted_in_place(
+    nominal: NominalFit,
+    starts: Sequence[tuple[FittedCandidate, ...]],
+    best: FittedHypothesis,
+    *,
+    options: DiagnosisOptions,
+) -> list[FittedHypothesis]:
+    """Starts refitted from the best's figures, each that is new in it in the amount that leaves least there: the amounts
+    of two laws of one thing do not compare.
+    """
+    scaled = [_in_best_amount(nominal, start, best, options=options) for start in starts]
+    return fit_starts(nominal, scaled, best.fit.point, options=options)
+
+
+def _in_best_amount(
+    nominal: NominalFit, start: tuple[FittedCandidate, ...], best: FittedHypothesis, *, options: DiagnosisOptions
+) -> tuple[FittedCandidate, ...]:
+    own = {candidate.label for candidate in best.candidates}
+    tried = []
+    for times in options.isolation.amounts:
+        scaled = tuple(
+            one if one.candidate.label in own else replace(one, above_neutral=times * one.above_neutral)
+            for one in start
+        )
+        with suppress(SolveError, InputError):
+            tried.append((evaluate_fit(nominal.study, best.fit.point, scaled).chi_square, scaled))
+    return min(tried, key=lambda pair: pair[0], default=(0.0, start))[1]
+
+
+def _without(labels: Set[str], starts: Sequence[tuple[FittedCandidate, ...]]) -> list[tuple[FittedCandidate, ...]]:
+    """The starts of other hypotheses than those of some labels."""
+    return [start for start in starts if " + ".join(one.candidate.label for one in start) not in labels]
 
 
 def _alike_in_place(
@@ -163,7 +216,7 @@ def _alike_in_place(
     most = best.fit.chi_square + answer_set_width(nominal, best)
     starts = list[tuple[Fit | None, tuple[FittedCandidate, ...]]]()
     for k, member in enumerate(best.fit.fitted):
-        plainest = plainest_name(member.candidate)
+        plainest = member.candidate.plainest
         taken = [member.candidate.name, *_others(best, k)]
         alike = {c.name: c for c in nominal.study.candidates if _plainer(c) == plainest and c.name not in taken}
         for candidate in alike.values():
@@ -173,11 +226,6 @@ def _alike_in_place(
             elif known.chi_square > most:
                 starts.append((known, _from_best(best, k, known)))
     return starts
-
-
-def plainest_name(candidate: Candidate) -> str:
-    """The name of the plainer effect that a candidate is without its own feature, or its own."""
-    return _plainer(candidate) or candidate.name
 
 
 def _in_its_place(best: FittedHypothesis, k: int, candidate: Candidate) -> tuple[FittedCandidate, ...]:
@@ -243,15 +291,16 @@ def reduced_hypotheses(
         best = found[0].fit
         starts = [tuple(member for member in best.fitted if member is not left_out) for left_out in best.fitted]
         if is_adequate(best, options=options.identification):
-            starts = [start for start in starts if _comes_near(nominal, best, start, options=options)]
-        merged = distinct([*found, *fit_starts(nominal, starts, best.point, options=options)], options=options)
+            starts = [start for start in starts if comes_near(nominal, best, start, options=options)]
+        fewer = fit_starts(nominal, starts, best.point, beside=found, options=options)
+        merged = distinct([*found, *fewer], options=options)
         if merged[0] is found[0]:
             return merged
         found = merged
     return found
 
 
-def _comes_near(
+def comes_near(
     nominal: NominalFit, best: Fit, start: tuple[FittedCandidate, ...], *, options: DiagnosisOptions
 ) -> bool:
     """Whether candidates come near the records, not fitted again, where the best has them with others."""

@@ -9,9 +9,9 @@ import numpy as np
 from valvesim.diagnosis.detection import bearable_beside_bench, beyond_noise
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, distinct, with_minimum_gain
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.refits import fit_starts, reduced_hypotheses
+from valvesim.diagnosis.refits import comes_near, fit_starts, reduced_hypotheses
 from valvesim.diagnosis.score_test import ScoreTest, score_test
-from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts
+from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts, typical_starts
 from valvesim.identification.fit import FittedCandidate, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.nominal_fit import NominalFit, has_uncertain_inputs, unweighted
@@ -38,7 +38,7 @@ def with_second_cause(
             : final.options.isolation.seconds
         ]
         starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in near]
-        more = fit_starts(nominal, starts, best.fit.point, options=final.options)
+        more = fit_starts(nominal, starts, best.fit.point, beside=found, options=final.options)
         merged = distinct([*found, *more], options=final.options)
         if merged[0] is best:  # what a second one explains is too little to be sure of, but may be there
             found = merged
@@ -76,12 +76,15 @@ def with_other_pairs(
     best, more = found[0].fit, list[FittedHypothesis]()
     if len(best.fitted) < 2:
         return found, final
+    near = is_adequate(best, options=final.options.identification)
     for member in best.fitted:
+        if near and not comes_near(nominal, best, (member,), options=final.options):
+            continue
         alone = fit_hypothesis(nominal, (member,), best.point)
         if alone is None:
             continue
         more.append(FittedHypothesis(alone, options=final.options))
-        scores = score_test(nominal, alone, options=final.options)
+        scores = score_test(nominal, alone, terms=(), options=final.options)
         z = scores.z()
         pairs = [
             (member, linear_amplitude(scores, k))
@@ -89,7 +92,8 @@ def with_other_pairs(
         ]
         tried = {frozenset(c.label for c in one.candidates) for one in found}
         new = [pair for pair in pairs if frozenset(e.candidate.label for e in pair) not in tried]
-        more += fit_starts(nominal, new[: final.options.isolation.seconds], best.point, options=final.options)
+        likeliest = new[: final.options.isolation.seconds]
+        more += fit_starts(nominal, likeliest, best.point, beside=found, options=final.options)
     merged = distinct([*found, *more], options=final.options)
     return merged, final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=final.options)
 
@@ -138,20 +142,6 @@ def with_singles_from_prior(
 def start_keys(starts: Sequence[tuple[FittedCandidate, ...]]) -> frozenset[tuple]:
     """What tells starts from each other: of each start its candidates, amplitudes and shapes."""
     return frozenset(tuple((one.candidate.key, one.above_neutral, one.shapes) for one in start) for start in starts)
-
-
-def typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
-    """The best few effects at their typical amplitudes: where a nominal fit is far from nominal, linearised
-    predictions may miss them all.
-    """
-    starts = [
-        (at_typical(scores, k, sign),)
-        for k, candidate in enumerate(scores.candidates)
-        if candidate.effect is not None
-        for sign in ((1.0,) if candidate.one_sided else (1.0, -1.0))
-    ]
-    falls = reductions_from_prior(nominal, starts)
-    return [starts[k] for k in np.argsort(-falls, kind="stable")[: scores.options.isolation.seconds] if falls[k] > 0.0]
 
 
 def effects_for_parameters(

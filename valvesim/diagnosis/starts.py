@@ -7,7 +7,10 @@ from collections.abc import Set
 import numpy as np
 
 from valvesim.diagnosis.score_test import ScoreTest
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import FittedCandidate, with_shapes
+from valvesim.identification.hypothesis_fit import reductions_from_prior
+from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.projection import ProjectedScores
 
 
@@ -90,3 +93,46 @@ def at_amplitude(scores: ScoreTest, k: int, amount: float) -> FittedCandidate:
 def at_typical(scores: ScoreTest, k: int, sign: float = 1.0) -> FittedCandidate:
     """A candidate at its typical amplitude."""
     return at_amplitude(scores, k, sign * scores.candidates[k].typical / scores.sizes[k])
+
+
+def typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
+    """The best few effects at their typical amplitudes: where a nominal fit is far from nominal, linearised
+    predictions may miss them all.
+    """
+    starts = _at_typical_either_way(scores)
+    falls = reductions_from_prior(nominal, starts)
+    return [starts[k] for k in np.argsort(-falls, kind="stable")[: scores.options.isolation.seconds] if falls[k] > 0.0]
+
+
+def simulated_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
+    """The few starts that explain most when they are simulated: of those by linear answers, and of the effects of the
+    valve at their typical amplitudes. After the first come the plainer effect that it may be, which is fitted with
+    fewer figures, and the likeliest by linear answers, for either may err. Faults of sensors are linear in what they
+    read: these are not simulated otherwise.
+    """
+    linear = [start for start in start_points(scores, frozenset()) if len(start) == 1]
+    typical = [start for start in _at_typical_either_way(scores) if not _is_of_sensor(start[0].candidate)]
+    starts = [*linear, *typical]
+    falls = reductions_from_prior(nominal, starts)
+    simulated = [starts[k] for k in np.argsort(-falls, kind="stable") if falls[k] > 0.0]
+    plainer = [
+        start for start in simulated if start[0].candidate.name == simulated[0][0].candidate.plainest
+    ]
+    best: dict[str, tuple[FittedCandidate, ...]] = {}
+    for start in (*simulated[:1], *plainer[:1], *linear[:1], *simulated[1:]):
+        best.setdefault(start[0].candidate.name, start)
+    return list(best.values())[: scores.options.isolation.seconds]
+
+
+def _is_of_sensor(candidate: Candidate) -> bool:
+    return candidate.effect is not None and candidate.effect.reading is not None
+
+
+def _at_typical_either_way(scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
+    """The effects at their typical amplitudes, those of either sign both ways."""
+    return [
+        (at_typical(scores, k, sign),)
+        for k, candidate in enumerate(scores.candidates)
+        if candidate.effect is not None
+        for sign in ((1.0,) if candidate.one_sided else (1.0, -1.0))
+    ]

@@ -62,6 +62,11 @@ class Candidate:
             return False
         return self.effect.amplitude.bounds[0] >= (self.effect.amplitude.neutral or 0.0)
 
+    @property
+    def plainest(self) -> str:
+        """The name of the plainer effect that it is without its own feature, or its own."""
+        return (self.effect.plainer if self.effect is not None else "") or self.name
+
     def excludes(self, other: Candidate) -> bool:
         """True for another shape or side of the same effect, whose name may stand in a model only once, and for another
         law of the same thing: of effects that are one plainer effect without their own features, one acts.

@@ -36,10 +36,12 @@ def fit_hypothesis(
     start: Sequence[FittedCandidate],
     point: np.ndarray | None = None,
     linearisations: int | None = None,
+    worthwhile: float | None = None,
 ) -> Fit | None:
     """Candidates and nuisance parameters fitted together from `start`; None where that cannot be simulated.
 
-    The first Jacobian is that of the nominal fit. Starts that lie far off are shrunk.
+    The first Jacobian is that of the nominal fit. Starts that lie far off are shrunk. A fit above the chi-square
+    `worthwhile` is given up after few linearisations: the least of what the nominal fit leaves, if it is not given.
     """
     linearisations = nominal.study.options.fit.most_linearisations if linearisations is None else linearisations
     tried = list[Fit]()
@@ -54,20 +56,26 @@ def fit_hypothesis(
     if not tried:
         return None
     near = min(tried, key=lambda one: one.chi_square)
-    fit = _fit_from_start(nominal, near, start, linearisations)
-    if near is tried[0] or (
-        fit is not None
-        and fit.predicted_reduction < unconverged(nominal, fit)
-        and fit.chi_square < _worthwhile(nominal)
+    fit = _fit_from_start(nominal, near, start, linearisations, worthwhile)
+    if (
+        near is tried[0]
+        or (worthwhile is not None and fit is not None)
+        or (
+            fit is not None
+            and fit.predicted_reduction < unconverged(nominal, fit)
+            and fit.chi_square < _worthwhile(nominal)
+        )
     ):
         return fit
     afar = _fit_robustly(
-        nominal, tried[0], linearisations
+        nominal, tried[0], linearisations, worthwhile
     )  # small beginnings may crawl along a bent valley: the great one jumps it
     return afar if fit is None else min(fit, afar, key=lambda one: one.chi_square)
 
 
-def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandidate], linearisations: int) -> Fit | None:
+def _fit_from_start(
+    nominal: NominalFit, fit: Fit, start: Sequence[FittedCandidate], linearisations: int, worthwhile: float | None
+) -> Fit | None:
     """A fit from a start, or from the solution of the linearised equations, whichever predicts the lower end; None
     where no valve has the candidates at the nominal parameters.
     """
@@ -88,8 +96,9 @@ def _fit_from_start(nominal: NominalFit, fit: Fit, start: Sequence[FittedCandida
         ),
     )
     if not is_adequate(fit, options=nominal.study.options):
-        return _fit_robustly(nominal, fit, linearisations)
-    return _iterate(nominal.study, fit, jacobian, _ending(nominal), linearisations, _worthwhile(nominal))
+        return _fit_robustly(nominal, fit, linearisations, worthwhile)
+    good = _worthwhile(nominal) if worthwhile is None else worthwhile
+    return _iterate(nominal.study, fit, jacobian, _ending(nominal), linearisations, good)
 
 
 def fit_from_prior(
@@ -164,9 +173,9 @@ def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCand
     return np.array([fall(start) for start in starts])
 
 
-def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int) -> Fit:
+def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int, worthwhile: float | None = None) -> Fit:
     """A fit as the nominal one is made: a robust start at the samples alone, peaks down-weighted, then as the study
-    is.
+    is. One that ends above a chi-square `worthwhile` with peaks down-weighted is not continued.
     """
     study, without_oversampling = nominal.study, nominal.study.without_oversampling()
     fit, linearised, columns = robust_start(without_oversampling, fit)
@@ -179,9 +188,11 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int) -> Fit:
             jacobian_of(between, fit, linearised, columns),
             lambda fit: nominal.study.options.fit.preliminary_ftol,
             linearisations,
-            np.inf,
+            np.inf if worthwhile is None else worthwhile,
         )
         fit = rescored(study, near)
+        if worthwhile is not None and near.chi_square > worthwhile:
+            return replace(fit, predicted_reduction=near.predicted_reduction, occam_factor=near.occam_factor)
         linearised, columns = linearise_fit(study, fit)
     return _iterate(
         study,
@@ -189,7 +200,7 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int) -> Fit:
         jacobian_of(study, fit, linearised, columns),
         _ending(nominal),
         linearisations,
-        _worthwhile(nominal),
+        _worthwhile(nominal) if worthwhile is None else worthwhile,
     )
 
 

@@ -62,6 +62,12 @@ def parameter_sensitivities(
     moved = linear.small_difference([perturbed[k] for k in slow])
     pairs = zip(plant, perturbed, strict=True)
     run = {p.name: linear.simulated_difference(variant) for p, variant in pairs if p.name in simulated - held}
+    steps = {p.name: _prior_step(p, linear.variant, options=linear.predictor.options) for p in plant}
+    size = np.array([abs(steps[plant[k].name]) for k in slow])
+    for j in linear.diverging({name: each / size for name, each in moved.items()}):
+        p = plant[slow[j]]
+        steps[p.name] *= linear.predictor.options.sensitivity.simulated_step / abs(steps[p.name])
+        run[p.name] = _run_or_nothing(linear, p.moved(linear.variant, steps[p.name]))
     out = {}
     for name, read in linear.readings.items():
         answered = dict(zip((plant[k].name for k in slow), moved[name].T, strict=True))
@@ -70,14 +76,19 @@ def parameter_sensitivities(
             if p.name in held or (p.sensor is not None and p.sensor.channel != name):
                 columns.append(np.zeros_like(read))
             elif p.sensor is None:
-                columns.append(
-                    (run[p.name][name] if p.name in run else answered[p.name])
-                    / _prior_step(p, linear.variant, options=linear.predictor.options)
-                )
+                columns.append((run[p.name][name] if p.name in run else answered[p.name]) / steps[p.name])
             else:
                 columns.append(_sensor_slope(linear, p, name) * p.deviation)
         out[name] = np.column_stack(columns)
     return out
+
+
+def _run_or_nothing(linear: LinearisedRecord, variant: ModelVariant) -> dict[str, np.ndarray]:
+    """`simulated_difference`, or no answer where the variant cannot be run."""
+    try:
+        return linear.simulated_difference(variant)
+    except (SolveError, InputError):
+        return {name: np.zeros_like(read) for name, read in linear.readings.items()}
 
 
 def _sensor_slope(linear: LinearisedRecord, parameter: NuisanceParameter, channel: str) -> np.ndarray:
@@ -136,6 +147,7 @@ def candidate_sensitivities(
                 run[k] = linear.simulated_difference(changed[k])
     slow = [k for k in quick if k not in run]
     moved = linear.linear_difference([changed[k] for k in slow])
+    run |= {slow[j]: _run_or_nothing(linear, changed[slow[j]]) for j in linear.diverging(moved)}
     for name in out:
         out[name][:, slow] = moved[name]
         for k, read in run.items():

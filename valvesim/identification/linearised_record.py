@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -86,6 +86,18 @@ class LinearisedRecord:
         forcings = [self.forcing(variants[k]) for k in others]
         order = np.argsort([*few, *others])
         return {name: moved[:, order] for name, moved in self.forced_response(forcings, changed).items()}
+
+    def diverging(self, moved: Mapping[str, np.ndarray]) -> list[int]:
+        """The columns of responses (n_samples, k) that are beyond all sense, by far larger than what was measured: there
+        the linearised equations are unstable, and the valve is not.
+        """
+        record, within = self.predictor.record, []
+        for name, columns in moved.items():
+            measured = record.values[name][record.usable[name]]
+            largest = max(np.ptp(measured), np.abs(measured).max()) if len(measured) else np.inf
+            most = self.predictor.options.sensitivity.most_spans * largest
+            within.append(np.max(np.abs(columns), axis=0, initial=0.0) <= most)
+        return [int(k) for k in np.flatnonzero(~np.all(within, axis=0))]
 
     def forced_response(
         self, forcings: Sequence[Forcing], changed: ChangedCoefficients | None = None

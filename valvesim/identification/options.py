@@ -230,6 +230,12 @@ class SensitivityOptions:
     simulated_step: float = option(
         0.3, "1", "prior deviations by which a parameter is moved whose sensitivity is simulated", JUDGEMENT
     )
+    most_spans: float = option(
+        100.0,
+        "1",
+        "times what a channel reads by which it may answer to a change: what answers by more is simulated",
+        "friction that falls with speed lets linear answers grow without end",
+    )
     refined_step: float = option(
         0.1, "1", "the same where a fit is refined by differences of runs", "the solver's noise is a hundredth of it"
     )

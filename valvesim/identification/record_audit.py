@@ -159,7 +159,7 @@ def _range_of(
     for side in (-1.0, 1.0):
         tops = [float(np.max(side * r.values[sensor.channel][r.usable[sensor.channel]])) for r in own]
         flat = [top for record, top in zip(own, tops, strict=True) if _flat_top(record, sensor, side, options=options)]
-        if any(piled(own, sensor, side, max(tops), options=options) for piled in (_common_top, _crowded_top)):
+        if any(piled(own, sensor, side, max(tops), options=options) for piled in (_common_top, _crowded_top, _silent_top)):
             flat.append(max(tops))
         if flat:
             low, high = (max(low, -min(flat)), high) if side < 0.0 else (low, min(high, *flat))
@@ -263,6 +263,29 @@ def _crowded_top(
     differ = bool(np.ptp(commands) > options.audit.flat_reach * asked)
     alone = count >= options.audit.few_tops and differ and not beside.any()
     return alone or bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
+
+
+def _silent_top(
+    records: Sequence[Record], sensor: Sensor, side: float, top: float, *, options: IdentificationOptions
+) -> bool:
+    """Whether a channel stands at the very top for long without its noise, which it shows wherever else the command
+    rests: the plateau of a step, cut off.
+    """
+    long, scatter = False, list[np.ndarray]()
+    span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
+    asked = max(float(np.ptp(record.values[record.command])) for record in records)
+    for record in records:
+        values, usable = side * record.values[sensor.channel], record.usable[sensor.channel]
+        stays = np.diff(_runs_at(values, top, usable))
+        long |= bool(np.any(stays >= options.audit.flat_samples))
+        moved = np.abs(np.diff(record.values[record.command])) > options.audit.least_motion * asked
+        below = usable & (values < top)
+        quiet = below[:-2] & below[1:-1] & below[2:] & ~moved[:-1] & ~moved[1:]
+        scatter.append(np.abs(np.diff(values, 2))[quiet])
+    seen = np.concatenate(scatter)
+    if not long or len(seen) < options.audit.flat_samples:
+        return False
+    return bool(np.median(seen) > max(3.0 * sensor.resolution, options.audit.finest_grid * span))
 
 
 def _runs_at(values: np.ndarray, top: float, usable: np.ndarray) -> np.ndarray:
