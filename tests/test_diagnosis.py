@@ -494,7 +494,7 @@ def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypa
 
 def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_that_does_not(monkeypatch):
     monkeypatch.setattr(
-        refits, "fit_hypothesis", lambda nominal, start, point, worthwhile: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0)
+        refits, "fit_hypothesis", lambda nominal, start, point, **_: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0)
     )
     best, behind = (
         stretched(100.0, 0.5, "spool_lap"),

@@ -529,6 +529,27 @@ def test_peaks_of_one_step_repeated_without_noise_are_not_saturated(session):
         assert record.usable["spool_position"].all()
 
 
+def plateaus(noise, grid):
+    """Levels of a step record, each with a sensor's noise on its grid, and the highest of them cut off."""
+    levels = np.repeat([0.9, 0.1, 0.965, 0.4], len(TIME) // 4)
+    read = 0.2 * levels + noise * np.random.default_rng(3).normal(size=len(levels))
+    return levels, np.minimum(np.round(read / grid) * grid, 0.186)
+
+
+def test_a_plateau_without_the_noise_of_the_others_is_saturated(session):
+    levels, read = plateaus(2e-3, 5e-4)
+    (record,) = session("", a=columns(**{CURRENT: levels, SPOOL: read})).records
+    assert np.array_equal(record.usable["spool_position"], read < 0.186)
+    assert 0.2 < np.mean(read >= 0.186) < 0.5
+
+
+@pytest.mark.parametrize("noise, grid", [(0.0, 5e-4), (2e-4, 5e-4), (2e-6, 1e-7)])
+def test_a_plateau_where_the_others_show_no_noise_either_is_not_told_to_be_saturated(session, noise, grid):
+    levels, read = plateaus(noise, grid)
+    (record,) = session("", a=columns(**{CURRENT: levels, SPOOL: read})).records
+    assert record.usable["spool_position"].all()
+
+
 def test_levels_that_a_coarse_sensor_rounds_alike_are_no_flat_top(session):
     levels = np.repeat([0.9, 0.1, 0.965, 0.4], 50)
     coarse = np.round(0.2 * levels / 0.03) * 0.03

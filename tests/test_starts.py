@@ -13,6 +13,7 @@ from valvesim.diagnosis.refits import alike_hypotheses, fit_starts, plainer_hypo
 from valvesim.diagnosis.score_test import ScoreTest, search_size
 from valvesim.diagnosis.second_cause import at_full_weight, with_other_pairs, with_second_cause
 from valvesim.diagnosis.starts import simulated_starts, start_points, typical_starts
+from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
@@ -111,6 +112,30 @@ def test_typical_amplitudes_are_tried_in_either_direction_and_the_best_of_those_
 # ---------------------------------------------------------------- a second cause
 
 
+def test_effects_that_linear_answers_miss_are_begun_by_simulation(monkeypatch):
+    stribeck = Candidate("spool_stribeck_friction", CATALOGUE["spool_stribeck_friction"])
+    falls = {FRICTION: 60.0, stribeck: 90.0, LAP: 80.0, AIR: 0.0, BIAS: 30.0}
+    simulated = []
+
+    def reductions(nominal, starts):
+        simulated[:] = [one.candidate for (one,) in starts]
+        return np.array([falls[one] for one in simulated])
+
+    monkeypatch.setattr(starts, "reductions_from_prior", reductions)
+    seen = scores({BIAS: 8.0, stribeck: 0.0, LAP: 0.0, FRICTION: 0.0})
+
+    def found():
+        return [one.candidate for (one,) in simulated_starts(None, seen)]
+
+    assert found() == [stribeck, FRICTION, BIAS]  # the best, the plainer that it may be, the likeliest if linear
+    assert simulated[0] is BIAS and BIAS not in simulated[1:]  # a sensor's fault is begun by linear answers alone
+    falls |= {LAP: 100.0, BIAS: -np.inf}  # no valve runs with it: linear answers may err, it is begun all the same
+    assert found() == [LAP, BIAS, stribeck]
+    seen = scores({LAP: 0.0, FRICTION: 0.0})
+    falls |= {LAP: -1.0, FRICTION: 0.0}
+    assert simulated_starts(None, seen) == []  # nothing shows, and nothing explains anything
+
+
 @pytest.fixture
 def fitted(monkeypatch):
     """Refits that end at the chi-squares set here, by the names of their causes; score tests in which nothing shows."""
@@ -204,6 +229,36 @@ def test_an_effect_alike_that_stopped_short_is_fitted_from_the_figures_of_the_be
     coulomb = ended(1000.0, FRICTION, 4.0, presliding_distance=2e-6)
     assert alike_hypotheses(nominal, [coulomb, short], options=DIAGNOSIS)
     assert fitted.begun == [silting.label, stribeck.label]  # the one that nobody has fitted yet as well
+    fitted.begun.clear()
+    alike_hypotheses(nominal, [coulomb, short], {silting.label}, options=DIAGNOSIS)
+    assert fitted.begun == [stribeck.label]  # but not what has been fitted from there
+
+
+def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatch):
+    nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(LAP, FRICTION)))
+    own = FittedCandidate(FRICTION, 4.0)
+    best = FittedHypothesis(replace(hypothesis(1000.0).fit, fitted=(own,)), options=DIAGNOSIS)
+    beside = FittedCandidate(LAP, LAP.typical)
+
+    def evaluated(study, point, start):
+        *_, friction = start
+        if friction.above_neutral > 4.0:
+            raise SolveError("the spool stands still")
+        return replace(hypothesis(abs(friction.above_neutral - 1.5)).fit, fitted=start)
+
+    monkeypatch.setattr(refits, "evaluate_fit", evaluated)
+    start = (beside, FittedCandidate(AIR, 4.0))
+    lap, other = refits._in_best_amount(nominal, start, best, options=DIAGNOSIS)
+    assert [lap.above_neutral, other.above_neutral] == pytest.approx([0.35 * LAP.typical, 0.35 * 4.0])
+    best = FittedHypothesis(replace(best.fit, fitted=(beside, own)), options=DIAGNOSIS)
+    lap, other = refits._in_best_amount(nominal, start, best, options=DIAGNOSIS)
+    assert lap == beside and other.above_neutral == pytest.approx(0.35 * 4.0)  # what both have stays
+
+
+def test_those_far_off_are_told_only_where_the_best_comes_near():
+    near, far = hypothesis(1000.0, LAP), hypothesis(50_000.0, AIR)
+    assert refits.far_off([near, far], options=DIAGNOSIS) == {"entrained_air"}
+    assert refits.far_off([far], options=DIAGNOSIS) == refits.far_off([], options=DIAGNOSIS) == frozenset()
 
 
 def test_the_plainer_effect_is_fitted_in_no_place_but_of_one_that_may_be_it(fitted):

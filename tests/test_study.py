@@ -18,12 +18,19 @@ from valvesim.identification.fit import evaluate_fit as evaluated
 from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.input_choice import HELD_NAME, are_delays
+from valvesim.identification.jacobian import (
+    candidate_sensitivities,
+    is_simulated,
+    parameter_sensitivities,
+    perturbed_variants,
+)
 from valvesim.identification.least_squares import (
     bounded_step,
     levenberg_marquardt,
     normal_equations,
     predict_reduction,
 )
+from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise
 from valvesim.identification.nominal_fit import (
     fit_nominal,
@@ -492,3 +499,96 @@ def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(biased_sessi
         assert bool(near.study.weights) is not full_weight
         if full_weight:
             assert near.fit.chi_square < afar.fit.chi_square + 2.0 * OPTIONS.fit.nominal_ftol
+
+
+def test_where_linear_answers_grow_beyond_all_that_was_measured_records_are_run(biased, monkeypatch):
+    """Friction that falls with speed lets the linearised equations grow by 1e25 in a second; the valve does not."""
+    nominal, _ = biased
+    study, fit = nominal.study, nominal.fit
+    linear, columns = nominal.linearised[0], nominal.columns[0]
+    names, read = [p.name for p in study.nominal.parameters], "spool_position"
+    stiffness, arm = names.index("feedback_rod_stiffness"), names.index("armature_arm")
+    changed = perturbed_variants(study.nominal, fit.variant(study.nominal))
+    assert linear.diverging({name: np.column_stack([each, 1e25 * each]) for name, each in columns.items()})[0] > 0
+    assert linear.diverging({name: np.full((3, 2), np.nan) for name in columns}) == [0, 1]
+    assert linear.diverging(columns) == []
+    plain = LinearisedRecord.small_difference
+
+    def growing(self, variants):
+        moved = plain(self, variants)
+        return {name: each * np.where(np.arange(each.shape[1]) == slow.index(stiffness), 1e25, 1.0)
+                for name, each in moved.items()}  # fmt: skip
+
+    plant = [p for p in study.nominal.parameters if p.sensor is None]
+    slow = [names.index(p.name) for p in plant if not is_simulated(p, options=study.options)]
+    monkeypatch.setattr(LinearisedRecord, "small_difference", growing)
+    run = parameter_sensitivities(linear, study.nominal, changed)
+    assert np.array_equal(run[read][:, arm], columns[read][:, arm])
+    off = np.abs(run[read][:, stiffness] - columns[read][:, stiffness])
+    assert 0.0 < off.max() < 0.1 * np.abs(columns[read][:, stiffness]).max()  # by differences of 0.3 deviations
+
+    lag = next(c for c in study.candidates if c.label == "eddy_current_lag")
+    variant = lag.apply_to(fit.variant(study.nominal), lag.typical)
+    monkeypatch.setattr(LinearisedRecord, "linear_difference", lambda self, variants: {
+        name: np.full((len(each), len(variants)), np.inf) for name, each in self.readings.items()})  # fmt: skip
+    own = candidate_sensitivities(linear, [lag], [variant], study.nominal, columns)
+    assert np.array_equal(own[read][:, 0], linear.simulated_difference(variant)[read])
+
+    def failing(self, variant):
+        raise SolveError("the step became too short")
+
+    monkeypatch.setattr(LinearisedRecord, "simulated_difference", failing)
+    own = candidate_sensitivities(linear, [lag], [variant], study.nominal, columns)
+    assert not own[read].any()  # nothing is known of it
+
+
+def test_a_hypothesis_that_is_not_worthwhile_is_given_up_with_peaks_down_weighted(biased, monkeypatch):
+    nominal, _ = biased
+    lag = next(c for c in nominal.study.candidates if c.label == "eddy_current_lag")
+    start = replace(nominal.fit, fitted=(FittedCandidate(lag, lag.typical),), chi_square=9e4, predicted_reduction=0.0)
+    ended, reached = [], {"chi_square": 5e4}
+
+    def iterate(study, fit, jacobian, ending, linearisations, good):
+        ended.append(good)
+        return replace(fit, chi_square=reached["chi_square"], predicted_reduction=7.0, occam_factor=3.0)
+
+    known = nominal.linearised, nominal.columns
+    monkeypatch.setattr(hypothesis_fit, "robust_start", lambda study, fit: (fit, *known))
+    monkeypatch.setattr(hypothesis_fit, "linearise_fit", lambda study, fit: known)
+    monkeypatch.setattr(hypothesis_fit, "jacobian_of", lambda *_: None)
+    monkeypatch.setattr(hypothesis_fit, "_iterate", iterate)
+    unweighted = replace(nominal, study=nominal.study.unweighted())
+    given_up = hypothesis_fit._fit_robustly(unweighted, start, 12, 1.2e4)
+    assert ended == [1.2e4] and (given_up.predicted_reduction, given_up.occam_factor) == (7.0, 3.0)
+    reached["chi_square"] = 1e4  # near: it goes on, at full weight
+    hypothesis_fit._fit_robustly(unweighted, start, 12, 1.2e4)
+    assert ended[1:] == [1.2e4, 1.2e4]
+    reached["chi_square"] = 5e4  # with nothing said, as far as it gets
+    hypothesis_fit._fit_robustly(unweighted, start, 12)
+    assert ended[3:] == [np.inf, hypothesis_fit._worthwhile(unweighted)]
+
+
+def test_normal_equations_without_a_solution_end_a_fit_and_no_more(biased, monkeypatch):
+    with pytest.raises(SolveError, match="the normal equations of a fit cannot be solved: its sensitivities are not"):
+        least_squares.solve_normal(np.full((2, 2), np.nan), np.ones(2))
+
+    def no_convergence(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(np.linalg, "lstsq", no_convergence)
+        with pytest.raises(SolveError, match="cannot be solved: SVD did not converge"):
+            least_squares.solve_normal(np.ones((2, 2)), np.ones(2))
+    nominal, bias = biased
+    candidate = next(c for c in nominal.study.candidates if c.label == "sensor_bias@load_flow")
+
+    def unsolved(*_):
+        raise SolveError("the normal equations of a fit cannot be solved: SVD did not converge")
+
+    monkeypatch.setattr(hypothesis_fit, "_fit_from_start", unsolved)
+    robust = lambda nominal, fit, *_: replace(fit, chi_square=1.0)  # noqa: E731
+    monkeypatch.setattr(hypothesis_fit, "_fit_robustly", robust)
+    monkeypatch.setattr(hypothesis_fit, "_worthwhile", lambda nominal: 0.0)  # all its beginnings are tried
+    assert fit_hypothesis(nominal, (FittedCandidate(candidate, 0.3 * bias),)).chi_square == 1.0
+    monkeypatch.setattr(hypothesis_fit, "_fit_robustly", unsolved)
+    assert fit_hypothesis(nominal, (FittedCandidate(candidate, 0.3 * bias),)) is None

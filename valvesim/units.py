@@ -314,11 +314,11 @@ def check_bounds(instance: Any) -> None:
     """
     for name, field in quantities(instance).items():
         given, (low, high) = getattr(instance, name), field.metadata["bounds"]
+        if isinstance(given, float) and low <= given <= high and math.isfinite(given):
+            continue  # nearly all are plain numbers in their range, and numpy takes a dozen times as long
         if has_unit(given):
             given = in_si(given, field.metadata["unit"], f"{type(instance).__name__.lower()}.{name}")
             object.__setattr__(instance, name, given)
-        if isinstance(given, float) and low <= given <= high and math.isfinite(given):
-            continue  # nearly all are plain numbers in their range, and numpy takes a dozen times as long
         value = np.asarray(given, dtype=float)
         outside = ~((value >= low) & (value <= high)) | (np.isinf(value) & (value != field.default))  # NaN is outside
         if outside.any():

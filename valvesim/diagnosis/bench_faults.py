@@ -21,7 +21,7 @@ from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import simulated_starts
 from valvesim.identification.between_samples import Wave
-from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, rescored
+from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (

@@ -110,7 +110,7 @@ class IsolationOptions:
         30.0, "1", "chi-square that a refinement may gain: what is further behind is not refined", "mostly below 5"
     )
     amounts: tuple[float, ...] = option(
-        (0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0),
+        (1.0, 0.6, 1.7, 0.35, 3.0, 0.2, 0.1),
         "1",
         "times the same share of its typical amplitude in which another law of the best's is tried first",
         "friction of different laws",

@@ -179,8 +179,8 @@ def _fitted_in_place(
     *,
     options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
-    """Starts refitted from the best's figures, each that is new in it in the amount that leaves least there: the amounts
-    of two laws of one thing do not compare.
+    """Starts refitted from the best's figures, what is new in them in the amount that leaves least there: amounts of two
+    laws of one thing do not compare.
     """
     scaled = [_in_best_amount(nominal, start, best, options=options) for start in starts]
     return fit_starts(nominal, scaled, best.fit.point, options=options)
@@ -201,7 +201,9 @@ def _in_best_amount(
     return min(tried, key=lambda pair: pair[0], default=(0.0, start))[1]
 
 
-def _without(labels: Set[str], starts: Sequence[tuple[FittedCandidate, ...]]) -> list[tuple[FittedCandidate, ...]]:
+def _without(
+    labels: Set[str], starts: Sequence[tuple[FittedCandidate, ...]]
+) -> list[tuple[FittedCandidate, ...]]:
     """The starts of other hypotheses than those of some labels."""
     return [start for start in starts if " + ".join(one.candidate.label for one in start) not in labels]
 

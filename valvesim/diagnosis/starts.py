@@ -115,9 +115,7 @@ def simulated_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[Fitte
     starts = [*linear, *typical]
     falls = reductions_from_prior(nominal, starts)
     simulated = [starts[k] for k in np.argsort(-falls, kind="stable") if falls[k] > 0.0]
-    plainer = [
-        start for start in simulated if start[0].candidate.name == simulated[0][0].candidate.plainest
-    ]
+    plainer = [start for start in simulated if start[0].candidate.name == simulated[0][0].candidate.plainest]
     best: dict[str, tuple[FittedCandidate, ...]] = {}
     for start in (*simulated[:1], *plainer[:1], *linear[:1], *simulated[1:]):
         best.setdefault(start[0].candidate.name, start)

@@ -56,20 +56,22 @@ def fit_hypothesis(
     if not tried:
         return None
     near = min(tried, key=lambda one: one.chi_square)
-    fit = _fit_from_start(nominal, near, start, linearisations, worthwhile)
-    if (
-        near is tried[0]
-        or (worthwhile is not None and fit is not None)
-        or (
-            fit is not None
-            and fit.predicted_reduction < unconverged(nominal, fit)
-            and fit.chi_square < _worthwhile(nominal)
-        )
+    try:
+        fit = _fit_from_start(nominal, near, start, linearisations, worthwhile)
+    except (SolveError, InputError):
+        fit = None
+    if fit is not None and worthwhile is not None:
+        return fit
+    if near is tried[0] or (
+        fit is not None
+        and fit.predicted_reduction < unconverged(nominal, fit)
+        and fit.chi_square < _worthwhile(nominal)
     ):
         return fit
-    afar = _fit_robustly(
-        nominal, tried[0], linearisations, worthwhile
-    )  # small beginnings may crawl along a bent valley: the great one jumps it
+    try:  # small beginnings may crawl along a bent valley: the great one jumps it
+        afar = _fit_robustly(nominal, tried[0], linearisations, worthwhile)
+    except (SolveError, InputError):
+        return fit
     return afar if fit is None else min(fit, afar, key=lambda one: one.chi_square)
 
 

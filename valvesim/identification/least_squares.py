@@ -118,7 +118,9 @@ def bounded_step(H: np.ndarray, gradient: np.ndarray, limits: np.ndarray) -> np.
 
 
 def solve_normal(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """The solution of scaled normal equations; directions that the data do not see are left out."""
+    """The solution of scaled normal equations; directions that the data do not see are left out. Raises SolveError
+    where there is none.
+    """
     scale = np.sqrt(np.where(np.diag(H) > 0.0, np.diag(H), 1.0))
     scaled, right = H / np.outer(scale, scale), gradient / scale
     if not len(right):
@@ -126,7 +128,12 @@ def solve_normal(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     factor, failed = dpotrf(scaled, lower=True)
     if not failed and np.diag(factor).min() > SINGULAR:
         return dpotrs(factor, right, lower=True)[0] / scale
-    return np.linalg.lstsq(scaled, right, rcond=SINGULAR**2)[0] / scale
+    if not (np.isfinite(scaled).all() and np.isfinite(right).all()):
+        raise SolveError("the normal equations of a fit cannot be solved: its sensitivities are not finite")
+    try:
+        return np.linalg.lstsq(scaled, right, rcond=SINGULAR**2)[0] / scale
+    except np.linalg.LinAlgError as error:
+        raise SolveError(f"the normal equations of a fit cannot be solved: {error}") from error
 
 
 def normal_equations(

@@ -88,8 +88,8 @@ class LinearisedRecord:
         return {name: moved[:, order] for name, moved in self.forced_response(forcings, changed).items()}
 
     def diverging(self, moved: Mapping[str, np.ndarray]) -> list[int]:
-        """The columns of responses (n_samples, k) that are beyond all sense, by far larger than what was measured: there
-        the linearised equations are unstable, and the valve is not.
+        """The columns of responses (n_samples, k) that are far larger than all that was measured: there the linearised
+        equations are unstable, and the valve is not.
         """
         record, within = self.predictor.record, []
         for name, columns in moved.items():

@@ -159,7 +159,8 @@ def _range_of(
     for side in (-1.0, 1.0):
         tops = [float(np.max(side * r.values[sensor.channel][r.usable[sensor.channel]])) for r in own]
         flat = [top for record, top in zip(own, tops, strict=True) if _flat_top(record, sensor, side, options=options)]
-        if any(piled(own, sensor, side, max(tops), options=options) for piled in (_common_top, _crowded_top, _silent_top)):
+        criteria = (_common_top, _crowded_top, _silent_top)
+        if any(saturated(own, sensor, side, max(tops), options=options) for saturated in criteria):
             flat.append(max(tops))
         if flat:
             low, high = (max(low, -min(flat)), high) if side < 0.0 else (low, min(high, *flat))
