@@ -12,7 +12,7 @@ from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.refits import alike_hypotheses, fit_starts, plainer_hypotheses, reduced_hypotheses, restarted
 from valvesim.diagnosis.score_test import ScoreTest, search_size
 from valvesim.diagnosis.second_cause import at_full_weight, with_other_pairs, with_second_cause
-from valvesim.diagnosis.starts import simulated_starts, start_points, typical_starts
+from valvesim.diagnosis.starts import likeliest_starts, start_points, typical_starts
 from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
@@ -125,15 +125,17 @@ def test_effects_that_linear_answers_miss_are_begun_by_simulation(monkeypatch):
     seen = scores({BIAS: 8.0, stribeck: 0.0, LAP: 0.0, FRICTION: 0.0})
 
     def found():
-        return [one.candidate for (one,) in simulated_starts(None, seen)]
+        return [one.candidate for (one,) in likeliest_starts(None, seen)]
 
-    assert found() == [stribeck, FRICTION, BIAS]  # the best, the plainer that it may be, the likeliest if linear
+    assert found() == [BIAS, stribeck, FRICTION, LAP]  # linear, the best simulated, its plainer one, the next
     assert simulated[0] is BIAS and BIAS not in simulated[1:]  # a sensor's fault is begun by linear answers alone
-    falls |= {LAP: 100.0, BIAS: -np.inf}  # no valve runs with it: linear answers may err, it is begun all the same
-    assert found() == [LAP, BIAS, stribeck]
+    simulated.clear()
+    assert next(likeliest_starts(None, seen))[0].candidate is BIAS and not simulated  # that may be enough
+    seen = scores({stribeck: 9.0, FRICTION: 8.5, LAP: 0.0})
+    assert found() == [FRICTION, stribeck, LAP]  # the plainest of the likeliest, if it is among them
     seen = scores({LAP: 0.0, FRICTION: 0.0})
     falls |= {LAP: -1.0, FRICTION: 0.0}
-    assert simulated_starts(None, seen) == []  # nothing shows, and nothing explains anything
+    assert found() == []  # nothing shows, and nothing explains anything
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from valvesim.diagnosis.detection import beyond_noise, nuisance_covariance, wald
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
-from valvesim.diagnosis.starts import simulated_starts
+from valvesim.diagnosis.starts import likeliest_starts
 from valvesim.identification.between_samples import Wave
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
@@ -107,7 +107,7 @@ def with_faults_beside_cause(
     if is_adequate(nominal.fit, options=options.identification):
         return nominal, scores, None
     fit = None
-    for start in simulated_starts(nominal, scores):
+    for start in likeliest_starts(nominal, scores):
         other = fit_from_prior(nominal, start, few)
         if other is not None and (fit is None or other.chi_square < fit.chi_square):
             fit = other

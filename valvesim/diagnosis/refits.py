@@ -179,8 +179,8 @@ def _fitted_in_place(
     *,
     options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
-    """Starts refitted from the best's figures, what is new in them in the amount that leaves least there: amounts of two
-    laws of one thing do not compare.
+    """Starts refitted from the best's figures, what is new in them in the amount that leaves least there: amounts of
+    two laws of one thing do not compare.
     """
     scaled = [_in_best_amount(nominal, start, best, options=options) for start in starts]
     return fit_starts(nominal, scaled, best.fit.point, options=options)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Iterator, Sequence, Set
 
 import numpy as np
 
@@ -104,22 +104,29 @@ def typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedC
     return [starts[k] for k in np.argsort(-falls, kind="stable")[: scores.options.isolation.seconds] if falls[k] > 0.0]
 
 
-def simulated_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedCandidate, ...]]:
-    """The few starts that explain most when they are simulated: of those by linear answers, and of the effects of the
-    valve at their typical amplitudes. After the first come the plainer effect that it may be, which is fitted with
-    fewer figures, and the likeliest by linear answers, for either may err. Faults of sensors are linear in what they
-    read: these are not simulated otherwise.
+def likeliest_starts(nominal: NominalFit, scores: ScoreTest) -> Iterator[tuple[FittedCandidate, ...]]:
+    """Few single starts, likeliest first: by linear answers the plainest of the best, which is fitted with few figures;
+    then, for far off these answers may miss it, what explains most when it is simulated, of the linear starts and of
+    the effects of the valve at their typical amplitudes. After the first of these comes the plainer effect that it may
+    be. Faults of sensors are linear in what they read: they are not simulated otherwise.
     """
-    linear = [start for start in start_points(scores, frozenset()) if len(start) == 1]
+    linear, given = [start for start in start_points(scores, frozenset()) if len(start) == 1], set[str]()
+    if linear:
+        likeliest = (*_of_name(linear, linear[0][0].candidate.plainest), linear[0])[0]
+        given.add(likeliest[0].candidate.name)
+        yield likeliest
     typical = [start for start in _at_typical_either_way(scores) if not _is_of_sensor(start[0].candidate)]
-    starts = [*linear, *typical]
-    falls = reductions_from_prior(nominal, starts)
+    falls = reductions_from_prior(nominal, starts := [*linear, *typical])
     simulated = [starts[k] for k in np.argsort(-falls, kind="stable") if falls[k] > 0.0]
-    plainer = [start for start in simulated if start[0].candidate.name == simulated[0][0].candidate.plainest]
-    best: dict[str, tuple[FittedCandidate, ...]] = {}
-    for start in (*simulated[:1], *plainer[:1], *linear[:1], *simulated[1:]):
-        best.setdefault(start[0].candidate.name, start)
-    return list(best.values())[: scores.options.isolation.seconds]
+    plainer = _of_name(simulated, simulated[0][0].candidate.plainest) if simulated else []
+    for start in (*simulated[:1], *plainer, *simulated[1:]):
+        if start[0].candidate.name not in given and len(given) < scores.options.isolation.seconds + 1:
+            given.add(start[0].candidate.name)
+            yield start
+
+
+def _of_name(starts: Sequence[tuple[FittedCandidate, ...]], name: str) -> list[tuple[FittedCandidate, ...]]:
+    return [start for start in starts if start[0].candidate.name == name]
 
 
 def _is_of_sensor(candidate: Candidate) -> bool:
