@@ -79,18 +79,15 @@ def _fit_from_start(
     nominal: NominalFit, fit: Fit, start: Sequence[FittedCandidate], linearisations: int, worthwhile: float | None
 ) -> Fit | None:
     """A fit from a start, or from the solution of the linearised equations, whichever predicts the lower end; None
-    where no valve has the candidates at the nominal parameters. The equations of an inadequate nominal fit predict
-    nothing: of two starts the nearer one is taken, with a Jacobian of its own.
+    where no valve has the candidates at the nominal parameters.
     """
-    study, near = nominal.study, is_adequate(nominal.fit, options=nominal.study.options)
+    study = nominal.study
     leapt = _linear_start(nominal, tuple(start)) or _linear_start(nominal, fit.fitted)
     begun = [pair for at in (fit, leapt) if at and (pair := _with_jacobian(nominal, at))]
     if not begun:
         return None
 
     def predicted(fit: Fit, jacobian: np.ndarray) -> float:
-        if not near:
-            return fit.chi_square
         H, gradient = normal_equations(fit, jacobian, options=study.options)
         promised = predict_reduction(H, gradient, step_limits(fit, study.nominal, options=study.options))
         return fit.chi_square - 0.5 * promised  # promises are half kept
@@ -98,10 +95,8 @@ def _fit_from_start(
     fit, jacobian = min(begun, key=lambda pair: predicted(*pair))
     if not is_adequate(fit, options=study.options):
         return _fit_robustly(nominal, fit, linearisations, worthwhile)
-    if not near:
-        jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
     good = _worthwhile(nominal) if worthwhile is None else worthwhile
-    return _iterate(nominal.study, fit, jacobian, _ending(nominal), linearisations, good)
+    return _iterate(study, fit, jacobian, _ending(nominal), linearisations, good)
 
 
 def fit_from_prior(
