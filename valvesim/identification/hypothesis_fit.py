@@ -41,7 +41,8 @@ def fit_hypothesis(
     """Candidates and nuisance parameters fitted together from `start`; None where that cannot be simulated.
 
     The first Jacobian is that of the nominal fit. Starts that lie far off are shrunk. A fit above the chi-square
-    `worthwhile` is given up after few linearisations: the least of what the nominal fit leaves, if it is not given.
+    `worthwhile` (if it is not given, one that is neither adequate nor better than the nominal fit) is given up after
+    few linearisations.
     """
     linearisations = nominal.study.options.fit.most_linearisations if linearisations is None else linearisations
     tried = list[Fit]()

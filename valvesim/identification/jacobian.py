@@ -43,6 +43,11 @@ def _prior_step(parameter: NuisanceParameter, variant: ModelVariant, *, options:
     """The step of a parameter in prior standard deviations: downwards where it is at its upper bound."""
     simulated = is_simulated(parameter, options=options)
     size = options.sensitivity.simulated_step if simulated else options.sensitivity.step
+    return _inward_step(parameter, variant, size)
+
+
+def _inward_step(parameter: NuisanceParameter, variant: ModelVariant, size: float) -> float:
+    """A step of a size in prior standard deviations, downwards where it would leave the upper bound."""
     return size if parameter.more_of(variant, size * parameter.deviation) <= parameter.bounds[1] else -size
 
 
@@ -66,7 +71,7 @@ def parameter_sensitivities(
     size = np.array([abs(steps[plant[k].name]) for k in slow])
     for j in linear.diverging({name: each / size for name, each in moved.items()}):
         p = plant[slow[j]]
-        steps[p.name] *= linear.predictor.options.sensitivity.simulated_step / abs(steps[p.name])
+        steps[p.name] = _inward_step(p, linear.variant, linear.predictor.options.sensitivity.simulated_step)
         run[p.name] = _run_or_nothing(linear, p.moved(linear.variant, steps[p.name]))
     out = {}
     for name, read in linear.readings.items():

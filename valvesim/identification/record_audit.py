@@ -159,7 +159,7 @@ def _range_of(
     for side in (-1.0, 1.0):
         tops = [float(np.max(side * r.values[sensor.channel][r.usable[sensor.channel]])) for r in own]
         flat = [top for record, top in zip(own, tops, strict=True) if _flat_top(record, sensor, side, options=options)]
-        criteria = (_common_top, _crowded_top, _silent_top)
+        criteria = (_common_top, _crowded_top, _noiseless_top)
         if any(saturated(own, sensor, side, max(tops), options=options) for saturated in criteria):
             flat.append(max(tops))
         if flat:
@@ -266,7 +266,7 @@ def _crowded_top(
     return alone or bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
 
 
-def _silent_top(
+def _noiseless_top(
     records: Sequence[Record], sensor: Sensor, side: float, top: float, *, options: IdentificationOptions
 ) -> bool:
     """Whether a channel stands at the very top for long without its noise, which it shows wherever else the command
