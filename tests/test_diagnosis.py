@@ -554,7 +554,7 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
     hysteresis = explained(0.0, "magnetic_hysteresis").fit.fitted[0]
     tried = []
 
-    def refitted(nominal, starts, point, beside, options):
+    def refitted(nominal, starts, point, others, options):
         tried.extend([member.candidate.name for member in start] for start in starts)
         return [explained(50.0, *names) if len(names) == 2 else explained(500.0, *names) for names in tried[-1:]]
 
@@ -622,7 +622,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     scores = SimpleNamespace(options=DIAGNOSIS, candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
     tried, chi_squares, alone = [], {other: 50.0, "thermal_lag": None}, {}
 
-    def each_alone(nominal, starts, point, beside, options):
+    def each_alone(nominal, starts, point, others, options):
         return [explained(alone.get(member.candidate.name, 500.0), member.candidate.name) for (member,) in starts]
 
     def falls(nominal, starts):

@@ -266,7 +266,7 @@ def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_other
         asked.append(set(failed))
         return [fitted(name) for name in ("spool_lap", "entrained_air") if name not in failed]
 
-    def fits(nominal, starts, point, progress, beside, options):
+    def fits(nominal, starts, point, progress, others, options):
         return [hypothesis(5000.0, "entrained_air") for (one,) in starts if one.candidate.name == "entrained_air"]
 
     monkeypatch.setattr(isolation, "start_points", starts)
@@ -274,7 +274,7 @@ def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_other
     found, likeliest = isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)
     assert [one.label for one in found] == ["entrained_air"] and likeliest == "entrained_air"
     assert asked == [set(), {"spool_lap"}]
-    monkeypatch.setattr(isolation, "fit_starts", lambda nominal, starts, point, progress, beside, options: [])
+    monkeypatch.setattr(isolation, "fit_starts", lambda nominal, starts, point, progress, others, options: [])
     assert isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)[0] == []
 
 
@@ -285,7 +285,7 @@ def test_pairs_are_fitted_unless_one_alone_explains_all_but_verified_noise(monke
     base.study.predictors = ()
     lap, air = fitted("spool_lap")[0], fitted("entrained_air")[0]
 
-    def fits(nominal, starts, point, progress, beside, options):
+    def fits(nominal, starts, point, progress, others, options):
         asked.extend(len(start) for start in starts)
         return [hypothesis(left, "spool_lap")]
 

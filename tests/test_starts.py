@@ -109,9 +109,6 @@ def test_typical_amplitudes_are_tried_in_either_direction_and_the_best_of_those_
     ]  # fmt: skip
 
 
-# ---------------------------------------------------------------- a second cause
-
-
 def test_effects_that_linear_answers_miss_are_begun_by_simulation(monkeypatch):
     stribeck = Candidate("spool_stribeck_friction", CATALOGUE["spool_stribeck_friction"])
     falls = {FRICTION: 60.0, stribeck: 90.0, LAP: 80.0, AIR: 0.0, BIAS: 30.0}
@@ -138,12 +135,15 @@ def test_effects_that_linear_answers_miss_are_begun_by_simulation(monkeypatch):
     assert found() == []  # nothing shows, and nothing explains anything
 
 
+# ---------------------------------------------------------------- a second cause
+
+
 @pytest.fixture
 def fitted(monkeypatch):
     """Refits that end at the chi-squares set here, by the names of their causes; score tests in which nothing shows."""
     ends, begun = {}, []
 
-    def fits(nominal, starts, point=None, *, beside=(), options):
+    def fits(nominal, starts, point=None, *, others=(), options):
         begun.extend(labels(starts))
         ran = [(start, ends[label]) for start, label in zip(starts, labels(starts), strict=True) if label in ends]
         return [FittedHypothesis(replace(hypothesis(0.0).fit, fitted=s, chi_square=c), options=options) for s, c in ran]

@@ -325,9 +325,9 @@ def _first_hypotheses(
             if len(start) == 1
             and start[0].candidate.label not in labels and start[0].candidate.plainest not in laws
         ]  # fmt: skip
-        found = [*begun, *fit_starts(nominal, alone, point, progress, beside=begun, options=scores.options)]
+        found = [*begun, *fit_starts(nominal, alone, point, progress, others=begun, options=scores.options)]
         if not any(_explains_all(one.fit, nominal, options=scores.options) for one in found):
-            found += fit_starts(nominal, pairs, point, progress, beside=found, options=scores.options)
+            found += fit_starts(nominal, pairs, point, progress, others=found, options=scores.options)
         if first.plainest in laws or any(likeliest == c.label for one in found for c in one.candidates):
             break
         failed.add(likeliest)  # no valve runs with it: what it promised is no measure for the others

@@ -70,7 +70,7 @@ def _from_best_point(
     if not largest_shift(least) < options.isolation.shifted < largest_shift(nominal.fit):
         return []
     shifted = [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted]
-    return fit_starts(nominal, shifted, least.point, beside=found, options=options)
+    return fit_starts(nominal, shifted, least.point, others=found, options=options)
 
 
 def largest_shift(fit: Fit) -> float:
@@ -105,16 +105,16 @@ def fit_starts(
     point: np.ndarray | None = None,
     progress: Callable[[float], None] = lambda share: None,
     *,
-    beside: Sequence[FittedHypothesis] = (),
+    others: Sequence[FittedHypothesis] = (),
     options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
     """The hypotheses of starts that can be run, each refitted from a point of the nuisance parameters; those that do
-    not come near the records are given up early where one does, of these or of those `beside`.
+    not come near the records are given up early where one does, of these or of the `others`.
     """
     found = list[FittedHypothesis]()
     for k, start in enumerate(starts):
         progress(k / len(starts))
-        near = any(is_adequate(one.fit, options=options.identification) for one in (*beside, *found))
+        near = any(is_adequate(one.fit, options=options.identification) for one in (*others, *found))
         worthwhile = options.identification.fit.inadequate_ratio * nominal.fit.rows if near else None
         fits = [fit := fit_hypothesis(nominal, start, point, worthwhile=worthwhile)]
         if fit is None:
@@ -189,6 +189,7 @@ def _fitted_in_place(
 def _in_best_amount(
     nominal: NominalFit, start: tuple[FittedCandidate, ...], best: FittedHypothesis, *, options: DiagnosisOptions
 ) -> tuple[FittedCandidate, ...]:
+    """A start, what the best does not have in the amount that leaves least at the best's figures."""
     own = {candidate.label for candidate in best.candidates}
     tried = []
     for times in options.isolation.amounts:
@@ -294,7 +295,7 @@ def reduced_hypotheses(
         starts = [tuple(member for member in best.fitted if member is not left_out) for left_out in best.fitted]
         if is_adequate(best, options=options.identification):
             starts = [start for start in starts if comes_near(nominal, best, start, options=options)]
-        fewer = fit_starts(nominal, starts, best.point, beside=found, options=options)
+        fewer = fit_starts(nominal, starts, best.point, others=found, options=options)
         merged = distinct([*found, *fewer], options=options)
         if merged[0] is found[0]:
             return merged

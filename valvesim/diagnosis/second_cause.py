@@ -38,7 +38,7 @@ def with_second_cause(
             : final.options.isolation.seconds
         ]
         starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in near]
-        more = fit_starts(nominal, starts, best.fit.point, beside=found, options=final.options)
+        more = fit_starts(nominal, starts, best.fit.point, others=found, options=final.options)
         merged = distinct([*found, *more], options=final.options)
         if merged[0] is best:  # what a second one explains is too little to be sure of, but may be there
             found = merged
@@ -93,7 +93,7 @@ def with_other_pairs(
         tried = {frozenset(c.label for c in one.candidates) for one in found}
         new = [pair for pair in pairs if frozenset(e.candidate.label for e in pair) not in tried]
         likeliest = new[: final.options.isolation.seconds]
-        more += fit_starts(nominal, likeliest, best.point, beside=found, options=final.options)
+        more += fit_starts(nominal, likeliest, best.point, others=found, options=final.options)
     merged = distinct([*found, *more], options=final.options)
     return merged, final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=final.options)
 

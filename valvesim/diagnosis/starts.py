@@ -116,7 +116,8 @@ def likeliest_starts(nominal: NominalFit, scores: ScoreTest) -> Iterator[tuple[F
         given.add(likeliest[0].candidate.name)
         yield likeliest
     typical = [start for start in _at_typical_either_way(scores) if not _is_of_sensor(start[0].candidate)]
-    falls = reductions_from_prior(nominal, starts := [*linear, *typical])
+    starts = [*linear, *typical]
+    falls = reductions_from_prior(nominal, starts)
     simulated = [starts[k] for k in np.argsort(-falls, kind="stable") if falls[k] > 0.0]
     plainer = _of_name(simulated, simulated[0][0].candidate.plainest) if simulated else []
     for start in (*simulated[:1], *plainer, *simulated[1:]):

@@ -61,12 +61,12 @@ def fit_hypothesis(
         fit = _fit_from_start(nominal, near, start, linearisations, worthwhile)
     except (SolveError, InputError):
         fit = None
-    if fit is not None and worthwhile is not None:
-        return fit
     if near is tried[0] or (
         fit is not None
-        and fit.predicted_reduction < unconverged(nominal, fit)
-        and fit.chi_square < _worthwhile(nominal)
+        and (
+            worthwhile is not None
+            or (fit.predicted_reduction < unconverged(nominal, fit) and fit.chi_square < _worthwhile(nominal))
+        )
     ):
         return fit
     try:  # small beginnings may crawl along a bent valley: the great one jumps it

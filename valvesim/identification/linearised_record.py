@@ -89,7 +89,7 @@ class LinearisedRecord:
 
     def diverging(self, moved: Mapping[str, np.ndarray]) -> list[int]:
         """The columns of responses (n_samples, k) that are far larger than all that was measured: there the linearised
-        equations are unstable, and the valve is not.
+        equations are unstable, and the valve is not. What overflows (`DIVERGED`) is zero already and not among them.
         """
         record, within = self.predictor.record, []
         for name, columns in moved.items():

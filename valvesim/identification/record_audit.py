@@ -225,7 +225,7 @@ def _common_top(
     """Whether a channel stops at the very same reading under commands that ask for different ones, as steps do."""
     if _SIGN[sensor.channel] == 0.0:
         return False
-    asked = max(float(np.ptp(record.values[record.command])) for record in records)
+    asked = _asked(records)
     begins, count = [], 0
     for record in records:
         values, usable = side * record.values[sensor.channel], record.usable[sensor.channel]
@@ -235,7 +235,7 @@ def _common_top(
                 count += b - a
     if count < options.audit.flat_samples or asked == 0.0:
         return False
-    span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
+    span = _span(records, sensor.channel)
     apart = float(np.ptp(begins)) * span / asked  # what the command asks for, as an output
     return apart > max(3.0 * sensor.resolution, options.audit.flat_reach * span)
 
@@ -248,7 +248,7 @@ def _crowded_top(
     The crests of a sine come to two and a half times as many. Longer stays at the top are `_flat_top`'s. A few do where
     nothing stands next to them and the commands there differ: without noise, peaks of one command end alike.
     """
-    span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
+    span = _span(records, sensor.channel)
     if _SIGN[sensor.channel] == 0.0 or span == 0.0:
         return False
     width, count, below = max(sensor.resolution, options.audit.crowd_width * span), 0, np.empty(0)
@@ -260,7 +260,7 @@ def _crowded_top(
         count += int(stays[stays < options.audit.flat_samples].sum())
         below = np.append(below, np.round((top - values[usable]) / width, 6))
     beside, _ = np.histogram(below[below > 0.0], np.arange(6) + 1e-3)
-    asked = max(float(np.ptp(record.values[record.command])) for record in records)
+    asked = _asked(records)
     differ = bool(np.ptp(commands) > options.audit.flat_reach * asked)
     alone = count >= options.audit.few_tops and differ and not beside.any()
     return alone or bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
@@ -273,8 +273,8 @@ def _noiseless_top(
     rests: the plateau of a step, cut off.
     """
     long, scatter = False, list[np.ndarray]()
-    span = max(float(np.ptp(r.values[sensor.channel][r.usable[sensor.channel]])) for r in records)
-    asked = max(float(np.ptp(record.values[record.command])) for record in records)
+    span = _span(records, sensor.channel)
+    asked = _asked(records)
     for record in records:
         values, usable = side * record.values[sensor.channel], record.usable[sensor.channel]
         stays = np.diff(_runs_at(values, top, usable))
@@ -287,6 +287,16 @@ def _noiseless_top(
     if not long or len(seen) < options.audit.flat_samples:
         return False
     return bool(np.median(seen) > max(3.0 * sensor.resolution, options.audit.finest_grid * span))
+
+
+def _span(records: Sequence[Record], channel: str) -> float:
+    """The largest span of a channel's usable readings in a record."""
+    return max(float(np.ptp(record.values[channel][record.usable[channel]])) for record in records)
+
+
+def _asked(records: Sequence[Record]) -> float:
+    """The largest span of a record's command."""
+    return max(float(np.ptp(record.values[record.command])) for record in records)
 
 
 def _runs_at(values: np.ndarray, top: float, usable: np.ndarray) -> np.ndarray:
