@@ -1,5 +1,6 @@
 """The bench, not the valve; records that do not belong together; another valve: each told as what it is."""
 
+import tracemalloc
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -110,6 +111,28 @@ def test_a_ripple_in_one_output_is_not_lost_beside_outputs_that_show_none():
     together, flow = power[-1], power[1 + MODULATED.index("load_flow")]
     assert flow.max() / np.median(flow) > 7.0 > together.max() / np.median(together)
     assert outstanding_frequencies(study, readings, 7.0) == [pytest.approx(94.6, abs=0.3)]
+
+
+def test_power_is_that_of_the_fourier_sum_and_a_long_record_takes_little_memory():
+    series, frequencies = np.random.default_rng(4).normal(size=len(TIME)), np.linspace(7.3, 8.1, 5)
+    record = replace(RECORDS[0], values={**RECORDS[0].values, "spool_position": series})
+    study = SimpleNamespace(predictors=[SimpleNamespace(record=record)], options=IDENTIFICATION)
+    power = _powers(study, [{"spool_position": 0.0 * TIME}], frequencies)[0]
+    left = series - np.median(series)
+    most = IDENTIFICATION.wave.clipped * 1.4826 * np.median(np.abs(left))
+    left = np.clip(left, -most, most)
+    plain = [abs(np.sum(left * np.exp(-2j * np.pi * f * TIME))) ** 2 / (left @ left) for f in frequencies]
+    np.testing.assert_allclose(power, plain, rtol=1e-9)
+    time = np.arange(60_001) / 1e3
+    shown = np.sin(200.0 * np.pi * time) + np.random.default_rng(6).normal(size=len(time))
+    values = {name: np.zeros(len(time)) for name in record.values} | {"spool_position": shown}
+    long = replace(record, time=time, values=values, usable={"spool_position": time >= 0.0})
+    study = SimpleNamespace(predictors=[SimpleNamespace(record=long)], options=IDENTIFICATION)
+    tracemalloc.start()
+    found = outstanding_frequencies(study, [{"spool_position": 0.0 * time}], 15.0)
+    most_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found[0] == pytest.approx(100.0, abs=0.01) and most_bytes < 1e8
 
 
 def test_a_meter_that_drifts_far_is_no_alarm_and_any_other_figure_that_is_far_off_is():

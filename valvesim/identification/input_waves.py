@@ -6,7 +6,7 @@ the spectrum of what a fit leaves; amplitude and phase are nuisance parameters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -184,21 +184,23 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: fl
 
 
 def _powers(study: PreparedSession, readings: Readings, frequencies: np.ndarray) -> np.ndarray:
-    """The power (k, n) of what is left at frequencies (n,) Hz, over all records, each series of power one: that of all
-    channels, that of each `MODULATED` one times what it reads, and all of these together.
+    """The power (k, n) of what is left at frequencies (n,) Hz, evenly spaced, over all records, each series of power
+    one: that of all channels, that of each `MODULATED` one times what it reads, and all of these together.
 
     What is far off is clipped (Huber): a peak that the model misses has power at all frequencies. In some outputs a
     ripple shows in proportion to what is read, and so by its sidebands; times that it shows at its own frequency. In
     which of them it stands out depends on the commands, and beside others it is lost.
     """
-    power = np.zeros((1 + len(MODULATED), len(frequencies)))
+    from scipy.signal import ZoomFFT
+
+    power, band = np.zeros((1 + len(MODULATED), len(frequencies))), [frequencies[0], frequencies[-1]]
     for predictor, read in zip(study.predictors, readings, strict=True):
         record = predictor.record
         residual = residual_of(record, read)
-        waves = np.exp(-2j * np.pi * np.outer(frequencies, record.time))
+        transform = ZoomFFT(len(record.time), band, len(frequencies), fs=record.rate, endpoint=True)
 
-        def power_of(series: np.ndarray, waves: np.ndarray = waves) -> np.ndarray:
-            return np.abs(waves @ series) ** 2 / max(float(series @ series), 1e-300)
+        def power_of(series: np.ndarray, transform: Callable = transform) -> np.ndarray:
+            return np.abs(transform(series)) ** 2 / max(float(series @ series), 1e-300)
 
         for name in record.outputs:
             usable = record.usable[name]
