@@ -46,12 +46,14 @@ def fitted(*, truth, shown, amount=2.0):
     member = SimpleNamespace(candidate=SimpleNamespace(typical=size), above_neutral=size, shapes=())
     fit = SimpleNamespace(layout=[(member, "")], fitted=(member,))
     count = 2 * len(shown)
-    scores = SimpleNamespace(
-        gram=GramMatrix((C.T @ C)[None], np.zeros(2), (ROWS,)), fit=fit, own=(count,), options=DIAGNOSIS,
-        hypotheses=TERMS[: len(shown)], blocks=tuple((k, k + 1) for k in range(0, count, 2)), linearised=(),
-    )  # fmt: skip
-    none = SimpleNamespace(**{**vars(scores), "hypotheses": (), "blocks": ()})
-    return scores, none
+    gram = GramMatrix((C.T @ C)[None], np.zeros(2), (ROWS,))
+
+    def tested(hypotheses):
+        blocks = tuple((k, k + 1) for k in range(0, 2 * len(hypotheses), 2))
+        terms = SimpleNamespace(gram=gram, own=(count,), blocks=blocks)
+        return SimpleNamespace(fit=fit, options=DIAGNOSIS, hypotheses=hypotheses, terms=terms, linearised=())
+
+    return tested(TERMS[: len(shown)]), tested(())
 
 
 @pytest.mark.parametrize(

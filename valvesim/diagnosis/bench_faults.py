@@ -116,12 +116,12 @@ def with_faults_beside_cause(
     for _ in range(options.bench.most_faults):
         if fit is None:
             break
-        beside = score_test(at, fit, terms=(), options=options)
+        beside = score_test(at, fit, options=options)
         if (tuned := _tuned_beside(at, fit, beside)) is not None:
             at, fit = tuned
             if (better_fit := fit_hypothesis(at, fit.fitted, fit.point, few)) is None:
                 break
-            fit, beside = better_fit, score_test(at, better_fit, terms=(), options=options)
+            fit, beside = better_fit, score_test(at, better_fit, options=options)
         likeliest = _likeliest(at, beside, options=options)
         if likeliest is not None:
             at, more = _widened(at, likeliest.parameters), np.zeros(len(likeliest.parameters))

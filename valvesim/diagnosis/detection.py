@@ -19,10 +19,8 @@ from valvesim.identification.study import Study, residual_of
 def detect(scores: ScoreTest) -> tuple[bool, float]:
     """Whether anything shows, and the level that the candidates' z had to pass."""
     level = scores.level(scores.options.detection.false_alarm)
-    shows = scores.z().max(initial=0.0) > level or _term_p_value(scores) < scores.options.detection.term_false_alarm
-    return bool(
-        shows or _is_stretched(scores, level) or beyond_noise(scores.fit, scores.study, options=scores.options) > 0.0
-    ), level
+    shows = scores.z().max(initial=0.0) > level or is_certain(scores, level)
+    return bool(shows or _term_p_value(scores) < scores.options.detection.term_false_alarm), level
 
 
 def is_certain(scores: ScoreTest, level: float) -> bool:

@@ -40,7 +40,7 @@ def rival_terms(nominal: NominalFit, final: ScoreTest) -> tuple[TermHypothesis, 
     remembering = score_test(
         bare, final.fit, terms=_remembering(final, options), knots=2, known=final, options=final.options
     )
-    own, _ = block_statistic(_without_cause(final), final.own)
+    own, _ = block_statistic(_without_cause(final), final.terms.own)
     best: dict[tuple[str, str], tuple[float, TermHypothesis]] = {}
     for scores in (final, remembering):
         for reduction, term in _reductions(scores):
@@ -67,11 +67,11 @@ def _remembering(final: ScoreTest, options: MissingTermOptions) -> list[TermHypo
 
 
 def _without_cause(scores: ScoreTest) -> ProjectedScores:
-    """The columns of a score test, held against what the fit would leave without its fitted candidates."""
-    columns = scores.gram.total.shape[0] - 1 - scores.gram.parameters
-    projected = project(scores.gram, 0, columns)
+    """The terms of a score test, held against what the fit would leave without its fitted candidates."""
+    gram, own = scores.terms.gram, list(scores.terms.own)
+    projected = project(gram, 0, gram.total.shape[0] - 1 - gram.parameters)
     steps = [0.0 if shape else -member.above_neutral / perturbation(member) for member, shape in scores.fit.layout]
-    score = projected.score - projected.overlap[:, list(scores.own)] @ np.array(steps)
+    score = projected.score - projected.overlap[:, own] @ np.array(steps)
     return replace(projected, score=score)
 
 
@@ -79,7 +79,7 @@ def _reductions(scores: ScoreTest) -> list[tuple[float, TermHypothesis]]:
     """What each term hypothesis of a score test explains, without the cause, in the best of its forms."""
     projected, found = _without_cause(scores), []
     spans = term_spans(scores.linearised, scores.hypotheses)
-    for term, block, span in zip(scores.hypotheses, scores.blocks, spans, strict=True):
+    for term, block, span in zip(scores.hypotheses, scores.terms.blocks, spans, strict=True):
         H, s = projected.overlap[np.ix_(block, block)], projected.score[list(block)]
         knots = np.linspace(*span, len(block)) / np.max(np.abs(span))
         forms = [form(knots) for form in FORMS[term.memory]]

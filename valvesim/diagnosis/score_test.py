@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,13 +28,26 @@ from valvesim.valve.additive_term import TermHypothesis, term_hypotheses
 
 
 @dataclass(frozen=True, eq=False)
+class TermScores:
+    """The score tests of free terms: of the columns of `gram` after the nuisance parameters, `blocks` are the basis
+    functions of each term hypothesis, and `own` those of the fitted candidates. `projected` are all of them, orthogonal
+    to both.
+    """
+
+    gram: GramMatrix
+    blocks: tuple[tuple[int, ...], ...]
+    own: tuple[int, ...]
+    projected: ProjectedScores
+
+
+@dataclass(frozen=True, eq=False)
 class ScoreTest:
     """The score tests of everything that a fit may lack (Rao 1948; Lagrange multiplier tests).
 
-    `projected` are the candidates, then the basis functions of the term hypotheses, orthogonal to the nuisance
-    parameters and to the fitted candidates. `sizes` (q,) are the amplitudes at which the candidates' columns stand;
-    `blocks` the columns of each term hypothesis; `own` those of the fitted candidates. `columns` are the sensitivities
-    of each record to the nuisance parameters, `own_columns` those to the fitted candidates, by channel.
+    `projected` are the candidates, orthogonal to the nuisance parameters and to the fitted candidates. `sizes` (q,) are
+    the amplitudes at which the candidates' columns stand; `own` the columns of the fitted candidates. `columns` are the
+    sensitivities of each record to the nuisance parameters, `own_columns` those to the fitted candidates, by channel.
+    The term `hypotheses`, on so many `knots` each, are tested where they are asked for: it takes as long again.
     """
 
     study: Study
@@ -45,7 +59,7 @@ class ScoreTest:
     candidates: tuple[Candidate, ...]
     sizes: np.ndarray
     hypotheses: tuple[TermHypothesis, ...]
-    blocks: tuple[tuple[int, ...], ...]
+    knots: int
     own: tuple[int, ...]
     projected: ProjectedScores
     options: DiagnosisOptions
@@ -88,9 +102,20 @@ class ScoreTest:
 
     def term_tests(self) -> list[tuple[float, int]]:
         """(chi-square, degrees of freedom) of each term hypothesis."""
-        projected = self.projected
-        tests = [block_statistic(projected, block) for block in self.blocks]
+        tests = [block_statistic(self.terms.projected, block) for block in self.terms.blocks]
         return [(value / self.dispersion, freedom) for value, freedom in tests]
+
+    @functools.cached_property
+    def terms(self) -> TermScores:
+        """The score tests of the term hypotheses, beside the fitted candidates."""
+        spans, knots = term_spans(self.linearised, self.hypotheses), self.knots
+        T = self.study.each(lambda one: term_sensitivities(one, self.hypotheses, spans, knots), self.linearised)
+        parts = [list(three) for three in zip(self.columns, T, self.own_columns, strict=True)]
+        gram = gram_matrix(self.study, self.linearised, parts, self.fit.point)
+        f = len(self.hypotheses) * knots
+        blocks = tuple(tuple(range(first, first + knots)) for first in range(0, f, knots))
+        own = tuple(range(f, f + len(self.own)))
+        return TermScores(gram, blocks, own, project(gram, 0, f + len(own)).without(own))
 
     def constancy(self) -> tuple[float, int]:
         """(chi-square, degrees of freedom) of the first candidate's amplitude being the same in every segment."""
@@ -134,19 +159,14 @@ def score_test(
     sizes = np.array([search_size(c, options=options.identification) for c in candidates])
     changed = [c.apply_to(variant, size) for c, size in zip(candidates, sizes, strict=True)]
     S = all_candidate_sensitivities(study, linearised, J, candidates, changed)
-    spans = term_spans(linearised, terms)
-    T = study.each(lambda linear: term_sensitivities(linear, terms, spans, knots), linearised)
     own = fitted_sensitivities(study, fit, linearised, J)
-    gram = gram_matrix(study, linearised, [list(four) for four in zip(J, S, T, own, strict=True)], fit.point)
-    q, f = len(candidates), len(terms) * knots
-    count = len(fit.layout)
-    blocks = tuple(tuple(range(q + k * knots, q + (k + 1) * knots)) for k in range(len(terms)))
-    freed = tuple(range(q + f, q + f + count))
-    projected = project(gram, 0, q + f + count).without(freed)
+    gram = gram_matrix(study, linearised, [list(three) for three in zip(J, S, own, strict=True)], fit.point)
+    q, count = len(candidates), len(fit.layout)
+    freed = tuple(range(q, q + count))
     return ScoreTest(
-        study, fit, tuple(linearised), tuple(J), tuple(own), gram, candidates, sizes, tuple(terms), blocks, freed,
-        projected, options=options,
-    )
+        study, fit, tuple(linearised), tuple(J), tuple(own), gram, candidates, sizes, tuple(terms), knots, freed,
+        project(gram, 0, q + count).without(freed), options=options,
+    )  # fmt: skip
 
 
 def search_size(candidate: Candidate, *, options: IdentificationOptions) -> float:

@@ -84,7 +84,7 @@ def with_other_pairs(
         if alone is None:
             continue
         more.append(FittedHypothesis(alone, options=final.options))
-        scores = score_test(nominal, alone, terms=(), options=final.options)
+        scores = score_test(nominal, alone, options=final.options)
         z = scores.z()
         pairs = [
             (member, linear_amplitude(scores, k))
