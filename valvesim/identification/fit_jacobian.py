@@ -47,9 +47,10 @@ def linearise_study(
     )
     perturbed = perturbed_variants(study.nominal, variant)
     columns = study.each(lambda linear: parameter_sensitivities(linear, study.nominal, perturbed), linearised)
+    others = [first != k for k, first in enumerate(study.representatives)]  # which run as another record does
     return [
-        replace(linear, predictor=predictor.under(variant.deviations))
-        for linear, predictor in zip(linearised, study.predictors, strict=True)
+        replace(linear, predictor=predictor.under(variant.deviations)) if other else linear
+        for linear, predictor, other in zip(linearised, study.predictors, others, strict=True)
     ], columns
 
 
