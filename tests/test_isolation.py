@@ -95,8 +95,9 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     assert ended.alarm is alarm and ended.bench == ("a ripple",)
 
 
+@pytest.mark.parametrize("other", [False, True])
 @pytest.mark.parametrize("again, taken", [(4000.0, True), (4990.0, False)])
-def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(monkeypatch, again, taken):
+def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(monkeypatch, again, taken, other):
     base, asked = nominal(5000.0), []
     base.fit = replace(base.fit, point=np.array([4.0]))
     renewed = nominal(again)
@@ -112,9 +113,16 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
         asked.append(start.point.tolist())
         return renewed
 
+    def under_others(nominal):  # and under other ways of its commands
+        assert nominal is (renewed if taken else base)
+        return under_other if other else nominal
+
+    under_other = nominal(4600.0)
     monkeypatch.setattr(isolation, "refit_nominal", refit)
+    monkeypatch.setattr(isolation, "with_inputs_tried", under_others)
     ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), options=DIAGNOSIS)
-    assert asked == [[2.0]] and ended is (renewed if taken else base) and scores.fit is ended.fit
+    best = renewed if taken else base
+    assert asked == [[2.0]] and ended is (under_other if other else best) and scores.fit is ended.fit
 
 
 @pytest.mark.parametrize(

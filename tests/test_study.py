@@ -38,6 +38,7 @@ from valvesim.identification.nominal_fit import (
     refit_nominal,
     with_edges_tried,
     with_inputs_reviewed,
+    with_inputs_tried,
     within_tolerance,
 )
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
@@ -234,6 +235,46 @@ def test_a_way_without_edges_is_tried_with_them_where_commands_jump(
     found = with_edges_tried(far)
     assert bool(asked) is tried
     assert found is (far if ends == now else asked[ends])
+
+
+@pytest.mark.parametrize(
+    "late, gains, ends",
+    [
+        (-7.0, {"smooth": 300.0, "held": 100.0, "smooth, edges": 200.0}, "smooth"),  # a sensor cannot be that early
+        (7.0, {"smooth": 300.0, "held": 100.0, "smooth, edges": 400.0}, "smooth, edges"),
+        (-7.0, {"smooth": 20.0, "held": 10.0, "smooth, edges": -100.0}, "straight"),  # no more than chance
+        (1.0, {"smooth": 300.0, "held": 300.0, "smooth, edges": 300.0}, "straight"),
+    ],
+)
+def test_where_a_sensor_is_too_late_or_early_every_way_of_the_commands_is_tried(
+    biased_fit, monkeypatch, late, gains, ends
+):
+    nominal = biased_fit
+    delays = are_delays(nominal.study.nominal)
+    far = replace(nominal, fit=replace(nominal.fit, point=np.where(delays, late, 5.0)))
+    choices = {name: SimpleNamespace(name=name, parameters=()) for name in ("straight", *gains)}
+    asked = {}
+
+    def near(without, choice, nominal, near):
+        point = np.array(list(near.values()))
+        assert np.all(point[delays] == 0.0) and np.all(point[~delays] == 2.0)
+        # what that way may be wrong by widens the noise: it leaves less, and explains no more
+        spread = {("record_1", name): np.full(900, 1.0) for name in nominal.study.predictors[0].record.outputs}
+        fit = replace(nominal.fit, chi_square=nominal.fit.chi_square - gains[choice.name])
+        asked[choice.name] = replace(nominal, study=replace(nominal.study, spread=spread), fit=fit)
+        return asked[choice.name]
+
+    def rescored(study, fit):
+        assert not study.spread
+        return fit
+
+    monkeypatch.setattr(nominal_fit, "rescored", rescored)
+    monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, choices["straight"]))
+    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices.values())
+    monkeypatch.setattr(nominal_fit, "_near_under", near)
+    found = with_inputs_tried(far)
+    assert found is (far if ends == "straight" else asked[ends])
+    assert set(asked) == (set(gains) if abs(late) > 4.0 else set())
 
 
 def test_a_prepared_session_becomes_a_study_by_its_noise(biased):

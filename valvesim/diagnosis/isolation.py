@@ -69,6 +69,7 @@ from valvesim.identification.nominal_fit import (
     refit_nominal,
     with_edges_tried,
     with_inputs_reviewed,
+    with_inputs_tried,
 )
 from valvesim.identification.refinement import refined
 
@@ -130,18 +131,21 @@ def _with_bench(
     known = [p.name for p in nominal.study.nominal.parameters]
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)
-    names = [p.name for p in nominal.study.nominal.parameters]
-    if names[: len(known)] != known:  # other edges: those fits are not of this model
-        beside = []
     adequate = is_adequate(nominal.fit, options=options.identification)
     if detect(scores)[0] and adequate and largest_shift(nominal.fit) > options.isolation.shifted:
         again = refit_nominal(nominal, evaluate_fit(nominal.study, clipped_to_tolerance(nominal), ()))
-        if rescored(nominal.study, again.fit).chi_square < nominal.fit.chi_square - options.isolation.slight_gain:
+        if rescored(nominal.study, again.fit).chi_square >= nominal.fit.chi_square - options.isolation.slight_gain:
+            again = nominal
+        again = with_inputs_tried(again)
+        if again is not nominal:
             nominal, scores = again, score_test(again, again.fit, options=options)
     alarm, level = detect(scores)
     if alarm and not is_certain(scores, level):
         nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
         scores = score_test(nominal, nominal.fit, options=options)
+    names = [p.name for p in nominal.study.nominal.parameters]
+    if names[: len(known)] != known:  # other edges: those fits are not of this model
+        beside = []
     return nominal, scores, beside
 
 

@@ -274,7 +274,7 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
     if better.name != now.name:
         return _near_under(without, better, nominal, _point_by_name(nominal))
     delays = are_delays(nominal.study.nominal)
-    if not np.any(nominal.fit.point[delays] > 2.0 * nominal.study.options.fit.tolerance_deviations):
+    if not np.any(nominal.fit.point[delays] > _late(nominal.study)):
         return nominal
     choices = input_choices(without.session, options=without.options)
     held = next((choice for choice in choices if choice.name == HELD_NAME), now)
@@ -305,6 +305,36 @@ def with_edges_tried(nominal: NominalFit) -> NominalFit:
         if tried.fit.chi_square - tried.fit.rows < least:
             best, least = tried, tried.fit.chi_square - tried.fit.rows
     return best
+
+
+def with_inputs_tried(nominal: NominalFit) -> NominalFit:
+    """A nominal fit whose sensors seem late or early by more than they may be, or a better one under another way of its
+    commands: each is fitted from within tolerance. Others than the nominal fit's own are judged without what that may
+    be wrong by.
+    """
+    delays = are_delays(nominal.study.nominal)
+    if not np.any(np.abs(nominal.fit.point[delays]) > _late(nominal.study)):
+        return nominal
+    late = [p.name for p, delay in zip(nominal.study.nominal.parameters, delays, strict=True) if delay]
+    near = _clipped_by_name(nominal) | dict.fromkeys(late, 0.0)
+    without, now = _without_choice(nominal.study)
+
+    def left(one: NominalFit) -> float:
+        return rescored(replace(one.study, spread={}, weights=nominal.study.weights), one.fit).chi_square
+
+    best, least = nominal, left(nominal) - nominal.study.options.input.minimum_gain
+    for choice in input_choices(without.session, options=without.options):
+        if choice.name == now.name:
+            continue
+        tried = _near_under(without, choice, nominal, near)
+        if left(tried) < least:
+            best, least = tried, left(tried)
+    return best
+
+
+def _late(study: Study) -> float:
+    """The prior deviations from which a sensor's delay tells that a command may go otherwise between its samples."""
+    return 2.0 * study.options.fit.tolerance_deviations
 
 
 def with_inputs_beside(nominal: NominalFit, beside: NominalFit) -> NominalFit:
