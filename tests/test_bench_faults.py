@@ -113,6 +113,41 @@ def test_a_ripple_in_one_output_is_not_lost_beside_outputs_that_show_none():
     assert outstanding_frequencies(study, readings, 7.0) == [pytest.approx(94.6, abs=0.3)]
 
 
+@pytest.mark.parametrize(
+    "left, known, fitted",
+    [
+        ((0.03e6, 0.9e6), (), ["a"]),  # the first explains nearly all
+        ((0.5e6, 0.04e6, 0.01e6), (), ["a", "b"]),
+        ((0.5e6, 0.4e6, 0.3e6), (), ["a", "b", "c"]),
+        ((0.5e6, 0.4e6, 0.3e6), ("k",), ["k"]),  # what is known from elsewhere is gone on with, and nothing sought
+    ],
+)
+def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(monkeypatch, left, known, fitted):
+    rows, asked = 1e4, []
+    base = SimpleNamespace(fit=SimpleNamespace(chi_square=1e6 + rows, rows=rows), study=None)
+
+    def fit_from(nominal, start, few=None):
+        asked.append(start if known else start[0])
+        return SimpleNamespace(chi_square=left[len(asked) - 1] + rows, rows=rows)
+
+    for name, stub in {
+        "is_adequate": lambda fit, *, options: False,
+        "likeliest_starts": lambda nominal, scores: iter([("a",), ("b",), ("c",)]),
+        "fit_from_prior": fit_from,
+        "continue_fit": fit_from,
+        "score_test": lambda *_, **__: SimpleNamespace(linearised=(), columns=()),
+        "assembled": lambda *_: None,
+        "_tuned_beside": lambda *_: None,
+        "_likeliest": lambda *_, options: None,
+        "with_inputs_beside": lambda at, beside: at,
+        "_best_inputs": lambda at, fit, few: (at, fit),
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    at, scores, fit = bench_faults.with_faults_beside_cause(base, "scores", known, options=DIAGNOSIS)
+    assert (at, scores, asked) == (base, "scores", fitted)
+    assert fit.chi_square == min(left[: len(asked)]) + rows
+
+
 def test_power_is_that_of_the_fourier_sum_and_a_long_record_takes_little_memory():
     series, frequencies = np.random.default_rng(4).normal(size=len(TIME)), np.linspace(7.3, 8.1, 5)
     record = replace(RECORDS[0], values={**RECORDS[0].values, "spool_position": series})

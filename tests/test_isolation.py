@@ -75,13 +75,17 @@ def score_test_of(nominal, fit, *, options=DIAGNOSIS):
     )
 
 
+def beside_none(nominal, scores, known, *, options):
+    return nominal, scores, None
+
+
 @pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e8, False)])
 def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch, beside, alarm):
     base, found = nominal(9000.0), []
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
-    monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores, None))
+    monkeypatch.setattr(isolation, "with_faults_beside_cause", beside_none)
     monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
     monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
     for module in (isolation, detection):
@@ -120,7 +124,7 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
     under_other = nominal(4600.0)
     monkeypatch.setattr(isolation, "refit_nominal", refit)
     monkeypatch.setattr(isolation, "with_inputs_tried", under_others)
-    ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), options=DIAGNOSIS)
+    ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
     best = renewed if taken else base
     assert asked == [[2.0]] and ended is (under_other if other else best) and scores.fit is ended.fit
 
@@ -135,8 +139,8 @@ def test_edges_are_tried_where_an_adequate_fit_leaves_more_than_noise(monkeypatc
     monkeypatch.setattr(isolation, "detect", lambda scores: (False, 4.0))
     monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
     monkeypatch.setattr(isolation, "with_edges_tried", lambda nominal: tried if jumps else nominal)
-    monkeypatch.setattr(isolation, "with_faults_beside_cause", lambda nominal, scores, options: (nominal, scores, None))
-    ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), options=DIAGNOSIS)
+    monkeypatch.setattr(isolation, "with_faults_beside_cause", beside_none)
+    ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
     assert ended is (tried if taken else base) and scores.fit is ended.fit
 
 
@@ -304,11 +308,12 @@ def test_pairs_are_fitted_unless_one_alone_explains_all_but_verified_noise(monke
 
 
 def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit(monkeypatch):
-    def evaluate_fit(study, point, fitted):
+    def not_run(*_):
         raise SolveError("no valve")
 
     base, lap = nominal(9000.0), hypothesis(5000.0, "spool_lap")
-    monkeypatch.setattr(isolation, "evaluate_fit", evaluate_fit)
+    monkeypatch.setattr(isolation, "evaluate_fit", not_run)
+    monkeypatch.setattr(isolation, "evaluated_beside", not_run)
     assert isolation._known_hypotheses(base, [lap.fit], lambda share: None, options=DIAGNOSIS) == []
     assert isolation._better_nominal(base, [lap], options=DIAGNOSIS) is None
 

@@ -237,6 +237,19 @@ def test_a_way_without_edges_is_tried_with_them_where_commands_jump(
     assert found is (far if ends == now else asked[ends])
 
 
+@pytest.mark.parametrize("now, open_ways, taken", [
+    ("held", ("straight", "held"), "held"),
+    ("smooth, edges", ("straight", "held"), "straight"),  # its records have no such way
+])  # fmt: skip
+def test_a_long_session_has_its_commands_as_its_beginnings_have_told(biased_fit, monkeypatch, now, open_ways, taken):
+    study = biased_fit.study
+    monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, SimpleNamespace(name=now)))
+    choices = [nominal_fit.STRAIGHT, *(SimpleNamespace(name=name) for name in open_ways[1:])]
+    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices)
+    monkeypatch.setattr(nominal_fit, "with_input_choice", lambda prepared, choice: (prepared, choice.name))
+    assert nominal_fit.with_choice_of(study, study) == (study, taken)
+
+
 @pytest.mark.parametrize(
     "late, gains, ends",
     [

@@ -23,7 +23,7 @@ from valvesim.diagnosis.starts import likeliest_starts
 from valvesim.identification.between_samples import Wave
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
-from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis
+from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (
     fitted_waves,
     linear_gain,
@@ -96,22 +96,25 @@ def with_bench_faults(
 
 
 def with_faults_beside_cause(
-    nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
+    nominal: NominalFit, scores: ScoreTest, known: Sequence[Fit], *, options: DiagnosisOptions
 ) -> tuple[NominalFit, ScoreTest, Fit | None]:
     """The same by what the likeliest cause leaves, fitted a little: what the nominal valve leaves is all of the cause
     where it is inadequate. Last the fit of that cause beside what the bench did, if there was anything to be fitted.
+    The likeliest is the best of those `known` from elsewhere, where there are any, continued.
 
     Its fit begins from within tolerance: the cause may have carried figures of the nominal fit away.
     """
     few, at, tried = options.isolation.near_linearisations, nominal, False
     if is_adequate(nominal.fit, options=options.identification):
         return nominal, scores, None
-    fit = None
-    for start in likeliest_starts(nominal, scores):
+    fit = continue_fit(nominal, known[0]) if known else None
+    for start in likeliest_starts(nominal, scores) if not known else ():
         other = fit_from_prior(nominal, start, few)
         if other is not None and (fit is None or other.chi_square < fit.chi_square):
             fit = other
-        if fit is not None and _leaves_noise(fit, at.study, options=options):
+        if fit is not None and (
+            _leaves_noise(fit, at.study, options=options) or _explains_nearly_all(fit, at.fit, options=options)
+        ):
             break
     for _ in range(options.bench.most_faults):
         if fit is None:
@@ -143,6 +146,11 @@ def with_faults_beside_cause(
 def _leaves_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> bool:
     """Whether a fit comes near the records and leaves no more than noise, as far as that is verified."""
     return is_adequate(fit, options=options.identification) and beyond_noise(fit, study, options=options) == 0.0
+
+
+def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -> bool:
+    """Whether a fit explains nearly all of what the nominal one leaves: alike laws would not tell the bench better."""
+    return fit.chi_square - fit.rows <= options.bench.left_share * (nominal.chi_square - nominal.rows)
 
 
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:

@@ -17,7 +17,7 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.bad_samples import without_outliers, without_saturation
 from valvesim.identification.fit import Fit, is_adequate
-from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near
+from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near, with_choice_of
 from valvesim.identification.session import Record
 from valvesim.identification.study import PreparedSession, restricted_session
 
@@ -40,7 +40,9 @@ def fit_coarse_to_fine(
             )
             progress(stage, 0.5)
             p, segments = len(prepared.nominal.parameters), isolation.nominal
-            nominal = fit_nominal_near(prepared, segments.fit.point[:p], full_weight=not segments.study.weights)
+            chosen = with_choice_of(prepared, segments.study)
+            point = np.append(segments.fit.point[:p], np.zeros(len(chosen.nominal.parameters) - p))
+            nominal = fit_nominal_near(chosen, point, full_weight=not segments.study.weights)
             known = isolation.answer_set or isolation.found[: options.coarse_to_fine.taken_along]
             fits = [replace(one.fit, point=one.fit.point[:p]) for one in known if one.fit.fitted]
             return _without_outliers(nominal), fits

@@ -61,7 +61,7 @@ from valvesim.diagnosis.second_cause import (
 from valvesim.diagnosis.starts import single_starts, start_points, typical_starts
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
-from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior
+from valvesim.identification.hypothesis_fit import continue_from, evaluated_beside, fit_from_prior
 from valvesim.identification.nominal_fit import (
     NominalFit,
     clipped_to_tolerance,
@@ -104,7 +104,7 @@ def isolate(
     progress("looking for causes", 0.0)
     scores, beside = score_test(nominal, nominal.fit, options=options), list[Fit]()
     if detect(scores)[0]:
-        nominal, scores, beside = _with_bench(nominal, scores, options=options)
+        nominal, scores, beside = _with_bench(nominal, scores, known, options=options)
     bench = told_faults(scores, options=options)
     if bench and detect(scores)[0] and _may_be_bench(nominal, scores, options=options):
         level = scores.level(options.detection.false_alarm)
@@ -114,21 +114,22 @@ def isolate(
 
 
 def _with_bench(
-    nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
+    nominal: NominalFit, scores: ScoreTest, known: Sequence[Fit], *, options: DiagnosisOptions
 ) -> tuple[NominalFit, ScoreTest, list[Fit]]:
     """The nominal fit with what the bench did; fitted again from within tolerance where that leaves an alarm and
     figures that are off, for it may have stopped short; and refined where there still is one by score tests alone.
-    What it leaves, and the fits of causes beside which the bench was looked at.
+    What it leaves, and the fits of causes beside which the bench was looked at: of the hypotheses `known` from
+    elsewhere, where there are any; how the commands go has been asked there.
     """
-    beside, reviewed = list[Fit](), with_inputs_reviewed(nominal)
-    if reviewed is nominal and _leaves_more_than_noise(nominal, options=options):
+    beside, reviewed = list[Fit](), nominal if known else with_inputs_reviewed(nominal)
+    if not known and reviewed is nominal and _leaves_more_than_noise(nominal, options=options):
         reviewed = with_edges_tried(nominal)
     if reviewed is not nominal:
         nominal, scores = reviewed, score_test(reviewed, reviewed.fit, options=options)
     if not is_adequate(nominal.fit, options=options.identification):
-        nominal, scores, fit = with_faults_beside_cause(nominal, scores, options=options)
+        nominal, scores, fit = with_faults_beside_cause(nominal, scores, known, options=options)
         beside = [fit] if fit is not None else []
-    known = [p.name for p in nominal.study.nominal.parameters]
+    names = [p.name for p in nominal.study.nominal.parameters]
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)
     adequate = is_adequate(nominal.fit, options=options.identification)
@@ -143,9 +144,8 @@ def _with_bench(
     if alarm and not is_certain(scores, level):
         nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
         scores = score_test(nominal, nominal.fit, options=options)
-    names = [p.name for p in nominal.study.nominal.parameters]
-    if names[: len(known)] != known:  # other edges: those fits are not of this model
-        beside = []
+    if [p.name for p in nominal.study.nominal.parameters[: len(names)]] != names:
+        beside = []  # of other edges: those fits are not of this model
     return nominal, scores, beside
 
 
@@ -189,7 +189,8 @@ def _isolated(
         found = _fitted_further(nominal, found, likeliest, left_out, options=options)
         wider = with_model_discrepancy(nominal, found, options=options)
     if wider is not None:
-        nominal, scores, beside = _with_bench(wider, score_test(wider, wider.fit, options=options), options=options)
+        scores = score_test(wider, wider.fit, options=options)
+        nominal, scores, beside = _with_bench(wider, scores, known, options=options)
         return _isolated(nominal, scores, progress, known, beside, options=options)
     found = without_corrections_of_laws(nominal, found, options=options)
     found = with_minimum_gain(nominal, found, level, bearable_beside_bench(scores), options=options)
@@ -356,9 +357,8 @@ def _known_hypotheses(
     """Hypotheses that were fitted elsewhere, refitted where they do not yet explain nearly as much as the likeliest."""
     begun = list[Fit]()
     for one in known:
-        point = np.append(one.point[: len(nominal.fit.point)], nominal.fit.point[len(one.point) :])
         try:
-            begun.append(replace(evaluate_fit(nominal.study, point, one.fitted), occam_factor=one.occam_factor))
+            begun.append(evaluated_beside(nominal, one))
         except (SolveError, InputError):
             continue
     found = list[FittedHypothesis]()

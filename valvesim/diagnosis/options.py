@@ -67,6 +67,9 @@ class BenchOptions:
     excess_share: float = option(
         1e-4, "1", "share of it that may be left beyond the noise without an alarm", "no model is the plant"
     )
+    left_share: float = option(
+        0.05, "1", "share of the excess chi-square that the cause may leave beside which the bench is sought", JUDGEMENT
+    )
     causes_beside: int = option(3, "1", "likeliest causes beside which it must explain as much", JUDGEMENT)
 
 

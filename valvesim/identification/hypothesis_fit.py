@@ -122,9 +122,17 @@ def fit_from_prior(
 def continue_fit(nominal: NominalFit, fit: Fit) -> Fit | None:
     """A fit continued from where it is, with a Jacobian of its own; None where it cannot be simulated."""
     try:
-        return continue_from(nominal, evaluate_fit(nominal.study, fit.point, fit.fitted))
+        return continue_from(nominal, evaluated_beside(nominal, fit))
     except (SolveError, InputError):
         return None
+
+
+def evaluated_beside(nominal: NominalFit, fit: Fit) -> Fit:
+    """A fit evaluated in the study of a nominal one, whose figures it has where that has more. Raises SolveError,
+    InputError where it cannot be simulated.
+    """
+    point = np.append(fit.point[: len(nominal.fit.point)], nominal.fit.point[len(fit.point) :])
+    return replace(evaluate_fit(nominal.study, point, fit.fitted), occam_factor=fit.occam_factor)
 
 
 def continue_from(nominal: NominalFit, fit: Fit) -> Fit | None:

@@ -250,6 +250,15 @@ def _without_choice(study: Study) -> tuple[Study, InputChoice]:
     return replace(study, nominal=plain, session=session, spread={}), now
 
 
+def with_choice_of(prepared: PreparedSession, study: Study) -> PreparedSession:
+    """A prepared session with its commands between their samples as in the study of parts of its records, where they
+    may go so.
+    """
+    now = _without_choice(study)[1].name
+    same = (one for one in input_choices(prepared.session, options=prepared.options) if one.name == now)
+    return with_input_choice(prepared, next(same, STRAIGHT))
+
+
 def _reviewed_choice(
     nominal: NominalFit, fitted: tuple[FittedCandidate, ...] = ()
 ) -> tuple[Study, InputChoice, InputChoice]:
