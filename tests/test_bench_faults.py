@@ -13,7 +13,7 @@ import valvesim as vs
 from valvesim.diagnosis import apart, bench_faults
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
 from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _shift_words, _waves_apart
-from valvesim.diagnosis.detection import _is_stretched
+from valvesim.diagnosis.detection import _is_stretched, is_other_valve
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -146,6 +146,25 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
     at, scores, fit = bench_faults.with_faults_beside_cause(base, "scores", known, options=DIAGNOSIS)
     assert (at, scores, asked) == (base, "scores", fitted)
     assert fit.chi_square == min(left[: len(asked)]) + rows
+
+
+@pytest.mark.parametrize(
+    "at, left, beside, other",
+    [
+        ((10.0, -10.0, 10.0, 3.0, 40.0), 3e3, 1e6, True),
+        ((10.0, -10.0, 9.0, 3.0, 10.0), 3e3, 1e6, False),  # the third is of a sensor: a cause may carry two there
+        ((10.0, -10.0, 10.0, 3.0, 40.0), 2e5, 1e6, False),  # they do not explain so much more
+        ((10.0, -10.0, 10.0, 3.0, 40.0), 10.0, 1e4, False),  # the cause comes near
+    ],
+)
+def test_figures_at_their_limits_that_no_cause_could_stand_for_are_another_valve(at, left, beside, other):
+    rows, reach = 2e3, IDENTIFICATION.prior.reach
+    assert reach == 10.0
+    parameters = [SimpleNamespace(is_of_valve=k < 4) for k in range(5)]
+    study = SimpleNamespace(nominal=SimpleNamespace(parameters=parameters), options=IDENTIFICATION)
+    fit = SimpleNamespace(point=np.array(at), chi_square=left + rows, rows=rows)
+    likeliest = SimpleNamespace(chi_square=beside + rows, rows=rows)
+    assert is_other_valve(SimpleNamespace(study=study, fit=fit), likeliest, options=DIAGNOSIS) is other
 
 
 def test_power_is_that_of_the_fourier_sum_and_a_long_record_takes_little_memory():
@@ -478,3 +497,17 @@ def test_records_of_another_valve_are_told_in_seconds(tmp_path, monkeypatch):
     monkeypatch.setattr("valvesim.diagnosis.isolation._first_hypotheses", None)
     found = vs.diagnose(tmp_path)
     assert found.reason == "other_valve" and not found.extension_offered
+
+
+@pytest.mark.slow
+def test_a_valve_far_from_the_stated_one_is_told_without_a_search(tmp_path, monkeypatch):
+    """Of a tube twice as stiff as stated, another feedback rod and other nozzles."""
+    case, bench = draw_bench(840003, "none", imperfections=("edges", "ripple", "skew"), duration=0.5)
+    write_bench_session(case, bench, tmp_path)
+    session = tmp_path / "session.toml"
+    stated = 'spring_tube_stiffness = "20 N*m/rad"\nfeedback_rod_stiffness = "6000 N/m"\nnozzle_diameter = "0.5 mm"'
+    session.write_text(session.read_text().replace("[[records]]", f"[valve]\n{stated}\n\n[[records]]", 1))
+    monkeypatch.setattr("valvesim.diagnosis.isolation._first_hypotheses", None)
+    found = vs.diagnose(tmp_path)
+    assert (found.verdict, found.reason) == ("unknown", OTHER_VALVE) and not found.extension_offered
+    assert "tolerances off" in found.summary and not found.gain_claimed

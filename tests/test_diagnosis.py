@@ -480,8 +480,7 @@ def stretched(chi_square, most, *names):
 
 def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypatch):
     lap, air = explained(0.0, "spool_lap").fit, explained(0.0, "entrained_air").fit
-    did_run = lambda study, point, fitted: Fit(point, fitted, 1.0, (), np.zeros(1), 1.0)  # noqa: E731
-    monkeypatch.setattr(isolation, "evaluate_fit", did_run)
+    monkeypatch.setattr(isolation, "evaluated_beside", lambda nominal, fit: replace(fit, chi_square=1.0))
     monkeypatch.setattr(isolation, "answer_set_width", lambda nominal, best: 0.0)
     monkeypatch.setattr(
         isolation,

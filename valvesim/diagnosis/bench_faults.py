@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
-from valvesim.diagnosis.detection import beyond_noise, nuisance_covariance, wald_statistic
+from valvesim.diagnosis.detection import beyond_noise, is_other_valve, nuisance_covariance, wald_statistic
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
@@ -117,7 +117,7 @@ def with_faults_beside_cause(
         ):
             break
     for _ in range(options.bench.most_faults):
-        if fit is None:
+        if fit is None or is_other_valve(nominal, fit, options=options):
             break
         beside = score_test(at, fit, options=options)
         if (tuned := _tuned_beside(at, fit, beside)) is not None:
@@ -130,6 +130,8 @@ def with_faults_beside_cause(
             at, more = _widened(at, likeliest.parameters), np.zeros(len(likeliest.parameters))
             fit = fit_hypothesis(at, fit.fitted, np.append(fit.point, more), few)
             continue
+        if known:  # how the commands go has been asked elsewhere
+            break
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:
             at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)

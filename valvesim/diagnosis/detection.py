@@ -133,6 +133,17 @@ def at_limit(fit: Fit, study: Study) -> np.ndarray:
     return np.abs(fit.point) > (1.0 - 1e-6) * study.options.prior.reach
 
 
+def is_other_valve(nominal: NominalFit, likeliest: Fit, *, options: DiagnosisOptions) -> bool:
+    """Whether figures at their limits, of several parts of the valve, explain far more than the `likeliest` cause does
+    from within their tolerances: these records are of another valve than the stated one.
+    """
+    fit, study = nominal.fit, nominal.study
+    of_valve = np.array([p.is_of_valve for p in study.nominal.parameters])
+    left = max(fit.chi_square - fit.rows, fit.rows)
+    many = np.count_nonzero(at_limit(fit, study) & of_valve) >= options.detection.other_valve_figures
+    return bool(many and likeliest.chi_square - likeliest.rows > options.detection.other_valve_ratio * left)
+
+
 def rests_on_limits(final: ScoreTest) -> float:
     """The part of the chi-square that a fit explains by figures at their limits: by the linearised equations it would
     be lost if they were halfway back.

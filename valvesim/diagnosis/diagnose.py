@@ -92,7 +92,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
     recovered: RecoveredTerm | None = None
     odd = ""
     doubted = bool(unknown_reason) and _most_left_by_term(nominal, isolation.found, options=options) > nominal.fit.rows
-    if isolation.alarm and not inadequate and (doubted or not in_set):
+    if isolation.alarm and not (inadequate or isolation.is_other_valve) and (doubted or not in_set):
         borne_out = bool(isolation.found) or is_certain(scores, level)
         excess = beyond_noise(nominal.fit, study, options=options) > 0.0
         odd = odd_test(nominal, options=options) if excess and not in_set else ""

@@ -25,6 +25,7 @@ from valvesim.diagnosis.detection import (
     explained_by_bench,
     is_certain,
     is_inadequate,
+    is_other_valve,
     unexplained_share,
 )
 from valvesim.diagnosis.model_discrepancy import with_model_discrepancy
@@ -79,7 +80,8 @@ class Isolation:
     """Where an isolation ended: `nominal` the nominal fit in the end, `scores` what it leaves, `final` what the best
     of the hypotheses `found` (best first) leaves; `answer_set` among them, and why an unknown cause is in it too,
     if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
-    in words, and what to do about it.
+    in words, and what to do about it; `is_other_valve` whether these are records of another valve than the stated one,
+    so that no cause was sought.
     """
 
     nominal: NominalFit
@@ -91,6 +93,7 @@ class Isolation:
     alarm: bool
     level: float
     bench: tuple[WhatToDo, ...] = ()
+    is_other_valve: bool = False
 
 
 def isolate(
@@ -105,9 +108,11 @@ def isolate(
     scores, beside = score_test(nominal, nominal.fit, options=options), list[Fit]()
     if detect(scores)[0]:
         nominal, scores, beside = _with_bench(nominal, scores, known, options=options)
+    level = scores.level(options.detection.false_alarm)
+    if beside and is_other_valve(nominal, beside[0], options=options):
+        return Isolation(nominal, scores, scores, [], [], "", True, level, (), is_other_valve=True)
     bench = told_faults(scores, options=options)
     if bench and detect(scores)[0] and _may_be_bench(nominal, scores, options=options):
-        level = scores.level(options.detection.false_alarm)
         return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
     isolation = _isolated(nominal, scores, progress, known, beside, options=options)
     return replace(isolation, bench=told_faults(isolation.final, options=options))
@@ -129,6 +134,8 @@ def _with_bench(
     if not is_adequate(nominal.fit, options=options.identification):
         nominal, scores, fit = with_faults_beside_cause(nominal, scores, known, options=options)
         beside = [fit] if fit is not None else []
+    if beside and is_other_valve(nominal, beside[0], options=options):
+        return nominal, scores, beside
     names = [p.name for p in nominal.study.nominal.parameters]
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)

@@ -44,6 +44,12 @@ class DetectionOptions:
         "share of the explained chi-square left over, up to which the best is still possible, as is an unknown cause",
         JUDGEMENT,
     )
+    other_valve_figures: int = option(
+        3, "1", "figures of the valve at their limits from which it is another one", "a cause may carry one or two there"
+    )
+    other_valve_ratio: float = option(
+        10.0, "1", "times the chi-square that they leave, which the likeliest cause leaves then", JUDGEMENT
+    )
     draws: int = option(20_000, "1", "draws by which the alarm level is found", "a quantile of 0.005 to 10 %")
 
 
