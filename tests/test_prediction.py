@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from valvesim.errors import InputError, SolveError
-from valvesim.identification import predictor as predictor_module
-from valvesim.identification.between_samples import InputShift
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.options import PredictorOptions
 from valvesim.identification.predictor import ModelVariant, neutral, prepare_record
@@ -350,36 +348,9 @@ def test_an_effect_at_its_neutral_value_is_none(name):
 
 
 def test_readings_are_the_same_each_time():
-    course_of("fast", nominal_variant())
-    predictor_module._kept_integrated.cache_clear()
     again = bench_of("fast").run(nominal_variant())
     for channel, values in bench_of("fast").readings(again, nominal_variant()).items():
         assert np.array_equal(values, read("fast", nominal_variant())[channel])
-
-
-def test_a_run_that_was_kept_is_that_of_its_own_inputs_valve_effects_and_record(monkeypatch):
-    nominal, fast = nominal_variant(), bench_of("fast")
-    other = replace(nominal.valve, null_gap=nominal.valve.null_gap * (1.0 + 1e-6))
-    shift = InputShift(fast.record.name, "supply_pressure")
-    fewer = replace(fast, record=replace(fast.record, usable={"load_flow": fast.record.usable["load_flow"]}))
-    finer = replace(fast, options=replace(OPTIONS, predictor=replace(OPTIONS.predictor, tolerance=1e-5)))
-    runs = [
-        (fast, nominal), (fast, replace(nominal, valve=other)), (fast, nominal.with_effect(FRICTION)),
-        (fast, nominal.with_effect(CATALOGUE["spool_edge_wear"](rounding=2e-6))), (bench_of("slow"), nominal),
-        (fast, replace(nominal, deviations=((shift, 1e3),))), (fewer, nominal), (finer, nominal),
-    ]  # fmt: skip
-    monkeypatch.setattr(predictor_module, "_kept_integrated", predictor_module._integrated)
-    plain = [one.run(variant) for one, variant in runs]
-    monkeypatch.undo()
-    for _ in range(2):
-        for (one, variant), expected in zip(runs, plain, strict=True):
-            found = one.run(variant)
-            assert np.array_equal(found.fine, expected.fine) and found.at_valve.keys() == expected.at_valve.keys()
-            assert all(np.array_equal(found.at_valve[name], expected.at_valve[name]) for name in found.at_valve)
-    assert predictor_module._kept_integrated.cache_info().hits >= len(runs)
-    flows = [one.at_valve["load_flow"] for one in plain]
-    alike = [(a, b) for a in range(len(runs)) for b in range(a) if np.array_equal(flows[a], flows[b])]
-    assert alike == [(6, 0)]  # fewer outputs are of the same run
 
 
 def test_columns_are_sensed_as_each_alone():

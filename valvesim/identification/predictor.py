@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from hashlib import blake2b
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +22,7 @@ from valvesim.identification.between_samples import (
     added_input,
     deviating_command,
 )
-from valvesim.identification.options import IdentificationOptions, PredictorOptions
+from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
 from valvesim.identification.session import OUTPUTS, Record, Session
 from valvesim.inputs import Command, Constant, evaluate, merge
@@ -395,52 +393,14 @@ class PosedRun:
         return state_at_rest(self.compiled, first, self.knots[:1], held=self.off, where=self.under.where)[0]
 
     def trajectory(self, initial: np.ndarray) -> Trajectory:
-        """The trajectory from scaled states (n_x,) at rest: that of the same run not long ago, if there was one."""
-        begun = _begun(self, initial)
-        kept = len(self.under.fine_times) <= KEPT_POINTS
-        fine, at_valve = _kept_integrated(begun) if kept else _integrated(begun)
-        oil, path = self.predictor.oil_along(self.path), self.path
-        return self.predictor.on_grid(
-            Trajectory(self.compiled.model, fine, fine, oil, dict(at_valve), path, self.knots)
-        )
-
-
-@dataclass(frozen=True)
-class _BegunRun:
-    """A posed run with the scaled states (n_x,) that it starts from. Two are equal where all is that is integrated."""
-
-    posed: PosedRun = field(compare=False)
-    initial: np.ndarray = field(compare=False)
-    model: Model
-    absent: frozenset[str]
-    outputs: tuple[str, ...]
-    settings: PredictorOptions
-    digest: bytes
-
-
-def _begun(posed: PosedRun, initial: np.ndarray) -> _BegunRun:
-    """A posed run begun: its digest is of all numbers that the integrator and the outputs take."""
-    under, compiled, digest = posed.under, posed.compiled, blake2b(digest_size=16)
-    path, times = posed.path.times, under.fine_times
-    for part in (under.starts, under.rows, under.fine_inputs, path, posed.knots, times, posed.off, initial):
-        digest.update(str(part.shape).encode())
-        digest.update(part.tobytes())
-    outputs, settings = tuple(under.record.outputs), under.options.predictor
-    return _BegunRun(posed, initial, compiled.model, compiled.absent, outputs, settings, digest.digest())
-
-
-def _integrated(begun: _BegunRun) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """The states (n_f, n_x) of a run on the fine grid, and its output channels (n_f,) as they are at the valve."""
-    posed, under = begun.posed, begun.posed.under
-    problem = _problem(under, posed.compiled, posed.path, posed.knots, begun.initial, posed.off)
-    advice = "Is the valve of session.toml the one that was measured?"
-    fine = integrate(problem, what=f"{under.where}the simulation", advice=advice)[0]
-    return fine, under._outputs(begun.model, fine, posed.path, posed.knots)
-
-
-KEPT_RUNS = 32  # of the last runs of a process: a third of a diagnosis' runs have been done shortly before
-KEPT_POINTS = 20_001  # of a run that is kept, so that all of them take no more than a hundred megabytes
-_kept_integrated = lru_cache(maxsize=KEPT_RUNS)(_integrated)
+        """The trajectory from scaled states (n_x,) at rest."""
+        under, model, path = self.under, self.compiled.model, self.path
+        problem = _problem(under, self.compiled, path, self.knots, initial, self.off)
+        advice = "Is the valve of session.toml the one that was measured?"
+        fine = integrate(problem, what=f"{under.where}the simulation", advice=advice)[0]
+        at_valve = under._outputs(model, fine, path, self.knots)
+        oil = self.predictor.oil_along(path)
+        return self.predictor.on_grid(Trajectory(model, fine, fine, oil, at_valve, path, self.knots))
 
 
 def at_rest_together(posed: Sequence[PosedRun]) -> list[np.ndarray]:
