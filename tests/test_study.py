@@ -197,12 +197,16 @@ def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, b
         asked.append((choice.name, list(near.values()) != nominal.fit.point.tolist()))
         return replace(nominal, fit=replace(nominal.fit, chi_square=nominal.fit.chi_square - gain))
 
+    monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, choices[now]))
     monkeypatch.setattr(nominal_fit, "_reviewed_choice", lambda nominal: (nominal.study, choices[now], choices[better]))
     monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices.values())
     monkeypatch.setattr(nominal_fit, "_near_under", near)
     found = with_inputs_reviewed(before)
     assert (found is before) is (ends == now)
     assert tried == asked
+    if better != now:  # what the end of its fit has asked is not asked again
+        reviewed = replace(before, is_reviewed=True)
+        assert with_inputs_reviewed(reviewed) is reviewed and tried == asked
 
 
 @pytest.mark.parametrize(

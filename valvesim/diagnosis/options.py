@@ -45,7 +45,7 @@ class DetectionOptions:
         JUDGEMENT,
     )
     other_valve_figures: int = option(
-        3, "1", "figures of the valve at their limits from which it is another one", "a cause may carry one or two there"
+        3, "1", "figures of the valve at their limits from which it is another one", "a cause may carry two there"
     )
     other_valve_ratio: float = option(
         10.0, "1", "times the chi-square that they leave, which the likeliest cause leaves then", JUDGEMENT

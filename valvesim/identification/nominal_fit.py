@@ -36,6 +36,8 @@ class NominalFit:
     """The nominal model at its maximum a posteriori, linearised there.
 
     `columns` are its sensitivities to the nuisance parameters, see `linearise_study`; `J` (rows, p) the same, whitened.
+    `is_reviewed` where its own figures have been asked how the commands go between their samples, and ask for no other
+    way.
     """
 
     study: Study
@@ -43,6 +45,7 @@ class NominalFit:
     linearised: tuple[LinearisedRecord, ...]
     columns: tuple[dict[str, np.ndarray], ...]
     J: np.ndarray
+    is_reviewed: bool = False
 
 
 def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
@@ -58,7 +61,7 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
     full = _finished(with_input_choice(prepared, choice), nominal, ahead)
     _, _, better = _reviewed_choice(full)
     if better.name == choice.name:
-        return full
+        return replace(full, is_reviewed=True)
     again = with_input_choice(prepared, better)
     return _finished(again, _robustly_fitted(again, _point_by_name(full), ahead), ahead)
 
@@ -279,8 +282,8 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
     A command that is held is half a sample late. Where sensors seem late by more than they may be, the hold is fitted:
     a linear prediction from so far off does not find it.
     """
-    without, now, better = _reviewed_choice(nominal)
-    if better.name != now.name:
+    without, now = _without_choice(nominal.study)
+    if not nominal.is_reviewed and (better := _reviewed_choice(nominal)[2]).name != now.name:
         return _near_under(without, better, nominal, _point_by_name(nominal))
     delays = are_delays(nominal.study.nominal)
     if not np.any(nominal.fit.point[delays] > _late(nominal.study)):
