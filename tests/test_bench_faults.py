@@ -132,6 +132,7 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
 
     for name, stub in {
         "is_adequate": lambda fit, *, options: False,
+        "is_other_valve": lambda nominal, fit, *, options: False,
         "likeliest_starts": lambda nominal, scores: iter([("a",), ("b",), ("c",)]),
         "fit_from_prior": fit_from,
         "continue_fit": fit_from,

@@ -189,7 +189,7 @@ def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, b
     nominal = biased_fit
     delays = are_delays(nominal.study.nominal)
     assert delays.any()
-    before = replace(nominal, fit=replace(nominal.fit, point=late * delays))
+    before = replace(nominal, fit=replace(nominal.fit, point=late * delays), is_reviewed=False)
     names = ("straight, slow",) if now == "straight, slow" else ("straight", "smooth", HELD_NAME)
     asked, choices = [], {name: SimpleNamespace(name=name) for name in names}
 
