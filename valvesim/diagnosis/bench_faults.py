@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
-from valvesim.diagnosis.detection import beyond_noise, is_other_valve, nuisance_covariance, wald_statistic
+from valvesim.diagnosis.detection import is_other_valve, leaves_noise, nuisance_covariance, wald_statistic
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
@@ -113,7 +113,7 @@ def with_faults_beside_cause(
         if other is not None and (fit is None or other.chi_square < fit.chi_square):
             fit = other
         if fit is not None and (
-            _leaves_noise(fit, at.study, options=options) or _explains_nearly_all(fit, at.fit, options=options)
+            leaves_noise(fit, at.study, options=options) or _explains_nearly_all(fit, at.fit, options=options)
         ):
             break
     for _ in range(options.bench.most_faults):
@@ -135,7 +135,7 @@ def with_faults_beside_cause(
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:
             at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
-        elif not tried and not _leaves_noise(fit, at.study, options=options):
+        elif not tried and not leaves_noise(fit, at.study, options=options):
             (at, fit), tried = _best_inputs(at, fit, few), True
         else:
             break
@@ -143,11 +143,6 @@ def with_faults_beside_cause(
         return nominal, scores, fit
     nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=not nominal.study.weights)
     return nominal, score_test(nominal, nominal.fit, options=options), fit
-
-
-def _leaves_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> bool:
-    """Whether a fit comes near the records and leaves no more than noise, as far as that is verified."""
-    return is_adequate(fit, options=options.identification) and beyond_noise(fit, study, options=options) == 0.0
 
 
 def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.score_test import ScoreTest
-from valvesim.identification.fit import Fit
+from valvesim.identification.fit import Fit, is_adequate
 from valvesim.identification.instrument_errors import METER_DRIFT, is_of_bench
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.nominal_fit import NominalFit
@@ -44,6 +44,11 @@ def beyond_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> float:
     """The chi-square that a fit leaves beyond the noise where that is verified, and beyond what that may be off."""
     chi_square, rows = verified_chi_square(fit, study)
     return max(chi_square - rows - options.detection.noise_error * rows - 5.0 * float(np.sqrt(2.0 * rows)), 0.0)
+
+
+def leaves_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> bool:
+    """Whether a fit comes near the records and leaves no more than noise, as far as that is verified."""
+    return is_adequate(fit, options=options.identification) and beyond_noise(fit, study, options=options) == 0.0
 
 
 def verified_chi_square(fit: Fit, study: Study) -> tuple[float, float]:

@@ -26,6 +26,7 @@ from valvesim.diagnosis.detection import (
     is_certain,
     is_inadequate,
     is_other_valve,
+    leaves_noise,
     unexplained_share,
 )
 from valvesim.diagnosis.model_discrepancy import with_model_discrepancy
@@ -126,9 +127,12 @@ def _with_bench(
     What it leaves, and the fits of causes beside which the bench was looked at: of the hypotheses `known` from
     elsewhere, where there are any; how the commands go has been asked there.
     """
-    beside, reviewed = list[Fit](), nominal if known else with_inputs_reviewed(nominal)
-    if not known and reviewed is nominal and _leaves_more_than_noise(nominal, options=options):
-        reviewed = with_edges_tried(nominal)
+    beside, reviewed = list[Fit](), nominal
+    if not known:
+        reviewed = with_inputs_reviewed(nominal)
+        adequate = is_adequate(nominal.fit, options=options.identification)
+        if reviewed is nominal and adequate and not leaves_noise(nominal.fit, nominal.study, options=options):
+            reviewed = with_edges_tried(nominal)
     if reviewed is not nominal:
         nominal, scores = reviewed, score_test(reviewed, reviewed.fit, options=options)
     if not is_adequate(nominal.fit, options=options.identification):
@@ -154,12 +158,6 @@ def _with_bench(
     if [p.name for p in nominal.study.nominal.parameters[: len(names)]] != names:
         beside = []  # of other edges: those fits are not of this model
     return nominal, scores, beside
-
-
-def _leaves_more_than_noise(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
-    """Whether an adequate nominal fit leaves more than noise."""
-    adequate = is_adequate(nominal.fit, options=options.identification)
-    return adequate and beyond_noise(nominal.fit, nominal.study, options=options) > 0.0
 
 
 def _may_be_bench(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> bool:

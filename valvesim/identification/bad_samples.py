@@ -115,7 +115,8 @@ def without_outliers(
 
     Not next to a jump of the command, nor where the reading itself has a peak: there a model errs for a sample, too.
     But there as well where the channel never reads further and the model does. Where it stands at its furthest several
-    times and the model reads further each time it is saturated: all those are left out, in the locked records too.
+    times and the model reads further, but for noise each time, it is saturated: all those are left out, in the locked
+    records too.
     """
     options, records, notes = study.options, list[Record](), list[str]()
     training = [linear.predictor.record for linear in linearised]
@@ -197,7 +198,7 @@ def _unsaturated(record: Record, ends: Sequence[_FurthestReading]) -> Record:
 @dataclass(frozen=True)
 class _FurthestReading:
     """The furthest reading of a channel in all training records, times the `side` (1 up, -1 down), how many samples
-    stand at it, and whether the model reads much further in these.
+    stand at it, and whether the model reads much further in most of these, and in none much less.
     """
 
     channel: str
@@ -223,7 +224,7 @@ def _furthest_readings(study: Study, training: Sequence[Record], fit: Fit) -> li
                 / study.noise[name, record.pace].deviation
                 for record, read, good in own
             ])  # fmt: skip
-            several = len(beyond) > 1 and np.min(beyond) > 0.0
+            several = len(beyond) > 1 and np.min(beyond) > -study.options.noise.saturated_noise
             saturated = bool(several and np.median(beyond) > study.options.noise.outlier)
             found.append(_FurthestReading(name, side, furthest, len(beyond), saturated))
     return found

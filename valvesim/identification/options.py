@@ -266,6 +266,9 @@ class NoiseOptions:
     outlier_ratio: float = option(
         3.0, "1", "times the range of its neighbours by which it must differ from them", JUDGEMENT
     )
+    saturated_noise: float = option(
+        3.0, "1", "noise deviations by which a reading of a saturated channel may be beyond the model", "noise"
+    )
     saturated_share: float = option(
         0.5, "1", "share of what an inadequate fit leaves that saturated readings carry, to be left out", JUDGEMENT
     )
