@@ -321,8 +321,8 @@ def with_edges_tried(nominal: NominalFit) -> NominalFit:
 
 def with_inputs_tried(nominal: NominalFit) -> NominalFit:
     """A nominal fit whose sensors seem late or early by more than they may be, or a better one under another way of its
-    commands: each is fitted from within tolerance. Others than the nominal fit's own are judged without what that may
-    be wrong by.
+    commands: each is fitted from within tolerance. All are judged by the noise of the nominal fit, without what its own
+    way may be wrong by.
     """
     delays = are_delays(nominal.study.nominal)
     if not np.any(np.abs(nominal.fit.point[delays]) > _late(nominal.study)):
@@ -330,9 +330,10 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
     late = [p.name for p, delay in zip(nominal.study.nominal.parameters, delays, strict=True) if delay]
     near = _clipped_by_name(nominal) | dict.fromkeys(late, 0.0)
     without, now = _without_choice(nominal.study)
+    plain = replace(nominal.study, spread={})
 
     def left(one: NominalFit) -> float:
-        return rescored(replace(one.study, spread={}, weights=nominal.study.weights), one.fit).chi_square
+        return rescored(plain, one.fit).chi_square
 
     best, least = nominal, left(nominal) - nominal.study.options.input.minimum_gain
     for choice in input_choices(without.session, options=without.options):
