@@ -13,11 +13,12 @@ from scipy.optimize import lsq_linear
 from valvesim.errors import InputError, SolveError
 from valvesim.identification import hypothesis_fit, least_squares, nominal_fit
 from valvesim.identification import study as studies
+from valvesim.identification.down_weighting import down_weight_peaks
 from valvesim.identification.fit import Fit, FittedCandidate, moved_candidates, predict_readings, step_limits
 from valvesim.identification.fit import evaluate_fit as evaluated
 from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
-from valvesim.identification.input_choice import HELD_NAME, are_delays
+from valvesim.identification.input_choice import HELD_NAME, are_delays, input_choices
 from valvesim.identification.jacobian import (
     candidate_sensitivities,
     is_simulated,
@@ -239,6 +240,22 @@ def test_a_way_without_edges_is_tried_with_them_where_commands_jump(
     found = with_edges_tried(far)
     assert bool(asked) is tried
     assert found is (far if ends == now else asked[ends])
+
+
+def test_ways_of_the_commands_with_another_noise_than_the_fits_own_are_judged_by_that(biased_fit, monkeypatch):
+    """Whitened by longer noise a record has fewer rows."""
+    nominal = biased_fit
+    delays = are_delays(nominal.study.nominal)
+    late = replace(nominal, fit=replace(nominal.fit, point=np.where(delays, 7.0, nominal.fit.point)))
+    coloured = {key: replace(one, lags=(0.3, 0.1)) for key, one in nominal.study.noise.items()}
+    weighted = replace(late, study=down_weight_peaks(late.study, late.linearised))
+    assert weighted.study.weights and len(input_choices(nominal.study.session, options=nominal.study.options)) > 1
+    other = replace(nominal, study=nominal.study.with_noise(coloured))
+    monkeypatch.setattr(nominal_fit, "_near_under", lambda without, choice, nominal, near: other)
+    assert with_inputs_tried(weighted) is other  # the same readings, and no sensor that is late
+    early = replace(other, fit=replace(other.fit, point=late.fit.point))
+    monkeypatch.setattr(nominal_fit, "_near_under", lambda without, choice, nominal, near: early)
+    assert with_inputs_tried(weighted) is weighted
 
 
 @pytest.mark.parametrize("now, open_ways, taken", [
