@@ -278,6 +278,7 @@ def test_a_long_session_has_its_commands_as_its_beginnings_have_told(biased_fit,
         (7.0, {"smooth": 300.0, "held": 100.0, "smooth, edges": 400.0}, "smooth, edges"),
         (-7.0, {"smooth": 20.0, "held": 10.0, "smooth, edges": -100.0}, "straight"),  # no more than chance
         (1.0, {"smooth": 300.0, "held": 300.0, "smooth, edges": 300.0}, "straight"),
+        (-7.0, {"held": -np.inf, "smooth": 300.0}, "smooth"),  # under one of them no valve runs
     ],
 )
 def test_where_a_sensor_is_too_late_or_early_every_way_of_the_commands_is_tried(
@@ -292,6 +293,9 @@ def test_where_a_sensor_is_too_late_or_early_every_way_of_the_commands_is_tried(
     def near(without, choice, nominal, near):
         point = np.array(list(near.values()))
         assert np.all(point[delays] == 0.0) and np.all(point[~delays] == 2.0)
+        if gains[choice.name] == -np.inf:
+            asked[choice.name] = None
+            raise SolveError("no valve")
         # what that way may be wrong by widens the noise: it leaves less, and explains no more
         spread = {("record_1", name): np.full(900, 1.0) for name in nominal.study.predictors[0].record.outputs}
         fit = replace(nominal.fit, chi_square=nominal.fit.chi_square - gains[choice.name])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from valvesim.errors import InputError, SolveError
 from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, rescored
@@ -339,9 +341,10 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
     for choice in input_choices(without.session, options=without.options):
         if choice.name == now.name:
             continue
-        tried = _near_under(without, choice, nominal, near)
-        if left(tried) < least:
-            best, least = tried, left(tried)
+        with suppress(SolveError, InputError):  # under which the valve cannot be run
+            tried = _near_under(without, choice, nominal, near)
+            if left(tried) < least:
+                best, least = tried, left(tried)
     return best
 
 
