@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
 from hidden_plant import truth
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import valvesim as vs
-from valvesim.diagnosis import apart, bench_faults
+from valvesim.diagnosis import apart, bench_faults, detection
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
 from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _shift_words, _waves_apart
 from valvesim.diagnosis.detection import _is_stretched, is_other_valve
@@ -128,9 +130,10 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
 
     def fit_from(nominal, start, few=None):
         asked.append(start if known else start[0])
-        return SimpleNamespace(chi_square=left[len(asked) - 1] + rows, rows=rows)
+        return SimpleNamespace(chi_square=left[len(asked) - 1] + rows, rows=rows, point=None)
 
     for name, stub in {
+        "seems_late": lambda study, point: False,
         "is_adequate": lambda fit, *, options: False,
         "is_other_valve": lambda nominal, fit, *, options: False,
         "likeliest_starts": lambda nominal, scores: iter([("a",), ("b",), ("c",)]),
@@ -150,6 +153,61 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
 
 
 @pytest.mark.parametrize(
+    "late, asked",
+    [
+        ((False,), ["linear"]),
+        ((True, False), ["run", "linear"]),
+        ((True, True, True), ["run", "linear"]),  # they are run once
+    ],
+)
+def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run(monkeypatch, late, asked):
+    tried, delays = [], iter(late)
+    base = SimpleNamespace(fit=SimpleNamespace(chi_square=1e6, rows=1e4), study=None)
+    fit = SimpleNamespace(chi_square=2e4, rows=1e4, point=None)
+    for name, stub in {
+        "seems_late": lambda study, point: next(delays),
+        "is_adequate": lambda fit, *, options: False,
+        "is_other_valve": lambda nominal, fit, *, options: False,
+        "leaves_noise": lambda fit, study, *, options: True,
+        "likeliest_starts": lambda nominal, scores: iter([("a",)]),
+        "fit_from_prior": lambda nominal, start, few: fit,
+        "score_test": lambda *_, **__: SimpleNamespace(linearised=(), columns=()),
+        "assembled": lambda *_: None,
+        "_tuned_beside": lambda *_: None,
+        "_likeliest": lambda *_, options: None,
+        "with_inputs_beside": lambda at, beside: tried.append("linear") or at,
+        "_best_inputs": lambda at, fit, few: tried.append("run") or (at, fit),
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    bench_faults.with_faults_beside_cause(base, "scores", (), options=DIAGNOSIS)
+    assert tried == asked
+
+
+@pytest.mark.parametrize(
+    "left, best",
+    [
+        ((2e3, 1e3), 1),  # with fewer rows, and less of them
+        ((2e3, 1.99e3), 0),  # by less than chance
+        ((None, 1e5), 1),
+        ((None, None), 0),
+    ],
+)
+def test_the_way_of_the_commands_by_which_a_cause_explains_far_more_is_taken(monkeypatch, left, best):
+    rows = (1e4, 1.2e4)
+    study = SimpleNamespace(options=IDENTIFICATION)
+    ways = [SimpleNamespace(study=study, way=k) for k in range(2)]
+    fits = [None if more is None else SimpleNamespace(chi_square=n + more, rows=n, way=k)
+            for k, (n, more) in enumerate(zip(rows, left, strict=True))]  # fmt: skip
+    monkeypatch.setattr(bench_faults, "under_other_inputs", lambda nominal: ways[1:])
+    monkeypatch.setattr(bench_faults, "fit_from_prior", lambda other, start, few: fits[other.way])
+    monkeypatch.setattr(bench_faults, "replace", lambda study, **_: study)
+    monkeypatch.setattr(bench_faults, "rescored", lambda study, fit: fit)
+    now = SimpleNamespace(way=0, fitted=())
+    at, fit = bench_faults._best_inputs(ways[0], now, 2)
+    assert (at.way, fit.way) == (best, best)
+
+
+@pytest.mark.parametrize(
     "at, left, beside, other",
     [
         ((10.0, -10.0, 10.0, 3.0, 40.0), 3e3, 1e6, True),
@@ -158,13 +216,25 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
         ((10.0, -10.0, 10.0, 3.0, 40.0), 10.0, 1e4, False),  # the cause comes near
     ],
 )
-def test_figures_at_their_limits_that_no_cause_could_stand_for_are_another_valve(at, left, beside, other):
+def test_figures_at_their_limits_that_no_cause_could_stand_for_are_another_valve(monkeypatch, at, left, beside, other):
     rows, reach = 2e3, IDENTIFICATION.prior.reach
     assert reach == 10.0
     parameters = [SimpleNamespace(is_of_valve=k < 4) for k in range(5)]
     study = SimpleNamespace(nominal=SimpleNamespace(parameters=parameters), options=IDENTIFICATION)
     fit = SimpleNamespace(point=np.array(at), chi_square=left + rows, rows=rows)
     likeliest = SimpleNamespace(chi_square=beside + rows, rows=rows)
+    monkeypatch.setattr(detection, "is_inadequate", lambda nominal, fit, *, options: False)
+    assert is_other_valve(SimpleNamespace(study=study, fit=fit), likeliest, options=DIAGNOSIS) is other
+
+
+@pytest.mark.parametrize("near, other", [((), True), (("nominal",), False), (("cause",), False)])
+def test_records_that_neither_the_valve_nor_a_likely_cause_comes_near_are_of_another_valve(monkeypatch, near, other):
+    fit, likeliest = (SimpleNamespace(name=name, chi_square=2e4, rows=1e4) for name in ("nominal", "cause"))
+    fit.point = np.zeros(1)
+    study = SimpleNamespace(
+        nominal=SimpleNamespace(parameters=[SimpleNamespace(is_of_valve=True)]), options=IDENTIFICATION
+    )
+    monkeypatch.setattr(detection, "is_inadequate", lambda nominal, fit, *, options: fit.name not in near)
     assert is_other_valve(SimpleNamespace(study=study, fit=fit), likeliest, options=DIAGNOSIS) is other
 
 
@@ -251,40 +321,75 @@ def test_a_wave_is_tuned_to_the_frequency_that_a_fit_asks_for(biased_fit):
     np.testing.assert_allclose(length, np.hypot(*point[len(nominal.parameters) :].reshape(-1, 2).T))
 
 
-def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
-    edge, runs = EdgeTime("a", "current", 3), []
+def study_of_edges(after, right, width=0.15, runs=None):
+    """A study of one record, whose reading is off in the few samples after an edge that is not near its `right` place,
+    and no less so a little nearer.
+    """
+    samples = max(after) + 17
+    edges = [EdgeTime("a", "current", k) for k in after]
+
+    def run(point):
+        if runs is not None:
+            runs.append(point)
+        read = np.zeros(samples)
+        for k, place, t in zip(after, right, point[1:], strict=True):
+            read[k + 1 : k + 5] = 0.0 if abs(t - place) < width else 9.0
+        return {"spool_position": read}
+
     record = SimpleNamespace(
         name="a",
         pace=1.0,
+        time=np.arange(samples),
         outputs=("spool_position",),
-        values={"spool_position": np.zeros(20)},
-        usable={"spool_position": np.ones(20, dtype=bool)},
+        values={"spool_position": np.zeros(samples)},
+        usable={"spool_position": np.ones(samples, dtype=bool)},
     )
-
-    def run(t):
-        """A reading that is off wherever the edge comes early, and no less so a little later."""
-        runs.append(t)
-        return {"spool_position": np.where(np.arange(20) > 3, 0.0 if t > 0.5 else 9.0, 0.0)}
-
     predictor = SimpleNamespace(record=record, run=run, readings=lambda trajectory, variant: trajectory)
     model = SimpleNamespace(
-        parameters=(SimpleNamespace(input=None), SimpleNamespace(input=edge)),
-        limits=np.array([[-9.0, -1.7], [9.0, 1.7]]),
-        at=lambda point: point[1],
+        parameters=(SimpleNamespace(input=None), *(SimpleNamespace(input=edge) for edge in edges)),
+        limits=np.array([[-9.0, *(-1.7 for _ in edges)], [9.0, *(1.7 for _ in edges)]]),
+        at=lambda point: point,
     )
-    study = SimpleNamespace(
+    noise = SimpleNamespace(deviation=1.0, kept=lambda usable: usable)
+    return SimpleNamespace(
         nominal=model,
         options=IDENTIFICATION,
         predictors=(predictor,),
-        noise={("spool_position", 1.0): SimpleNamespace(deviation=1.0)},
+        noise={("spool_position", 1.0): noise},
+        stride=1,
         whiten=lambda predictor, columns: list(columns.values()),
     )
-    found = searched_edges(study, SimpleNamespace(point=np.array([5.0, -0.3]), readings=(run(-0.3),)))
-    assert found[0] == 5.0 and 0.5 < found[1] < 1.0  # the place next to the middle of all that leave nothing
+
+
+def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
+    runs = []
+    study = study_of_edges([3], [0.8], 0.3, runs)
+    start = np.array([5.0, -0.3])
+    found = searched_edges(study, SimpleNamespace(point=start, readings=(study.predictors[0].run(start),)))
+    assert found[0] == 5.0 and 0.5 < found[1] < 1.1  # a place that leaves nothing
     runs.clear()
-    point = np.array([5.0, 1.0])
-    assert np.array_equal(searched_edges(study, SimpleNamespace(point=point, readings=(run(1.0),))), point)
+    point = np.array([5.0, 0.8])
+    read = study.predictors[0].run(point)
+    assert np.array_equal(searched_edges(study, SimpleNamespace(point=point, readings=(read,))), point)
     assert len(runs) == 1  # nothing is left there
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(5, 40), st.floats(-1.6, 1.6), st.floats(-1.7, 1.7)), min_size=2, max_size=6))
+def test_edges_of_a_record_are_looked_for_at_once_as_they_would_be_one_by_one(drawn):
+    apart, right, now = map(list, zip(*drawn, strict=True))
+    after = np.cumsum(apart).tolist()
+    study, runs = study_of_edges(after, right, 0.3), []
+    counted = study_of_edges(after, right, 0.3, runs)
+    point = np.array([0.0, *now])
+    read = study.predictors[0].run(point)
+    found = searched_edges(counted, SimpleNamespace(point=point, readings=(read,)))
+    assert len(runs) in (0, IDENTIFICATION.input.edge_places + 2)
+    for k in range(len(after)):
+        alone = study_of_edges([after[k]], [right[k]], 0.3)
+        at = point[[0, k + 1]]
+        fit = SimpleNamespace(point=at, readings=(alone.predictors[0].run(at),))
+        assert found[k + 1] == searched_edges(alone, fit)[1]
 
 
 def test_a_fit_is_refined_towards_its_best_and_a_long_one_left(biased_fit):

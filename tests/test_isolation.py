@@ -154,7 +154,6 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
 
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
-    monkeypatch.setattr(isolation, "is_inadequate", lambda nominal, fit, options: False)
     monkeypatch.setattr(isolation, "_first_hypotheses", first)
     again = {id(base): better}
     monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: again.get(id(nominal)))
@@ -187,7 +186,6 @@ def test_what_the_bench_did_that_a_cause_leaves_joins_before_a_second_cause_is_s
         monkeypatch.setattr(isolation, name, lambda nominal, found, options: found)
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
-    monkeypatch.setattr(isolation, "is_inadequate", lambda nominal, fit, options: False)
     monkeypatch.setattr(isolation, "_first_hypotheses", first)
     monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: None)
     monkeypatch.setattr(isolation, "bearable_beside_bench", lambda scores: 0.0)
@@ -258,17 +256,6 @@ def test_what_the_plainer_of_two_leaves_that_fit_alike_is_looked_at_too(monkeypa
     judged = isolation.judged(isolation.Isolation(base, scores, final, [fuller, plain], [], "", True, 4.0))
     assert judged.found[0] is plain and judged.final.fit is plain.fit
     assert [one.label for one in judged.answer_set] == ["spool_coulomb_friction", "spool_stribeck_friction"]
-
-
-def test_records_that_no_likely_cause_comes_near_are_of_another_valve(monkeypatch):
-    base, fits = nominal(1e9), {"spool_lap": None, "entrained_air": nominal(1e9).fit}
-    monkeypatch.setattr(isolation, "typical_starts", lambda nominal, scores: [fitted("spool_lap")])
-    monkeypatch.setattr(isolation, "single_starts", lambda scores, fall, share: [fitted("entrained_air")])
-    monkeypatch.setattr(isolation, "fit_from_prior", lambda nominal, start, few: fits[start[0].candidate.name])
-    monkeypatch.setattr(isolation, "is_inadequate", lambda nominal, fit, options: fit.chi_square > 1e6)
-    assert isolation._none_comes_near(base, score_test_of(base, base.fit))
-    fits["entrained_air"] = nominal(5000.0).fit
-    assert not isolation._none_comes_near(base, score_test_of(base, base.fit))
 
 
 def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_others(monkeypatch):

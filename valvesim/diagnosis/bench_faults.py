@@ -51,6 +51,7 @@ from valvesim.identification.nominal_fit import (
     fit_nominal_near,
     linearise_nominal,
     linearised_at,
+    seems_late,
     under_other_inputs,
     with_inputs_beside,
     with_inputs_reviewed,
@@ -132,6 +133,9 @@ def with_faults_beside_cause(
             continue
         if known:  # how the commands go has been asked elsewhere
             break
+        if not tried and seems_late(at.study, fit.point):  # by so much, linear answers do not tell how they go
+            (at, fit), tried = _best_inputs(at, fit, few), True
+            continue
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:
             at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
@@ -177,14 +181,15 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
     """A nominal fit and a fit of causes beside it, or both under another way of the commands by which this explains
     far more from within tolerance: linear answers do not tell where a fit has gone astray under a wrong one.
     """
-    best, least = (nominal, fit), np.inf
+    best, least, options = (nominal, fit), np.inf, nominal.study.options.input
     for other in (nominal, *under_other_inputs(nominal)):
         tried = fit_from_prior(other, fit.fitted, few)
         if tried is None:
             continue
-        chi_square = rescored(replace(other.study, spread={}), tried).chi_square
-        if chi_square < (1.0 - nominal.study.options.input.gain_share) * least:
-            best, least = (other, tried), chi_square
+        plain = rescored(replace(other.study, spread={}), tried)
+        excess = plain.chi_square - plain.rows
+        if excess + max(options.minimum_gain, options.gain_share * excess) < least:
+            best, least = (other, tried), excess
     return best
 
 

@@ -139,10 +139,13 @@ def at_limit(fit: Fit, study: Study) -> np.ndarray:
 
 
 def is_other_valve(nominal: NominalFit, likeliest: Fit, *, options: DiagnosisOptions) -> bool:
-    """Whether figures at their limits, of several parts of the valve, explain far more than the `likeliest` cause does
-    from within their tolerances: these records are of another valve than the stated one.
+    """Whether these records are of another valve than the stated one: neither the nominal fit nor the `likeliest` cause
+    from within the tolerances comes near them, or figures at their limits, of several parts of the valve, explain far
+    more than this does.
     """
     fit, study = nominal.fit, nominal.study
+    if all(is_inadequate(nominal, one, options=options) for one in (fit, likeliest)):
+        return True
     of_valve = np.array([p.is_of_valve for p in study.nominal.parameters])
     left = max(fit.chi_square - fit.rows, fit.rows)
     many = np.count_nonzero(at_limit(fit, study) & of_valve) >= options.detection.other_valve_figures

@@ -24,7 +24,6 @@ from valvesim.diagnosis.detection import (
     detect,
     explained_by_bench,
     is_certain,
-    is_inadequate,
     is_other_valve,
     leaves_noise,
     unexplained_share,
@@ -60,10 +59,10 @@ from valvesim.diagnosis.second_cause import (
     with_singles_from_prior,
     without_corrections_of_laws,
 )
-from valvesim.diagnosis.starts import single_starts, start_points, typical_starts
+from valvesim.diagnosis.starts import start_points
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
-from valvesim.identification.hypothesis_fit import continue_from, evaluated_beside, fit_from_prior
+from valvesim.identification.hypothesis_fit import continue_from, evaluated_beside
 from valvesim.identification.nominal_fit import (
     NominalFit,
     clipped_to_tolerance,
@@ -179,7 +178,7 @@ def _isolated(
 ) -> Isolation:
     for again in reversed(range(options.isolation.restarts + 1)):
         alarm, level = detect(scores)
-        if not alarm or (is_inadequate(nominal, nominal.fit, options=options) and _none_comes_near(nominal, scores)):
+        if not alarm:
             return Isolation(nominal, scores, scores, [], [], "", alarm, level)
         found, likeliest = _first_hypotheses(
             nominal, scores, known, beside, lambda share: progress("refitting", 0.15 + 0.6 * share)
@@ -253,16 +252,6 @@ def judged(isolation: Isolation) -> Isolation:
         rivals = [f"the {term.label}" for term in rival_terms(nominal, final)[:2]]
         reason = f"a plain term does as well, {' or '.join(rivals)}" if rivals else ""
     return replace(isolation, answer_set=answer_set, unknown_reason=reason)
-
-
-def _none_comes_near(nominal: NominalFit, scores: ScoreTest) -> bool:
-    """Whether the best few single causes, each at its typical amplitude and fitted a little, come no nearer to records
-    that the nominal valve cannot come near: then these are not of this valve, and no search would tell more.
-    """
-    few = scores.options.isolation.near_linearisations
-    starts = [*typical_starts(nominal, scores), *single_starts(scores, scores.z() ** 2, 1.0)[:1]]
-    fits = (fit_from_prior(nominal, start, few) for start in starts)
-    return all(fit is None or is_inadequate(nominal, fit, options=scores.options) for fit in fits)
 
 
 def _verified(

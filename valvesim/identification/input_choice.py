@@ -86,34 +86,48 @@ def edge_time(record: Record, edge: EdgeTime) -> NuisanceParameter:
 
 def searched_edges(study: Study, fit: Fit) -> np.ndarray:
     """The point (p,) of a fit without candidates, with each edge that is followed by more than noise where in its
-    interval its record leaves least, all else being as it is.
+    interval it leaves least until the next of them, all else being as it is.
 
     Leakage peaks and struck stops come and go with an edge: steps of a fit by derivatives end beside them. Each place
-    is run.
+    is run, in a record for all its edges at once; edges stay where that leaves no less of the record.
     """
-    model, point, options = study.nominal, fit.point.copy(), study.options.input
+    model, found, options = study.nominal, fit.point.copy(), study.options.input
     low, high = model.limits
     for predictor, read in zip(study.predictors, fit.readings, strict=True):
-        for k, parameter in enumerate(model.parameters):
-            edge = parameter.input
-            if not isinstance(edge, EdgeTime) or edge.record != predictor.record.name:
-                continue
-            if _misfit_after(study, predictor.record, read, edge) < options.edge_misfit:
-                continue
-            places = np.repeat(point[None], options.edge_places + 1, axis=0)
-            places[1:, k] = np.linspace(low[k], high[k], options.edge_places)
-            left = [_chi_square_in(study, predictor, at) for at in places]
-            best = int(np.argmin(left))
-            point = places[best] if left[best] < left[0] - options.edge_gain else point
-    return point
+        record = predictor.record
+        edges = [(p.input.after, k) for k, p in enumerate(model.parameters)
+                 if isinstance(p.input, EdgeTime) and p.input.record == record.name
+                 and _misfit_after(study, record, read, p.input) >= options.edge_misfit]  # fmt: skip
+        if not edges:
+            continue
+        after, own = np.transpose(sorted(edges))
+        places = np.repeat(fit.point[None], options.edge_places + 1, axis=0)
+        places[1:, own] = np.linspace(low[own], high[own], options.edge_places)
+        lost = np.array([_squares(study, predictor, at) for at in places])
+        left = np.add.reduceat(lost, after + 1, axis=1) + places[:, own] ** 2
+        best = np.argmin(left, axis=0)
+        best[left[0] - np.min(left, axis=0) <= options.edge_gain] = 0
+        moved = fit.point.copy()
+        moved[own] = places[best, own]
+        if best.any() and _left_of(_squares(study, predictor, moved), moved) < _left_of(lost[0], fit.point):
+            found[own] = moved[own]
+    return found
 
 
-def _chi_square_in(study: Study, predictor: RecordPredictor, point: np.ndarray) -> float:
-    """The penalised chi-square that one record leaves at a point (p,) without candidates, by running it."""
-    variant = study.nominal.at(point)
-    residual = residual_of(predictor.record, predictor.readings(predictor.run(variant), variant))
-    white = np.concatenate(study.whiten(predictor, residual))[:, 0]
-    return float(white @ white + point @ point)
+def _squares(study: Study, predictor: RecordPredictor, point: np.ndarray) -> np.ndarray:
+    """The squares (samples,) of what a record leaves at a point (p,) without candidates, whitened, of all channels."""
+    record, variant = predictor.record, study.nominal.at(point)
+    residual = residual_of(record, predictor.readings(predictor.run(variant), variant))
+    total = np.zeros(len(record.time))
+    for name, white in zip(record.outputs, study.whiten(predictor, residual), strict=True):
+        kept = study.noise[name, record.pace].kept(record.usable[name])
+        total[np.flatnonzero(kept)[:: study.stride]] += white[:, 0] ** 2
+    return total
+
+
+def _left_of(squares: np.ndarray, point: np.ndarray) -> float:
+    """The penalised chi-square of a record."""
+    return float(np.sum(squares) + point @ point)
 
 
 def _misfit_after(study: Study, record: Record, read: dict[str, np.ndarray], edge: EdgeTime) -> float:

@@ -287,15 +287,13 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
     without, now = _without_choice(nominal.study)
     if not nominal.is_reviewed and (better := _reviewed_choice(nominal)[2]).name != now.name:
         return _near_under(without, better, nominal, _point_by_name(nominal))
-    delays = are_delays(nominal.study.nominal)
-    if not np.any(nominal.fit.point[delays] > _late(nominal.study)):
+    if not np.any(_sensor_delays(nominal.study, nominal.fit.point) > _beyond(nominal.study)):
         return nominal
     choices = input_choices(without.session, options=without.options)
     held = next((choice for choice in choices if choice.name == HELD_NAME), now)
     if held.name == now.name:
         return nominal
-    late = [p.name for p, delay in zip(nominal.study.nominal.parameters, delays, strict=True) if delay]
-    tried = _near_under(without, held, nominal, _point_by_name(nominal) | dict.fromkeys(late, 0.0))
+    tried = _near_under(without, held, nominal, _point_by_name(nominal) | _no_delays(nominal.study))
     gain = (nominal.fit.chi_square - nominal.fit.rows) - (tried.fit.chi_square - tried.fit.rows)
     return tried if gain > nominal.study.options.input.minimum_gain else nominal
 
@@ -326,11 +324,9 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
     commands: each is fitted from within tolerance. All are judged by the noise of the nominal fit, without what its own
     way may be wrong by.
     """
-    delays = are_delays(nominal.study.nominal)
-    if not np.any(np.abs(nominal.fit.point[delays]) > _late(nominal.study)):
+    if not seems_late(nominal.study, nominal.fit.point):
         return nominal
-    late = [p.name for p, delay in zip(nominal.study.nominal.parameters, delays, strict=True) if delay]
-    near = _clipped_by_name(nominal) | dict.fromkeys(late, 0.0)
+    near = _clipped_by_name(nominal) | _no_delays(nominal.study)
     without, now = _without_choice(nominal.study)
     plain = replace(nominal.study, spread={})
 
@@ -348,9 +344,28 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
     return best
 
 
-def _late(study: Study) -> float:
-    """The prior deviations from which a sensor's delay tells that a command may go otherwise between its samples."""
+def seems_late(study: Study, point: np.ndarray) -> bool:
+    """Whether sensors are late or early by more than they may be at a point (p,) of a study, as they seem where a
+    command goes otherwise between its samples.
+    """
+    return bool(np.any(np.abs(_sensor_delays(study, point)) > _beyond(study)))
+
+
+def _sensor_delays(study: Study, point: np.ndarray) -> np.ndarray:
+    """The sensors' delays at a point (p,) of a study, in prior deviations."""
+    delays = are_delays(study.nominal)
+    return point[: len(delays)][delays]
+
+
+def _beyond(study: Study) -> float:
+    """The prior deviations from which a sensor's delay is more than it may be."""
     return 2.0 * study.options.fit.tolerance_deviations
+
+
+def _no_delays(study: Study) -> dict[str, float]:
+    """The delays of a study's sensors at nominal, in prior deviations by name."""
+    parameters = study.nominal.parameters
+    return {p.name: 0.0 for p, delay in zip(parameters, are_delays(study.nominal), strict=True) if delay}
 
 
 def with_inputs_beside(nominal: NominalFit, beside: NominalFit) -> NominalFit:
