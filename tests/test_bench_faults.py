@@ -130,7 +130,8 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
 
     def fit_from(nominal, start, few=None):
         asked.append(start if known else start[0])
-        return SimpleNamespace(chi_square=left[len(asked) - 1] + rows, rows=rows, point=None)
+        own = [SimpleNamespace(candidate=SimpleNamespace(name=asked[-1], plainest=asked[-1]))]
+        return SimpleNamespace(chi_square=left[len(asked) - 1] + rows, rows=rows, point=None, fitted=own)
 
     for name, stub in {
         "seems_late": lambda study, point: False,
@@ -163,7 +164,7 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
 def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run(monkeypatch, late, asked):
     tried, delays = [], iter(late)
     base = SimpleNamespace(fit=SimpleNamespace(chi_square=1e6, rows=1e4), study=None)
-    fit = SimpleNamespace(chi_square=2e4, rows=1e4, point=None)
+    fit = SimpleNamespace(chi_square=2e4, rows=1e4, point=None, fitted=())
     for name, stub in {
         "seems_late": lambda study, point: next(delays),
         "is_adequate": lambda fit, *, options: False,
@@ -181,6 +182,26 @@ def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run
         monkeypatch.setattr(bench_faults, name, stub)
     bench_faults.with_faults_beside_cause(base, "scores", (), options=DIAGNOSIS)
     assert tried == asked
+
+
+@pytest.mark.parametrize(
+    "name, other, left, more",
+    [
+        ("spool_lap", "spool_coulomb_friction", 0.9, True),
+        ("spool_lap", "spool_coulomb_friction", 1.1, False),
+        ("spool_thermal_pinch", "spool_coulomb_friction", 0.9, False),  # the same law with a feature more
+        ("spool_thermal_pinch", "spool_coulomb_friction", 0.4, True),
+        ("spool_coulomb_friction", "spool_thermal_pinch", 0.9, True),
+    ],
+)
+def test_the_plainer_of_two_alike_laws_stands_unless_the_other_leaves_far_less(name, other, left, more):
+    rows = 1e4
+
+    def fit_of(name, excess):
+        candidate = SimpleNamespace(name=name, plainest=CATALOGUE[name].plainer or name)
+        return SimpleNamespace(chi_square=rows + excess, rows=rows, fitted=[SimpleNamespace(candidate=candidate)])
+
+    assert bench_faults._explains_more(fit_of(name, left * 1e4), fit_of(other, 1e4), options=DIAGNOSIS) is more
 
 
 @pytest.mark.parametrize(

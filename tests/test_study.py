@@ -457,17 +457,18 @@ def test_a_fit_that_starts_beyond_the_bounds_comes_back_into_them_step_by_step(b
 
 def test_normal_equations_follow_the_updates_of_the_jacobian(biased, monkeypatch):
     nominal, seen = biased[0], []
-    point = nominal.fit.point + 0.3
+    point, given = nominal.fit.point + 0.3, biased[0].J.copy()
     start = evaluated(nominal.study, point, ())
 
     def looked_at(fit, jacobian, gram, *, options):
-        seen.append(jacobian)
+        seen.append(jacobian.copy())
         assert gram == pytest.approx(jacobian.T @ jacobian, rel=1e-9, abs=1e-9 * np.abs(gram).max())
         return normal_equations(fit, jacobian, gram, options=options)
 
     monkeypatch.setattr(least_squares, "normal_equations", looked_at)
     levenberg_marquardt(nominal.study, start, nominal.J, 0.1)
     assert len(seen) > 2 and not np.array_equal(seen[0], seen[-1])  # Broyden's update was made
+    assert np.array_equal(nominal.J, given)
     for own, known in zip(
         normal_equations(start, nominal.J, options=OPTIONS),
         normal_equations(start, nominal.J, nominal.J.T @ nominal.J, options=OPTIONS),

@@ -111,7 +111,7 @@ def with_faults_beside_cause(
     fit = continue_fit(nominal, known[0]) if known else None
     for start in likeliest_starts(nominal, scores) if not known else ():
         other = fit_from_prior(nominal, start, few)
-        if other is not None and (fit is None or other.chi_square < fit.chi_square):
+        if other is not None and (fit is None or _explains_more(other, fit, options=options)):
             fit = other
         if fit is not None and (
             leaves_noise(fit, at.study, options=options) or _explains_nearly_all(fit, at.fit, options=options)
@@ -120,6 +120,9 @@ def with_faults_beside_cause(
     for _ in range(options.bench.most_faults):
         if fit is None or is_other_valve(nominal, fit, options=options):
             break
+        if not known and not tried and seems_late(at.study, fit.point):  # linear answers do not reach so far
+            (at, fit), tried = _best_inputs(at, fit, few), True
+            continue
         beside = score_test(at, fit, options=options)
         if (tuned := _tuned_beside(at, fit, beside)) is not None:
             at, fit = tuned
@@ -133,9 +136,6 @@ def with_faults_beside_cause(
             continue
         if known:  # how the commands go has been asked elsewhere
             break
-        if not tried and seems_late(at.study, fit.point):  # by so much, linear answers do not tell how they go
-            (at, fit), tried = _best_inputs(at, fit, few), True
-            continue
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:
             at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
@@ -152,6 +152,15 @@ def with_faults_beside_cause(
 def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -> bool:
     """Whether a fit explains nearly all of what the nominal one leaves: alike laws would not tell the bench better."""
     return fit.chi_square - fit.rows <= options.bench.left_share * (nominal.chi_square - nominal.rows)
+
+
+def _explains_more(fit: Fit, other: Fit, *, options: DiagnosisOptions) -> bool:
+    """Whether a fit of a cause leaves less than another one; far less where its law is the other's with a feature more,
+    which takes up some of what the bench did and is harder to fit.
+    """
+    alike = [e.candidate.plainest for e in fit.fitted] == [e.candidate.name for e in other.fitted]
+    share = options.bench.alike_share if alike else 1.0
+    return fit.chi_square - fit.rows < share * (other.chi_square - other.rows)
 
 
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:

@@ -76,6 +76,9 @@ class BenchOptions:
     left_share: float = option(
         0.05, "1", "share of the excess chi-square that the cause may leave beside which the bench is sought", JUDGEMENT
     )
+    alike_share: float = option(
+        0.5, "1", "share of what the plainer of two alike laws leaves, below which the other stands for it", JUDGEMENT
+    )
     causes_beside: int = option(3, "1", "likeliest causes beside which it must explain as much", JUDGEMENT)
 
 

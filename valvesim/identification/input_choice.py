@@ -168,7 +168,8 @@ def choose_inputs(
             more = np.column_stack([J, added_columns(study, linearised, nominal, choice.parameters)])
         added = np.zeros(len(choice.parameters))
         tried = [_evaluated(study.with_nominal(nominal), np.append(start, added), fitted) for start in starts]
-        predicted = [(_predicted(fit, more, nominal), fit.rows) for fit in tried if fit is not None]
+        H = more.T @ more + np.eye(more.shape[1])
+        predicted = [(_predicted(fit, more, H, nominal), fit.rows) for fit in tried if fit is not None]
         if not predicted:
             continue
         chi_square, rows = min(predicted)
@@ -193,9 +194,11 @@ def _evaluated(study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, .
         return None
 
 
-def _predicted(fit: Fit, J: np.ndarray, nominal: NominalModel) -> float:
-    """The chi-square that the linearised equations predict of a fit's next step, within the parameters' bounds."""
-    H, gradient = J.T @ J + np.eye(J.shape[1]), J.T @ fit.residual - fit.point
+def _predicted(fit: Fit, J: np.ndarray, H: np.ndarray, nominal: NominalModel) -> float:
+    """The chi-square that the linearised equations predict of a fit's next step, within the parameters' bounds; `H` is
+    J'J with the precision of the priors.
+    """
+    gradient = J.T @ fit.residual - fit.point
     step = bounded_step(H, gradient, nominal.limits - fit.point)
     return float(fit.chi_square - (2.0 * gradient - H @ step) @ step)
 

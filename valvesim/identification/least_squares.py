@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg.blas import dger
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from valvesim.errors import InputError, SolveError
@@ -31,7 +32,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
     next may lead back into a curved valley, further down.
     """
     metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.layout])
-    gram = jacobian.T @ jacobian
+    jacobian, gram = jacobian.copy(), jacobian.T @ jacobian
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
     for _ in range(study.options.fit.steps):
         H, gradient = normal_equations(fit, jacobian, gram, options=study.options)
@@ -64,7 +65,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
             left, along = (changed - jacobian @ moved) / length, metric * moved
             crossed = np.outer(jacobian.T @ left, along)
             gram = gram + crossed + crossed.T + float(left @ left) * np.outer(along, along)
-            jacobian = jacobian + np.outer(left, along)
+            jacobian = dger(1.0, along, left, a=jacobian.T, overwrite_a=True).T
         gained = best.chi_square - new.chi_square
         if gained > 0.0:
             failures = 0 if gained > 0.5 * best.predicted_reduction else failures + 1

@@ -39,7 +39,9 @@ class NoiseModel:
         white = np.array(columns, dtype=float)
         for k, lag in enumerate(self.lags, start=1):  # many columns at once: a filter of the library takes one by one
             white[k:] -= lag * columns[:-k]
-        return white[self.kept(usable)] / self.innovation
+        white = white[self.kept(usable)]
+        white /= self.innovation
+        return white
 
     def kept(self, usable: np.ndarray) -> np.ndarray:
         """True for the samples (n,) whose rows `whiten` gives back."""

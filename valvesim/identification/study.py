@@ -95,9 +95,10 @@ class Study(PreparedSession):
             known = (self.spread.get((record.name, name)), self.discrepancy.get((record.name, name)))
             if wider := [deviation for deviation in known if deviation is not None]:
                 beside = np.sum(np.square(wider), axis=0)[noise.kept(record.usable[name])][:: self.stride]
-                rows = rows / np.sqrt(1.0 + beside / noise.innovation**2)[:, None]
-            weights = self.weights.get((record.name, name))
-            white.append(rows if weights is None else rows * weights[:, None])
+                rows /= np.sqrt(1.0 + beside / noise.innovation**2)[:, None]
+            if (weights := self.weights.get((record.name, name))) is not None:
+                rows *= weights[:, None]
+            white.append(rows)
         return white
 
     def with_weights(self, weights: Sequence[np.ndarray]) -> Study:
