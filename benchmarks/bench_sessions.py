@@ -272,11 +272,20 @@ def measure_distances(name: str, results: Path, engine: str | None) -> None:
 
 
 def _engines(rows: list[dict[str, Any]]) -> str:
-    """The engines that diagnosed the rows, each with its seeds."""
-    seeds: dict[str, list[int]] = {}
-    for row in rows:
-        seeds.setdefault(row.get("engine", "unknown"), []).append(row["seed"])
-    return "; ".join(f"`{engine}` {', '.join(map(str, sorted(own)))}" for engine, own in seeds.items())
+    """The engines that diagnosed the rows, each with the spans of its seeds, in which are no others."""
+    by = {row["seed"]: row.get("engine", "unknown") for row in rows}
+    spans: dict[str, list[list[int]]] = {}
+    last = None
+    for seed in sorted(by):
+        own = spans.setdefault(by[seed], [])
+        if by[seed] == last:
+            own[-1][1] = seed
+        else:
+            own.append([seed, seed])
+        last = by[seed]
+    return "; ".join(
+        f"`{engine}` {', '.join(f'{a}' if a == b else f'{a} to {b}' for a, b in own)}" for engine, own in spans.items()
+    )
 
 
 def _tells_ripple(row: dict[str, Any]) -> bool:

@@ -127,6 +127,7 @@ def likeliest_starts(nominal: NominalFit, scores: ScoreTest) -> Iterator[tuple[F
 
 
 def _of_name(starts: Sequence[tuple[FittedCandidate, ...]], name: str) -> list[tuple[FittedCandidate, ...]]:
+    """The single starts of an effect."""
     return [start for start in starts if start[0].candidate.name == name]
 
 
