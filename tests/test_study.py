@@ -648,6 +648,39 @@ def test_a_hypothesis_that_is_not_worthwhile_is_given_up_with_peaks_down_weighte
     assert ended[3:] == [np.inf, hypothesis_fit._worthwhile(unweighted)]
 
 
+@pytest.mark.parametrize(
+    "left, between, at_full_weight",
+    [
+        (900.0, -200.0, True),  # within the noise, near enough
+        (1500.0, -200.0, True),  # at the peaks alone: nothing else tells it
+        (4e5, -200.0, False),  # the model cannot come near them
+        (1500.0, 1200.0, True),  # in proportion
+        (4e4, 1200.0, False),  # what is left between them tells the cause, and they hinder
+    ],
+)
+def test_what_is_left_at_peaks_alone_counts(monkeypatch, left, between, at_full_weight):
+    rows = 1e4
+    study = SimpleNamespace(options=OPTIONS, unweighted=lambda: "full", weights={"a": 1}, nominal=None)
+    study.with_noise = lambda noise: study
+
+    def fit_of(excess, study):
+        return SimpleNamespace(fit=SimpleNamespace(chi_square=rows + excess, rows=rows), study=study,
+                               linearised=(), columns=())  # fmt: skip
+
+    preliminary = fit_of(between, SimpleNamespace(noise={}, weights={"a": 1}))
+    monkeypatch.setattr(nominal_fit, "rescored", lambda study, fit: fit)
+    monkeypatch.setattr(nominal_fit, "linearise_nominal", lambda study, fit: fit_of(between, study))
+    monkeypatch.setattr(nominal_fit, "_with_edges_searched", lambda nominal: nominal)
+    monkeypatch.setattr(nominal_fit, "down_weight_peaks", lambda study, linearised: "weighted")
+    monkeypatch.setattr(nominal_fit, "has_uncertain_inputs", lambda study: False)
+    monkeypatch.setattr(nominal_fit, "replace", lambda study, weights: "weighted")
+    monkeypatch.setattr(nominal_fit, "reweighted", lambda study, nominal: fit_of(between, study))
+    monkeypatch.setattr(nominal_fit, "unweighted", lambda nominal: fit_of(left, "full"))
+    monkeypatch.setattr(nominal_fit, "_converge", lambda nominal, *_: nominal)
+    ended = nominal_fit._at_full_weight(study, preliminary, lambda share: None)
+    assert ended.study == ("full" if at_full_weight else "weighted")
+
+
 def test_normal_equations_without_a_solution_end_a_fit_and_no_more(biased, monkeypatch):
     with pytest.raises(SolveError, match="the normal equations of a fit cannot be solved: its sensitivities are not"):
         least_squares.solve_normal(np.full((2, 2), np.nan), np.ones(2))

@@ -439,7 +439,8 @@ def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None]) -> N
 
 def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float], None]) -> NominalFit:
     """A preliminary fit continued, first with peaks down-weighted, then at full weight; not where the model cannot
-    follow the peaks, or where what the inputs do is not known to the microseconds that a peak takes.
+    follow the peaks for what it leaves between them already, or where what the inputs do is not known to the
+    microseconds that a peak takes. What is left at the peaks alone is told by nothing else.
     """
     study = study.with_noise(nominal.study.noise)
     near = _with_edges_searched(linearise_nominal(study, rescored(study, nominal.fit)))
@@ -449,8 +450,9 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     near = unweighted(_converge(weighted, study.options.fit.preliminary_ftol, progress))
     full = _converge(near, study.options.fit.nominal_ftol, progress)
     left, left_between = full.fit.chi_square - full.fit.rows, nominal.fit.chi_square - nominal.fit.rows
-    follows = left <= study.options.fit.peak_ratio * max(left_between, 0.0) + 0.1 * full.fit.rows
-    if follows and is_adequate(full.fit, options=study.options):
+    little = 0.1 * full.fit.rows
+    follows = left <= study.options.fit.peak_ratio * max(left_between, 0.0) + little
+    if (follows or left_between <= little) and is_adequate(full.fit, options=study.options):
         return full
     return _converge(
         reweighted(replace(study, weights=nominal.study.weights), near), study.options.fit.nominal_ftol, progress
