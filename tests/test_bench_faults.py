@@ -205,6 +205,30 @@ def test_the_plainer_of_two_alike_laws_stands_unless_the_other_leaves_far_less(n
 
 
 @pytest.mark.parametrize(
+    "single, together, explained",
+    [
+        (18.0, 397.0, 397.0),
+        (213.0, 2089.0, 0.0),  # one of them is told
+        (18.0, 62.0, 0.0),  # by chance, of so many
+    ],
+)
+def test_errors_of_instruments_that_explain_much_together_and_nothing_by_themselves_are_told(
+    monkeypatch, single, together, explained
+):
+    names = ["shift", "clock", "drift"]
+    parameters = [SimpleNamespace(name=name) for name in ("spool_mass", *names)]
+    study = SimpleNamespace(session=None, options=IDENTIFICATION, nominal=SimpleNamespace(parameters=parameters))
+    monkeypatch.setattr(bench_faults, "instrument_errors", lambda session, *, options: parameters[1:])
+    monkeypatch.setattr(bench_faults, "_known_faults", lambda study: [
+        BenchFault((p,), str, None) for p in (*parameters[1:], SimpleNamespace(name="wave"))])  # fmt: skip
+    monkeypatch.setattr(bench_faults, "nuisance_covariance", lambda scores: None)
+    monkeypatch.setattr(
+        bench_faults, "wald_statistic", lambda scores, own, _: (0.0, single, None, together)[len(own)]
+    )
+    assert bench_faults.undivided_errors(SimpleNamespace(study=study), options=DIAGNOSIS) == explained
+
+
+@pytest.mark.parametrize(
     "left, best",
     [
         ((2e3, 1e3), 1),  # with fewer rows, and less of them

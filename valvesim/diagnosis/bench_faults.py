@@ -230,6 +230,21 @@ def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatTo
     return tuple(told)
 
 
+def undivided_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> float:
+    """The chi-square that errors of the instruments explain together where none of them is told by itself: a cause may
+    act like several at once. Zero where one is told, or where they explain no more than chance.
+    """
+    study = scores.study
+    own = {p.name for p in instrument_errors(study.session, options=study.options)}
+    at = {p.name: k for k, p in enumerate(study.nominal.parameters) if p.name in own}
+    covariance = nuisance_covariance(scores)
+    each = [[at[p.name] for p in fault.parameters if p.name in at] for fault in _known_faults(study)]
+    if any(wald_statistic(scores, one, covariance) > options.bench.minimum_gain for one in each):
+        return 0.0
+    together = wald_statistic(scores, list(at.values()), covariance)
+    return together if together > options.bench.minimum_gain + len(at) else 0.0
+
+
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:
     """What the bench may do that explains most of what a fit leaves, beside the likeliest causes too; where none does,
     that instruments err, if one of their errors explains an alarm as well as any cause: all of them together, for
