@@ -711,8 +711,9 @@ def _errors(tuned: Tuned, found: Diagnosis, caught: Caught, session: Session, ro
 def _oracle(case: Case, nominal: NominalFit, fitted: tuple[FittedCandidate, ...], fits: Sequence[Fit]) -> Fit:
     """The true cause fitted to the data, from the plant's own figures; the base where that explains the data better."""
     own = sorted(member.candidate.label for member in fitted)
-    tried = [nominal.fit, *(f for f in fits if sorted(e.candidate.label for e in f.fitted) == own)]
     point = [(case.unit.get(p.name, p.nominal) - p.nominal) / p.deviation for p in nominal.study.nominal.parameters]
+    of_study = (f for f in fits if len(f.point) == len(point))  # others were fitted before the bench was among it
+    tried = [nominal.fit, *(f for f in of_study if sorted(e.candidate.label for e in f.fitted) == own)]
     again = fit_hypothesis(nominal, fitted, np.array(point), linearisations=ORACLE_LOOKS)
     tried += [again] if again is not None else []
     return min(tried, key=lambda fit: fit.chi_square)
