@@ -204,6 +204,31 @@ def test_the_plainer_of_two_alike_laws_stands_unless_the_other_leaves_far_less(n
     assert bench_faults._explains_more(fit_of(name, left * 1e4), fit_of(other, 1e4), options=DIAGNOSIS) is more
 
 
+@pytest.mark.parametrize("ends, told", [(8e4, False), (4e6, True), (None, True)])
+def test_a_cause_is_fitted_to_its_end_before_records_are_those_of_another_valve(monkeypatch, ends, told):
+    rows, started = 1e4, SimpleNamespace(chi_square=4e6, rows=1e4, point=None, fitted=())
+    base = SimpleNamespace(fit=SimpleNamespace(chi_square=5e4, rows=rows), study=None)
+    ended = None if ends is None else SimpleNamespace(chi_square=ends, rows=rows, point=None, fitted=())
+    looked = []
+    for name, stub in {
+        "is_adequate": lambda fit, *, options: False,
+        "is_other_valve": lambda nominal, fit, *, options: fit.chi_square > 1e6,
+        "leaves_noise": lambda fit, study, *, options: True,
+        "likeliest_starts": lambda nominal, scores: iter([("a",)]),
+        "fit_from_prior": lambda nominal, start, few: started,
+        "continue_from": lambda nominal, fit: ended,
+        "seems_late": lambda study, point: False,
+        "score_test": lambda *_, **__: looked.append(1) or SimpleNamespace(linearised=(), columns=()),
+        "assembled": lambda *_: None,
+        "_tuned_beside": lambda *_: None,
+        "_likeliest": lambda *_, options: None,
+        "with_inputs_beside": lambda at, beside: at,
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    _, _, fit = bench_faults.with_faults_beside_cause(base, "scores", (), options=DIAGNOSIS)
+    assert bool(looked) is not told and fit is (ended or started)
+
+
 @pytest.mark.parametrize(
     "single, together, explained",
     [

@@ -23,7 +23,7 @@ from valvesim.diagnosis.starts import likeliest_starts
 from valvesim.identification.between_samples import Wave
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
-from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis
+from valvesim.identification.hypothesis_fit import continue_fit, continue_from, fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (
     fitted_waves,
     linear_gain,
@@ -118,6 +118,7 @@ def with_faults_beside_cause(
         ):
             break
     for _ in range(options.bench.most_faults):
+        fit = _given_its_steps(fit, at, nominal, options=options)
         if fit is None or is_other_valve(nominal, fit, options=options):
             break
         if not known and not tried and seems_late(at.study, fit.point):  # linear answers do not reach so far
@@ -146,7 +147,17 @@ def with_faults_beside_cause(
     if at is nominal:
         return nominal, scores, fit
     nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=not nominal.study.weights)
+    fit = _given_its_steps(fit, at, nominal, options=options)
     return nominal, score_test(nominal, nominal.fit, options=options), fit
+
+
+def _given_its_steps(fit: Fit | None, at: NominalFit, nominal: NominalFit, *, options: DiagnosisOptions) -> Fit | None:
+    """A fit of a cause in the study of `at`, continued where by it the records would be of another valve than the
+    nominal one: a few steps from far off do not tell where they lead.
+    """
+    if fit is None or not is_other_valve(nominal, fit, options=options):
+        return fit
+    return continue_from(at, fit) or fit
 
 
 def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -> bool:
