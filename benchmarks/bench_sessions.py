@@ -27,6 +27,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -274,15 +275,10 @@ def measure_distances(name: str, results: Path, engine: str | None) -> None:
 def _engines(rows: list[dict[str, Any]]) -> str:
     """The engines that diagnosed the rows, each with the spans of its seeds, in which are no others."""
     by = {row["seed"]: row.get("engine", "unknown") for row in rows}
-    spans: dict[str, list[list[int]]] = {}
-    last = None
-    for seed in sorted(by):
-        own = spans.setdefault(by[seed], [])
-        if by[seed] == last:
-            own[-1][1] = seed
-        else:
-            own.append([seed, seed])
-        last = by[seed]
+    spans: dict[str, list[tuple[int, int]]] = {}
+    for engine, span in groupby(sorted(by), key=by.__getitem__):
+        seeds = list(span)
+        spans.setdefault(engine, []).append((seeds[0], seeds[-1]))
     return "; ".join(
         f"`{engine}` {', '.join(f'{a}' if a == b else f'{a} to {b}' for a, b in own)}" for engine, own in spans.items()
     )

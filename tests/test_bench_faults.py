@@ -134,7 +134,7 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
         return SimpleNamespace(chi_square=left[len(asked) - 1] + rows, rows=rows, point=None, fitted=own)
 
     for name, stub in {
-        "seems_late": lambda study, point: False,
+        "has_implausible_delays": lambda study, point: False,
         "is_adequate": lambda fit, *, options: False,
         "is_other_valve": lambda nominal, fit, *, options: False,
         "likeliest_starts": lambda nominal, scores: iter([("a",), ("b",), ("c",)]),
@@ -166,7 +166,7 @@ def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run
     base = SimpleNamespace(fit=SimpleNamespace(chi_square=1e6, rows=1e4), study=None)
     fit = SimpleNamespace(chi_square=2e4, rows=1e4, point=None, fitted=())
     for name, stub in {
-        "seems_late": lambda study, point: next(delays),
+        "has_implausible_delays": lambda study, point: next(delays),
         "is_adequate": lambda fit, *, options: False,
         "is_other_valve": lambda nominal, fit, *, options: False,
         "leaves_noise": lambda fit, study, *, options: True,
@@ -217,7 +217,7 @@ def test_a_cause_is_fitted_to_its_end_before_records_are_those_of_another_valve(
         "likeliest_starts": lambda nominal, scores: iter([("a",)]),
         "fit_from_prior": lambda nominal, start, few: started,
         "continue_from": lambda nominal, fit: ended,
-        "seems_late": lambda study, point: False,
+        "has_implausible_delays": lambda study, point: False,
         "score_test": lambda *_, **__: looked.append(1) or SimpleNamespace(linearised=(), columns=()),
         "assembled": lambda *_: None,
         "_tuned_beside": lambda *_: None,
@@ -248,9 +248,9 @@ def test_errors_of_instruments_that_explain_much_together_and_nothing_by_themsel
         BenchFault((p,), str, None) for p in (*parameters[1:], SimpleNamespace(name="wave"))])  # fmt: skip
     monkeypatch.setattr(bench_faults, "nuisance_covariance", lambda scores: None)
     monkeypatch.setattr(
-        bench_faults, "wald_statistic", lambda scores, own, _: (0.0, single, None, together)[len(own)]
+        bench_faults, "wald_statistic", lambda scores, own, _=None: (0.0, single, None, together)[len(own)]
     )
-    assert bench_faults.undivided_errors(SimpleNamespace(study=study), options=DIAGNOSIS) == explained
+    assert bench_faults.joint_instrument_errors(SimpleNamespace(study=study), options=DIAGNOSIS) == explained
 
 
 @pytest.mark.parametrize(
@@ -391,9 +391,9 @@ def test_a_wave_is_tuned_to_the_frequency_that_a_fit_asks_for(biased_fit):
     np.testing.assert_allclose(length, np.hypot(*point[len(nominal.parameters) :].reshape(-1, 2).T))
 
 
-def study_of_edges(after, right, width=0.15, runs=None):
-    """A study of one record, whose reading is off in the few samples after an edge that is not near its `right` place,
-    and no less so a little nearer.
+def study_of_edges(after, right, runs=None):
+    """A study of one record, whose reading is off in the few samples after an edge that is not between its `right`
+    places, and no less so a little nearer.
     """
     samples = max(after) + 17
     edges = [EdgeTime("a", "current", k) for k in after]
@@ -402,8 +402,8 @@ def study_of_edges(after, right, width=0.15, runs=None):
         if runs is not None:
             runs.append(point)
         read = np.zeros(samples)
-        for k, place, t in zip(after, right, point[1:], strict=True):
-            read[k + 1 : k + 5] = 0.0 if abs(t - place) < width else 9.0
+        for k, (low, high), t in zip(after, right, point[1:], strict=True):
+            read[k + 1 : k + 5] = 0.0 if low < t < high else 9.0
         return {"spool_position": read}
 
     record = SimpleNamespace(
@@ -433,12 +433,12 @@ def study_of_edges(after, right, width=0.15, runs=None):
 
 def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
     runs = []
-    study = study_of_edges([3], [0.8], 0.3, runs)
+    study = study_of_edges([3], [(0.5, np.inf)], runs)  # it comes early
     start = np.array([5.0, -0.3])
     found = searched_edges(study, SimpleNamespace(point=start, readings=(study.predictors[0].run(start),)))
-    assert found[0] == 5.0 and 0.5 < found[1] < 1.1  # a place that leaves nothing
+    assert found[0] == 5.0 and 0.5 < found[1] < 1.0  # the place next to the middle of all that leave nothing
     runs.clear()
-    point = np.array([5.0, 0.8])
+    point = np.array([5.0, 1.0])
     read = study.predictors[0].run(point)
     assert np.array_equal(searched_edges(study, SimpleNamespace(point=point, readings=(read,))), point)
     assert len(runs) == 1  # nothing is left there
@@ -447,16 +447,16 @@ def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(5, 40), st.floats(-1.6, 1.6), st.floats(-1.7, 1.7)), min_size=2, max_size=6))
 def test_edges_of_a_record_are_looked_for_at_once_as_they_would_be_one_by_one(drawn):
-    apart, right, now = map(list, zip(*drawn, strict=True))
-    after = np.cumsum(apart).tolist()
-    study, runs = study_of_edges(after, right, 0.3), []
-    counted = study_of_edges(after, right, 0.3, runs)
+    apart, places, now = map(list, zip(*drawn, strict=True))
+    after, right, runs = np.cumsum(apart).tolist(), [(place - 0.3, place + 0.3) for place in places], []
+    study = study_of_edges(after, right, runs)
     point = np.array([0.0, *now])
-    read = study.predictors[0].run(point)
-    found = searched_edges(counted, SimpleNamespace(point=point, readings=(read,)))
-    assert len(runs) in (0, IDENTIFICATION.input.edge_places + 2)
+    fit = SimpleNamespace(point=point, readings=(study.predictors[0].run(point),))
+    runs.clear()
+    found = searched_edges(study, fit)
+    assert len(runs) in (0, IDENTIFICATION.input.edge_places + 1)
     for k in range(len(after)):
-        alone = study_of_edges([after[k]], [right[k]], 0.3)
+        alone = study_of_edges([after[k]], [right[k]])
         at = point[[0, k + 1]]
         fit = SimpleNamespace(point=at, readings=(alone.predictors[0].run(at),))
         assert found[k + 1] == searched_edges(alone, fit)[1]

@@ -49,9 +49,9 @@ from valvesim.identification.nominal_fit import (
     NominalFit,
     assembled,
     fit_nominal_near,
+    has_implausible_delays,
     linearise_nominal,
     linearised_at,
-    seems_late,
     under_other_inputs,
     with_inputs_beside,
     with_inputs_reviewed,
@@ -118,10 +118,10 @@ def with_faults_beside_cause(
         ):
             break
     for _ in range(options.bench.most_faults):
-        fit = _given_its_steps(fit, at, nominal, options=options)
+        fit = _continued_if_other_valve(fit, at, nominal, options=options)
         if fit is None or is_other_valve(nominal, fit, options=options):
             break
-        if not known and not tried and seems_late(at.study, fit.point):  # linear answers do not reach so far
+        if not known and not tried and has_implausible_delays(at.study, fit.point):  # far off for linear answers
             (at, fit), tried = _best_inputs(at, fit, few), True
             continue
         beside = score_test(at, fit, options=options)
@@ -147,11 +147,13 @@ def with_faults_beside_cause(
     if at is nominal:
         return nominal, scores, fit
     nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=not nominal.study.weights)
-    fit = _given_its_steps(fit, at, nominal, options=options)
+    fit = _continued_if_other_valve(fit, at, nominal, options=options)
     return nominal, score_test(nominal, nominal.fit, options=options), fit
 
 
-def _given_its_steps(fit: Fit | None, at: NominalFit, nominal: NominalFit, *, options: DiagnosisOptions) -> Fit | None:
+def _continued_if_other_valve(
+    fit: Fit | None, at: NominalFit, nominal: NominalFit, *, options: DiagnosisOptions
+) -> Fit | None:
     """A fit of a cause in the study of `at`, continued where by it the records would be of another valve than the
     nominal one: a few steps from far off do not tell where they lead.
     """
@@ -229,31 +231,32 @@ def _extended(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> N
 
 def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatToDo, ...]:
     """What the bench did by a fit, with what to do about it: what the readings would miss by more than chance."""
-    study, fit = scores.study, scores.fit
-    model, covariance = study.nominal, nuisance_covariance(scores)
-    at = {p.name: k for k, p in enumerate(model.parameters)}
-    told = []
-    for fault in _known_faults(study):
-        own = [at[one.name] for one in fault.parameters if one.name in at]
-        if own and wald_statistic(scores, own, covariance) > options.bench.minimum_gain:
-            values = np.array([model.parameters[k].at(fit.point[k]) for k in own])
-            told.append(what_to_do(fault.words(values), fault.advice))
+    told, model = [], scores.study.nominal
+    for fault, own in _faults_told(scores, options=options):
+        values = np.array([model.parameters[k].at(scores.fit.point[k]) for k in own])
+        told.append(what_to_do(fault.words(values), fault.advice))
     return tuple(told)
 
 
-def undivided_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> float:
+def _faults_told(scores: ScoreTest, *, options: DiagnosisOptions) -> list[tuple[BenchFault, list[int]]]:
+    """What the bench did that the readings would miss by more than chance, each with its parameters in the model."""
+    at = {p.name: k for k, p in enumerate(scores.study.nominal.parameters)}
+    covariance = nuisance_covariance(scores)
+    faults = [(f, [at[p.name] for p in f.parameters if p.name in at]) for f in _known_faults(scores.study)]
+    return [(f, own) for f, own in faults if wald_statistic(scores, own, covariance) > options.bench.minimum_gain]
+
+
+def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> float:
     """The chi-square that errors of the instruments explain together where none of them is told by itself: a cause may
     act like several at once. Zero where one is told, or where they explain no more than chance.
     """
     study = scores.study
-    own = {p.name for p in instrument_errors(study.session, options=study.options)}
-    at = {p.name: k for k, p in enumerate(study.nominal.parameters) if p.name in own}
-    covariance = nuisance_covariance(scores)
-    each = [[at[p.name] for p in fault.parameters if p.name in at] for fault in _known_faults(study)]
-    if any(wald_statistic(scores, one, covariance) > options.bench.minimum_gain for one in each):
+    errors = {p.name for p in instrument_errors(study.session, options=study.options)}
+    own = [k for k, p in enumerate(study.nominal.parameters) if p.name in errors]
+    together = wald_statistic(scores, own)
+    if together <= options.bench.minimum_gain + len(own) or _faults_told(scores, options=options):
         return 0.0
-    together = wald_statistic(scores, list(at.values()), covariance)
-    return together if together > options.bench.minimum_gain + len(at) else 0.0
+    return together
 
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:

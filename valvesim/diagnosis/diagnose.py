@@ -24,7 +24,7 @@ from valvesim.diagnosis.answer_tables import (
     score_table,
 )
 from valvesim.diagnosis.apart import odd_test
-from valvesim.diagnosis.bench_faults import undivided_errors
+from valvesim.diagnosis.bench_faults import joint_instrument_errors
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
 from valvesim.diagnosis.detection import beyond_noise, is_certain, is_inadequate
 from valvesim.diagnosis.experiment_design import design
@@ -127,7 +127,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         reason, because = BENCH, "; ".join(bench)
     notes[:0] = [because] if because else []
     notes += [f"the bench, not the valve: {fault}" for fault in bench if fault not in because]
-    if (together := undivided_errors(isolation.final, options=options)) and not in_set:
+    if not in_set and (together := joint_instrument_errors(isolation.final, options=options)):
         notes.append(
             f"errors of the instruments explain {together:.0f} of the chi-square together (oil temperature, supply "
             "pressure, clocks, meters), and none of them by itself: a cause may act like them; repeat a record with "

@@ -103,31 +103,35 @@ def searched_edges(study: Study, fit: Fit) -> np.ndarray:
         after, own = np.transpose(sorted(edges))
         places = np.repeat(fit.point[None], options.edge_places + 1, axis=0)
         places[1:, own] = np.linspace(low[own], high[own], options.edge_places)
-        lost = np.array([_squares(study, predictor, at) for at in places])
-        left = np.add.reduceat(lost, after + 1, axis=1) + places[:, own] ** 2
+        squares = np.array([_squared_residuals(study, predictor, each) for each in
+                            (read, *(_readings_at(study, predictor, at) for at in places[1:]))])  # fmt: skip
+        left = np.add.reduceat(squares, after + 1, axis=1) + places[:, own] ** 2
         best = np.argmin(left, axis=0)
         best[left[0] - np.min(left, axis=0) <= options.edge_gain] = 0
         moved = fit.point.copy()
         moved[own] = places[best, own]
-        if best.any() and _left_of(_squares(study, predictor, moved), moved) < _left_of(lost[0], fit.point):
+        if not best.any():
+            continue
+        ended = _squared_residuals(study, predictor, _readings_at(study, predictor, moved))
+        if ended.sum() + moved @ moved < squares[0].sum() + fit.point @ fit.point:
             found[own] = moved[own]
     return found
 
 
-def _squares(study: Study, predictor: RecordPredictor, point: np.ndarray) -> np.ndarray:
-    """The squares (samples,) of what a record leaves at a point (p,) without candidates, whitened, of all channels."""
-    record, variant = predictor.record, study.nominal.at(point)
-    residual = residual_of(record, predictor.readings(predictor.run(variant), variant))
-    total = np.zeros(len(record.time))
+def _readings_at(study: Study, predictor: RecordPredictor, point: np.ndarray) -> dict[str, np.ndarray]:
+    """What the channels of a record read at a point (p,) without candidates, by running it."""
+    variant = study.nominal.at(point)
+    return predictor.readings(predictor.run(variant), variant)
+
+
+def _squared_residuals(study: Study, predictor: RecordPredictor, read: dict[str, np.ndarray]) -> np.ndarray:
+    """The squares (samples,) of what readings leave of a record, whitened, of all channels together."""
+    record, total = predictor.record, np.zeros(len(predictor.record.time))
+    residual = residual_of(record, read)
     for name, white in zip(record.outputs, study.whiten(predictor, residual), strict=True):
         kept = study.noise[name, record.pace].kept(record.usable[name])
         total[np.flatnonzero(kept)[:: study.stride]] += white[:, 0] ** 2
     return total
-
-
-def _left_of(squares: np.ndarray, point: np.ndarray) -> float:
-    """The penalised chi-square of a record."""
-    return float(np.sum(squares) + point @ point)
 
 
 def _misfit_after(study: Study, record: Record, read: dict[str, np.ndarray], edge: EdgeTime) -> float:

@@ -287,13 +287,13 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
     without, now = _without_choice(nominal.study)
     if not nominal.is_reviewed and (better := _reviewed_choice(nominal)[2]).name != now.name:
         return _near_under(without, better, nominal, _point_by_name(nominal))
-    if not np.any(_sensor_delays(nominal.study, nominal.fit.point) > _beyond(nominal.study)):
+    if not np.any(_sensor_delays(nominal.study, nominal.fit.point) > _largest_plausible_delay(nominal.study)):
         return nominal
     choices = input_choices(without.session, options=without.options)
     held = next((choice for choice in choices if choice.name == HELD_NAME), now)
     if held.name == now.name:
         return nominal
-    tried = _near_under(without, held, nominal, _point_by_name(nominal) | _no_delays(nominal.study))
+    tried = _near_under(without, held, nominal, _point_by_name(nominal) | _delays_at_nominal(nominal.study))
     gain = (nominal.fit.chi_square - nominal.fit.rows) - (tried.fit.chi_square - tried.fit.rows)
     return tried if gain > nominal.study.options.input.minimum_gain else nominal
 
@@ -324,9 +324,9 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
     commands: each is fitted from within tolerance. All are judged by the noise of the nominal fit, without what its own
     way may be wrong by.
     """
-    if not seems_late(nominal.study, nominal.fit.point):
+    if not has_implausible_delays(nominal.study, nominal.fit.point):
         return nominal
-    near = _clipped_by_name(nominal) | _no_delays(nominal.study)
+    near = _clipped_by_name(nominal) | _delays_at_nominal(nominal.study)
     without, now = _without_choice(nominal.study)
     plain = replace(nominal.study, spread={})
 
@@ -344,11 +344,11 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
     return best
 
 
-def seems_late(study: Study, point: np.ndarray) -> bool:
+def has_implausible_delays(study: Study, point: np.ndarray) -> bool:
     """Whether sensors are late or early by more than they may be at a point (p,) of a study, as they seem where a
     command goes otherwise between its samples.
     """
-    return bool(np.any(np.abs(_sensor_delays(study, point)) > _beyond(study)))
+    return bool(np.any(np.abs(_sensor_delays(study, point)) > _largest_plausible_delay(study)))
 
 
 def _sensor_delays(study: Study, point: np.ndarray) -> np.ndarray:
@@ -357,12 +357,12 @@ def _sensor_delays(study: Study, point: np.ndarray) -> np.ndarray:
     return point[: len(delays)][delays]
 
 
-def _beyond(study: Study) -> float:
+def _largest_plausible_delay(study: Study) -> float:
     """The prior deviations from which a sensor's delay is more than it may be."""
     return 2.0 * study.options.fit.tolerance_deviations
 
 
-def _no_delays(study: Study) -> dict[str, float]:
+def _delays_at_nominal(study: Study) -> dict[str, float]:
     """The delays of a study's sensors at nominal, in prior deviations by name."""
     parameters = study.nominal.parameters
     return {p.name: 0.0 for p, delay in zip(parameters, are_delays(study.nominal), strict=True) if delay}
