@@ -31,6 +31,7 @@ from hidden_plant import AMPLITUDE, UNITS, Case, Run
 from valvesim.valve.thermal_network import ThermalNetwork
 
 IMPERFECTIONS = ("edges", "hold", "ripple", "warming", "gap", "corrupt", "skew", "drift", "saturation")
+CALIBRATION = "calibration"  # oil and supply are off in each record, and every meter drifts: all of it little
 FINE = 20  # samples of the command that the plant runs under to one that is logged
 
 
@@ -63,8 +64,8 @@ def draw_bench(
 
     `network_scatter` is the spread (logarithm) of each figure of the valve's thermal network.
     """
-    if unknown := set(imperfections) - set(IMPERFECTIONS):
-        raise ValueError(f"{sorted(unknown)} are none of {IMPERFECTIONS}")
+    if unknown := set(imperfections) - {*IMPERFECTIONS, CALIBRATION}:
+        raise ValueError(f"{sorted(unknown)} are none of {(*IMPERFECTIONS, CALIBRATION)}")
     bench, case = Bench(seed, tuple(imperfections)), hidden_plant.draw(seed, kind, name=name)
     runs = tuple(_run(bench, run, duration, case.drive == "voltage") for run in case.runs)
     scatter = max(network_scatter, 0.3 if bench.has("warming") else 0.0)
@@ -117,7 +118,12 @@ def bench_records(case: Case, bench: Bench, strength: float = 1.0) -> list[dict[
         if key not in done:
             ends = [1] * (len(run.command) - 1) + [FINE]  # the run goes on for a sample
             longer = {name: np.repeat(getattr(run, name), ends) for name in ("command", "oil")}
-            done[key] = hidden_plant._simulate(case, replace(run, **longer), hidden)
+            supply = run.supply
+            if bench.has(CALIBRATION):
+                off = bench.dice(CALIBRATION, key)
+                longer["oil"] = longer["oil"] + off.normal(0.0, 0.4)
+                supply = supply * (1.0 + off.normal(0.0, 0.004))
+            done[key] = hidden_plant._simulate(case, replace(run, supply=supply, **longer), hidden)
         t, out = done[key]
         logged = replace(run, rate=run.rate / FINE, command=run.command[::FINE], oil=run.oil[::FINE])
         oil = logged.oil
@@ -155,6 +161,12 @@ def _coloured(dice: np.random.Generator, count: int, colour: float) -> np.ndarra
 def _worn(case: Case, bench: Bench, records: list[dict[str, np.ndarray]]) -> None:
     """Drift and saturation, in place."""
     channels = [channel for channel in case.channels if channel != "internal_leakage"] or list(case.channels)
+    if bench.has(CALIBRATION):
+        for channel in channels:
+            by = bench.dice(CALIBRATION, channel).uniform(-0.004, 0.004)
+            for record in records:
+                share = record["time"] / record["time"][-1]
+                record[channel] = record[channel] + by * AMPLITUDE[channel] * share
     if bench.has("drift"):
         dice = bench.dice("drift")
         channel, by = str(dice.choice(channels)), dice.uniform(0.005, 0.02) * dice.choice((-1.0, 1.0))

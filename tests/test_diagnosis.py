@@ -15,7 +15,7 @@ from valvesim.diagnosis import isolation, refits, second_cause
 from valvesim.diagnosis.advice import advice_on_unknown
 from valvesim.diagnosis.answer_tables import candidate_answers
 from valvesim.diagnosis.detection import rests_on_limits, unexplained_share
-from valvesim.diagnosis.diagnose import _term_explains_more, verdict_of
+from valvesim.diagnosis.diagnose import _gain_of_term, _term_explains_more, verdict_of
 from valvesim.diagnosis.holdout_gain import holdout_gain
 from valvesim.diagnosis.isolation import _better_nominal, _known_hypotheses, unknown_reason_of
 from valvesim.diagnosis.model_selection import (
@@ -373,6 +373,10 @@ def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_cause
     assert answers[0].probability > answers[1].probability > 0.2
     said = summary_text(AMBIGUOUS, [lap], None, unknown_reason=reason)
     assert said == f"Something is wrong, perhaps spool lap, or none of the known causes: {reason}."
+    term = SimpleNamespace(port="pilot_flow", variable="current", alike=())
+    said = summary_text(AMBIGUOUS, [lap], term, unknown_reason=reason)
+    acts = "if none of them, it acts like a term in the pilot flow that depends on the current"
+    assert said.endswith(f"{reason}; {acts}.")
 
 
 def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_of_a_cause():
@@ -383,6 +387,7 @@ def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_
         term = SimpleNamespace(chi_square=chi_square - 3.0 * np.log(lap.fit.rows), freedom=freedom)
         return _term_explains_more(nominal, term, found, options=DIAGNOSIS)
 
+    assert _gain_of_term(SimpleNamespace(chi_square=900.0, freedom=0), [air, lap]) == 100.0
     needed = 1000.0 - DIAGNOSIS.selection.answer_ratio
     assert takes_the_place([air, lap], needed - 0.1) and not takes_the_place([air, lap], needed + 0.1)
     assert not takes_the_place([air, lap], needed - 0.1, freedom=12)

@@ -8,6 +8,7 @@ import pytest
 
 from valvesim.diagnosis import detection, isolation, refits, second_cause
 from valvesim.diagnosis import diagnose as diagnosing
+from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -256,6 +257,56 @@ def test_what_the_plainer_of_two_leaves_that_fit_alike_is_looked_at_too(monkeypa
     judged = isolation.judged(isolation.Isolation(base, scores, final, [fuller, plain], [], "", True, 4.0))
     assert judged.found[0] is plain and judged.final.fit is plain.fit
     assert [one.label for one in judged.answer_set] == ["spool_coulomb_friction", "spool_stribeck_friction"]
+
+
+@pytest.mark.parametrize("other, asked", [("spool_lap + entrained_air", True), ("spool_coulomb_friction", False)])
+def test_plain_terms_are_held_against_a_cause_that_all_of_an_answer_name(monkeypatch, other, asked):
+    base, best, beside = nominal(9000.0), hypothesis(4900.0, "spool_lap"), hypothesis(4895.0, *other.split(" + "))
+    monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: 0.0)
+    monkeypatch.setattr(isolation, "ranked", lambda nominal, found: list(found))
+    monkeypatch.setattr(isolation, "answer_set_of", lambda *_, **__: [best, beside])
+    monkeypatch.setattr(isolation, "rival_terms", lambda nominal, final: [SimpleNamespace(label="pilot flow")])
+    scores, final = score_test_of(base, base.fit), score_test_of(base, best.fit)
+    judged = isolation.judged(isolation.Isolation(base, scores, final, [best, beside], [], "", True, 4.0))
+    assert judged.unknown_reason == ("a plain term does as well, the pilot flow" if asked else "")
+
+
+@pytest.mark.parametrize(
+    "together, shows, left, searches, causes",
+    [(None, 20.0, 4400.0, 1, False), (JointErrors(300.0, (), 5100.0), 5.0, 4400.0, 1, False),
+     (JointErrors(300.0, (), 5100.0), 20.0, 5000.0, 2, False), (JointErrors(300.0, (), 5100.0), 20.0, 4900.0, 2, True)],
+)  # fmt: skip
+def test_causes_are_sought_without_errors_of_instruments_that_explain_only_together(
+    monkeypatch, together, shows, left, searches, causes
+):
+    base, plain, best = nominal(4900.0), nominal(5100.0), hypothesis(left, "spool_lap")
+    by_errors = isolation.Isolation(base, score_test_of(base, base.fit), None, [], [], "", False, 4.0)
+    by_cause = isolation.Isolation(plain, score_test_of(plain, plain.fit), None, [best], [best], "", True, 4.0)
+    sought = []
+
+    def isolated(at, scores, progress, known, beside, *, options):
+        sought.append((at, options.bench.most_faults))
+        return by_errors if at is base else by_cause
+
+    def score_test(nominal, fit, *, options):
+        scores = score_test_of(nominal, fit)
+        scores.z = lambda: np.array([shows])
+        return scores
+
+    for name, stub in {
+        "score_test": score_test,
+        "detect": lambda scores: (False, 4.0),
+        "told_faults": lambda scores, options: (),
+        "_isolated": isolated,
+        "joint_instrument_errors": lambda scores, options: together,
+        "without_instrument_errors": lambda nominal: plain,
+        "nuisance_occam_factor": lambda scores: 100.0,
+        "rescored": lambda study, fit: fit,
+    }.items():
+        monkeypatch.setattr(isolation, name, stub)
+    found = isolation.isolate(base, lambda stage, share: None, options=DIAGNOSIS)
+    assert found.alarm == found.or_instruments == causes
+    assert sought == [(base, DIAGNOSIS.bench.most_faults), (plain, 0)][:searches]
 
 
 def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_others(monkeypatch):

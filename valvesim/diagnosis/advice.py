@@ -16,12 +16,18 @@ from valvesim.valve.effect import Advice
 from valvesim.valve.thermal_network import THERMAL_NODES, ends_of, heat_words
 
 
-def advice_on_causes(in_set: Sequence[FittedHypothesis], unknown_reason: str) -> tuple[WhatToDo, ...]:
-    """What to do about each cause of an answer set, likeliest first, and about noise and unknown causes among them."""
+def advice_on_causes(
+    in_set: Sequence[FittedHypothesis], unknown_reason: str, *, or_instruments: bool = False
+) -> tuple[WhatToDo, ...]:
+    """What to do about each cause of an answer set, likeliest first, and about noise, unknown causes and instruments
+    beside them.
+    """
     found = {c.label: _of_candidate(c) for one in in_set for c in one.candidates}
     noise = {one.label: NOISE for one in in_set if not one.candidates}
     beside = {"none of the known causes": NONE_PERHAPS} if unknown_reason else {}
-    return tuple(what_to_do(label, a) for label, a in {**found, **noise, **beside}.items() if a is not None)
+    errors = {"errors of the instruments": INSTRUMENTS} if or_instruments else {}
+    advice = {**found, **noise, **beside, **errors}
+    return tuple(what_to_do(label, a) for label, a in advice.items() if a is not None)
 
 
 def advice_on_unknown(reason: str, odd: str, term: Term | None) -> tuple[WhatToDo, ...]:
@@ -203,6 +209,12 @@ NOISE = Advice(
     inspect="the noise: are its repeats as many and as quiet as they should be?",
     confirm="repeat the tests: what is real grows with their number, noise does not",
     remedy="none until it shows clearly",
+)
+INSTRUMENTS = Advice(
+    part="oil thermometer, supply manometer, clocks and meters of the bench",
+    inspect="their calibrations, and the zeros of the meters before and after a record",
+    confirm="repeat a record with other instruments: what a cause in the valve does stays",
+    remedy="calibrate, or exchange, the instrument that differs; then diagnose again",
 )
 APART = Advice(
     part="that test and its bench",

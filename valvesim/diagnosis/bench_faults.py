@@ -15,7 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
-from valvesim.diagnosis.detection import is_other_valve, leaves_noise, nuisance_covariance, wald_statistic
+from valvesim.diagnosis.detection import (
+    is_other_valve,
+    leaves_noise,
+    nuisance_covariance,
+    nuisance_occam_factor,
+    wald_statistic,
+)
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
@@ -50,6 +56,7 @@ from valvesim.identification.nominal_fit import (
     assembled,
     fit_nominal_near,
     has_implausible_delays,
+    has_uncertain_inputs,
     linearise_nominal,
     linearised_at,
     under_other_inputs,
@@ -58,6 +65,7 @@ from valvesim.identification.nominal_fit import (
     with_nuisance,
 )
 from valvesim.identification.prior import NuisanceParameter
+from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import Session, value_text
 from valvesim.identification.study import Study
 from valvesim.valve.effect import Advice
@@ -89,7 +97,7 @@ def with_bench_faults(
         if likeliest is None:
             break
         better = _extended(nominal, likeliest.parameters)
-        if nominal.fit.chi_square - rescored(nominal.study, better.fit).chi_square < 0.5 * likeliest.gain:
+        if rescored(better.study, nominal.fit).chi_square - better.fit.chi_square < 0.5 * likeliest.gain:
             break  # the linear answers were wrong: it is something else
         nominal = with_inputs_reviewed(better)  # which the fault may have hidden
         scores = score_test(nominal, nominal.fit, options=options)
@@ -146,7 +154,8 @@ def with_faults_beside_cause(
             break
     if at is nominal:
         return nominal, scores, fit
-    nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=not nominal.study.weights)
+    fully = _is_at_full_weight(nominal.study, at.study)
+    nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=fully)
     fit = _continued_if_other_valve(fit, at, nominal, options=options)
     return nominal, score_test(nominal, nominal.fit, options=options), fit
 
@@ -219,14 +228,30 @@ def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> No
     """The nominal fit with more parameters, at nothing of them."""
     study = with_parameters(nominal.study.unweighted(), parameters)
     point = np.append(nominal.fit.point, np.zeros(len(parameters)))
-    return linearised_at(study, point, full_weight=not nominal.study.weights)
+    return linearised_at(study, point, full_weight=_is_at_full_weight(nominal.study, study))
 
 
 def _extended(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:
     """The nominal fit with more parameters."""
     prepared = with_parameters(nominal.study.unweighted(), parameters)
     point = np.append(nominal.fit.point, np.zeros(len(parameters)))
-    return fit_nominal_near(prepared, point, full_weight=not nominal.study.weights)
+    return fit_nominal_near(prepared, point, full_weight=_is_at_full_weight(nominal.study, prepared))
+
+
+def _is_at_full_weight(study: Study, extended: Study) -> bool:
+    """Whether samples next to peaks count fully in a study with more parameters: as before, unless these are of inputs,
+    which are then not known to the microseconds that a peak takes.
+    """
+    return not study.weights and not has_uncertain_inputs(extended)
+
+
+def without_instrument_errors(nominal: NominalFit) -> NominalFit:
+    """The nominal fit without errors of the instruments among its parameters."""
+    study = nominal.study.unweighted()
+    errors = {p.name for p in instrument_errors(study.session, options=study.options)}
+    kept = [k for k, p in enumerate(study.nominal.parameters) if p.name not in errors]
+    plain = with_nuisance(study, tuple(study.nominal.parameters[k] for k in kept))
+    return fit_nominal_near(plain, nominal.fit.point[kept], full_weight=not nominal.study.weights)
 
 
 def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatToDo, ...]:
@@ -246,17 +271,47 @@ def _faults_told(scores: ScoreTest, *, options: DiagnosisOptions) -> list[tuple[
     return [(f, own) for f, own in faults if wald_statistic(scores, own, covariance) > options.bench.minimum_gain]
 
 
-def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> float:
-    """The chi-square that errors of the instruments explain together where none of them is told by itself: a cause may
-    act like several at once. Zero where one is told, or where they explain no more than chance.
+@dataclass(frozen=True, eq=False)
+class JointErrors:
+    """Errors of the instruments that explain together what none of them does by itself: the chi-square that they
+    explain; those that do so with the fewest figures, in words; and minus twice the log evidence of these, up to a
+    constant (Laplace's approximation; MacKay 1992).
     """
-    study = scores.study
-    errors = {p.name for p in instrument_errors(study.session, options=study.options)}
-    own = [k for k, p in enumerate(study.nominal.parameters) if p.name in errors]
-    together = wald_statistic(scores, own)
-    if together <= options.bench.minimum_gain + len(own) or _faults_told(scores, options=options):
-        return 0.0
-    return together
+
+    explained: float
+    fewest: tuple[str, ...]
+    evidence: float
+
+
+def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> JointErrors | None:
+    """Errors of the instruments by a fit without candidates; None where one of them is told by itself, or where they
+    explain no more than chance. A cause may act like several at once.
+    """
+    study, model = scores.study, scores.study.nominal
+    at = {p.name: k for k, p in enumerate(model.parameters)}
+    errors = {p.name for p in instrument_errors(study.session, options=study.options)} & set(at)
+    together = wald_statistic(scores, [at[name] for name in errors])
+    if together <= options.bench.minimum_gain + len(errors) or _faults_told(scores, options=options):
+        return None
+    kept = {k: [at[p.name] for p in fault.parameters] for k, fault in enumerate(_known_faults(study))
+            if errors.issuperset(p.name for p in fault.parameters)}  # fmt: skip
+    covariance, out, least = nuisance_covariance(scores), list[int](), nuisance_occam_factor(scores)
+    while kept:  # the one goes that costs least evidence, while that gains any
+        tried = {}
+        for k, own in kept.items():
+            less = [*out, *own]
+            tried[k] = wald_statistic(scores, less, covariance) + nuisance_occam_factor(scores, less)
+        worst = min(tried, key=tried.__getitem__)
+        if tried[worst] > least:
+            break
+        out, least = [*out, *kept.pop(worst)], tried[worst]
+    point = scores.fit.point - covariance[:, out] @ inverse_of(covariance[np.ix_(out, out)]) @ scores.fit.point[out]
+    words = tuple(
+        fault.words(np.array([model.parameters[j].at(point[j]) for j in kept[k]]))
+        for k, fault in enumerate(_known_faults(study))
+        if k in kept
+    )
+    return JointErrors(together, words, scores.fit.chi_square + least)
 
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:
@@ -266,7 +321,7 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
     """
     taken = {p.name for p in nominal.study.nominal.parameters}
     hypotheses = [h for h in _hypotheses(nominal.study, scores) if not {p.name for p in h} & taken]
-    if not hypotheses:
+    if not hypotheses or not options.bench.most_faults:
         return None
     fit, study = scores.fit, nominal.study
     J = study.stack(scores.columns)

@@ -101,6 +101,14 @@ def nuisance_covariance(scores: ScoreTest) -> np.ndarray:
     return inverse_of(_normal_equations_at(scores)[0])[:p, :p]
 
 
+def nuisance_occam_factor(scores: ScoreTest, without: Sequence[int] = ()) -> float:
+    """The Occam factor of the nuisance parameters of a fit without candidates, but for those that it does `without`:
+    twice the logarithm of the ratio of their prior to their posterior width (MacKay 1992).
+    """
+    kept = np.delete(np.arange(scores.gram.parameters), list(without))
+    return float(np.linalg.slogdet(_normal_equations_at(scores)[0][np.ix_(kept, kept)])[1])
+
+
 def _normal_equations_at(scores: ScoreTest) -> tuple[np.ndarray, np.ndarray]:
     """(H, gradient) of a fit with respect to its nuisance parameters, with their priors, and then its candidates."""
     G, p, own = scores.gram.total, scores.gram.parameters, len(scores.own)

@@ -81,6 +81,7 @@ def diagnose(
     return _answer(isolation)
 
 
+TOGETHER = "errors of the instruments explain it together (oil temperature, supply pressure, clocks, meters)"
 FAR_OFF = "what fits these records best is not the stated valve nor a part that could take its place"
 INADEQUATE = "the base model cannot come near these records: are they of this valve, with these units and signs?"
 
@@ -92,8 +93,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
     inadequate = is_inadequate(nominal, chosen, options=options)
     recovered: RecoveredTerm | None = None
     odd = ""
-    doubted = bool(unknown_reason) and _most_left_by_term(nominal, isolation.found, options=options) > nominal.fit.rows
-    if isolation.alarm and not (inadequate or isolation.is_other_valve) and (doubted or not in_set):
+    if isolation.alarm and not (inadequate or isolation.is_other_valve) and (unknown_reason or not in_set):
         borne_out = bool(isolation.found) or is_certain(scores, level)
         excess = beyond_noise(nominal.fit, study, options=options) > 0.0
         odd = odd_test(nominal, options=options) if excess and not in_set else ""
@@ -110,8 +110,9 @@ def _answer(isolation: Isolation) -> Diagnosis:
     if isolation.alarm and not in_set:
         far = _far_off(study, recovered.point if recovered is not None else chosen.point)
         recovered = None if far else recovered
-    answers = candidate_answers(nominal, found, in_set, level, unknown_reason, options=isolation.scores.options)
-    verdict = verdict_of(isolation.alarm, in_set, unknown_reason)
+    doubt = "; ".join(filter(None, [unknown_reason, TOGETHER if isolation.or_instruments else ""]))
+    answers = candidate_answers(nominal, found, in_set, level, doubt, options=isolation.scores.options)
+    verdict = verdict_of(isolation.alarm, in_set, doubt)
     term: Term | None = None
     notes = list(session.notes)
     if any(not noise.verified for noise in study.noise.values()):
@@ -127,17 +128,21 @@ def _answer(isolation: Isolation) -> Diagnosis:
         reason, because = BENCH, "; ".join(bench)
     notes[:0] = [because] if because else []
     notes += [f"the bench, not the valve: {fault}" for fault in bench if fault not in because]
-    if not in_set and (together := joint_instrument_errors(isolation.final, options=options)):
+    if isolation.or_instruments and not in_set:
+        notes.append(TOGETHER)
+    if not in_set and (errors := joint_instrument_errors(isolation.scores, options=options)) is not None:
         notes.append(
-            f"errors of the instruments explain {together:.0f} of the chi-square together (oil temperature, supply "
-            "pressure, clocks, meters), and none of them by itself: a cause may act like them; repeat a record with "
-            "other instruments"
+            f"errors of the instruments explain {errors.explained:.0f} of the chi-square together, and none of them by "
+            f"itself; with the fewest figures: {', '.join(errors.fewest)}; a cause may act like them: repeat a record "
+            "with other instruments"
         )
     named = best if verdict in (CAUSE, AMBIGUOUS) else None
     unextended = nominal.fit.variant(study.nominal)
     variant, readings, point = unextended, nominal.fit.readings, nominal.fit.point
     if named is not None:
         variant, readings, point = chosen.variant(study.nominal), chosen.readings, chosen.point
+        if unknown_reason and recovered is not None and _gain_of_term(recovered, found) > 0.0:
+            term = recovered.term
     elif verdict == UNKNOWN and recovered is not None:
         term, variant, readings, point = recovered.term, recovered.variant, recovered.readings, recovered.point
     causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
@@ -154,7 +159,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         )
     todo: tuple[WhatToDo, ...] = ()
     if verdict in (CAUSE, AMBIGUOUS):
-        todo = advice_on_causes(in_set, unknown_reason)
+        todo = advice_on_causes(in_set, unknown_reason, or_instruments=isolation.or_instruments)
     elif verdict == UNKNOWN:
         todo = advice_on_unknown(reason, odd, term)
     next_test = None
@@ -164,7 +169,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         title=session.title,
         verdict=verdict,
         causes=causes,
-        summary=summary_text(verdict, in_set, term, because, unknown_reason),
+        summary=summary_text(verdict, in_set, term, because, doubt),
         location=location_text(verdict, in_set),
         candidates=tuple(answers),
         parameters=estimates,
@@ -243,18 +248,21 @@ def _none_stands(
 def _term_explains_more(
     nominal: NominalFit, recovered: RecoveredTerm, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> bool:
-    """Whether a term that nobody has listed explains more than any cause that is, for the penalty of its figures."""
-    penalty = recovered.freedom * np.log(found[0].fit.rows)
-    return recovered.chi_square + penalty < _most_left_by_term(nominal, found, options=options)
-
-
-def _most_left_by_term(nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> float:
-    """The chi-square that a term with its penalty may leave at most to take the place of the likeliest cause: less than
-    another law of that might.
-    """
-    best = min(found, key=lambda one: one.least_chi_square + one.fit.occam_factor)
+    """Whether a term that nobody has listed explains more than the likeliest cause, and than its law may be off."""
+    best = _least_left(found)
     law_error = best.law_error * (nominal.fit.chi_square - best.fit.chi_square)
-    return best.least_chi_square + best.fit.occam_factor - max(options.selection.answer_ratio, law_error)
+    return _gain_of_term(recovered, found) > max(options.selection.answer_ratio, law_error)
+
+
+def _gain_of_term(recovered: RecoveredTerm, found: Sequence[FittedHypothesis]) -> float:
+    """What a term explains more than the likeliest cause, each for the penalty of its figures."""
+    best = _least_left(found)
+    penalty = recovered.freedom * np.log(best.fit.rows)
+    return best.least_chi_square + best.fit.occam_factor - recovered.chi_square - float(penalty)
+
+
+def _least_left(found: Sequence[FittedHypothesis]) -> FittedHypothesis:
+    return min(found, key=lambda one: one.least_chi_square + one.fit.occam_factor)
 
 
 def _propose_experiment(

@@ -13,10 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.bench_faults import (
+    JointErrors,
+    joint_instrument_errors,
     told_faults,
     with_bench_faults,
     with_fault_left,
     with_faults_beside_cause,
+    without_instrument_errors,
 )
 from valvesim.diagnosis.detection import (
     bearable_beside_bench,
@@ -26,6 +29,7 @@ from valvesim.diagnosis.detection import (
     is_certain,
     is_other_valve,
     leaves_noise,
+    nuisance_occam_factor,
     unexplained_share,
 )
 from valvesim.diagnosis.model_discrepancy import with_model_discrepancy
@@ -81,7 +85,7 @@ class Isolation:
     of the hypotheses `found` (best first) leaves; `answer_set` among them, and why an unknown cause is in it too,
     if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
     in words, and what to do about it; `is_other_valve` whether these are records of another valve than the stated one,
-    so that no cause was sought.
+    so that no cause was sought; `or_instruments` whether errors of the instruments together explain it as well.
     """
 
     nominal: NominalFit
@@ -94,6 +98,7 @@ class Isolation:
     level: float
     bench: tuple[WhatToDo, ...] = ()
     is_other_valve: bool = False
+    or_instruments: bool = False
 
 
 def isolate(
@@ -115,7 +120,33 @@ def isolate(
     if bench and detect(scores)[0] and _may_be_bench(nominal, scores, options=options):
         return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
     isolation = _isolated(nominal, scores, progress, known, beside, options=options)
+    errors = None if isolation.alarm else joint_instrument_errors(isolation.scores, options=options)
+    if errors is not None:
+        isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
     return replace(isolation, bench=told_faults(isolation.final, options=options))
+
+
+def _or_causes_like_errors(
+    isolation: Isolation, errors: JointErrors, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> Isolation:
+    """The isolation without errors of the instruments, which explain together what none of them does by itself, where
+    causes explain it by so few figures that they are likelier; else as it was.
+    """
+    nominal = without_instrument_errors(isolation.nominal)
+    alone = replace(options, bench=replace(options.bench, most_faults=0))
+    scores = score_test(nominal, nominal.fit, options=alone)
+
+    study, most = isolation.nominal.study, errors.evidence - options.selection.answer_ratio
+    promised = options.isolation.most_causes * float(np.max(scores.z(), initial=0.0)) ** 2
+    if rescored(study, nominal.fit).chi_square - promised + nuisance_occam_factor(scores) > most:
+        return isolation
+    other = _isolated(nominal, scores, progress, (), [], options=alone)
+    if not other.answer_set:
+        return isolation
+    best = other.answer_set[0]
+    evidence = best.evidence + rescored(study, best.fit).chi_square - best.fit.chi_square
+    likelier = evidence + nuisance_occam_factor(other.scores) < most
+    return replace(other, or_instruments=True) if likelier else isolation
 
 
 def _with_bench(
@@ -248,7 +279,7 @@ def judged(isolation: Isolation) -> Isolation:
     whole = plainest <= options.isolation.unexplained_share
     answer_set = answer_set_of(nominal, found, whole, isolation.level, options=options)
     reason = unknown_reason_of(answer_set[0], min(left, plainest))
-    if not reason and len(answer_set) == 1 == len(found[0].candidates):
+    if not reason and len(found[0].candidates) == 1 and all(found[0].is_within(one) for one in answer_set):
         rivals = [f"the {term.label}" for term in rival_terms(nominal, final)[:2]]
         reason = f"a plain term does as well, {' or '.join(rivals)}" if rivals else ""
     return replace(isolation, answer_set=answer_set, unknown_reason=reason)

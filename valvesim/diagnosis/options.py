@@ -57,7 +57,7 @@ class DetectionOptions:
 class BenchOptions:
     """What the bench may do that no record tells."""
 
-    most_faults: int = option(3, "1", "faults of the bench at once", JUDGEMENT)
+    most_faults: int = option(3, "1", "faults of the bench at once; 0: none is sought", JUDGEMENT)
     minimum_gain: float = option(
         60.0, "1", "chi-square that a bench fault must explain", "waves pass 40 by chance once in 1e3"
     )

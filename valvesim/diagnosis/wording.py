@@ -27,7 +27,9 @@ def summary_text(
     if verdict == AMBIGUOUS:
         causes = [*(cause_words(one) for one in in_set if one.candidates)]
         if unknown_reason:
-            return f"Something is wrong, perhaps {' or '.join(causes)}, or none of the known causes: {unknown_reason}."
+            other = f"; if none of them, it acts like {_term_words(term)}" if term is not None else ""
+            beside = f"none of the known causes: {unknown_reason}{other}."
+            return f"Something is wrong, perhaps {' or '.join(causes)}, or {beside}"
         if in_set[-1].candidates:
             return f"Something is wrong, and these cannot be told apart: {'; '.join(causes)}."
         return f"Something may be wrong, or noise alone shows it; it would be {' or '.join(causes)}."
@@ -35,11 +37,13 @@ def summary_text(
         return f"Nothing is named: {inadequate}"
     if term is None:
         return "Something is wrong that none of the known causes explains."
-    return (
-        "Something is wrong that none of the known causes explains; it acts like a term in the "
-        f"{term.port.replace('_', ' ')} that depends on the {term.variable.replace('_', ' ')}"
-        + (f", and nearly as well like {_first_labels(term.alike)}." if term.alike else ".")
-    )
+    return f"Something is wrong that none of the known causes explains; it acts like {_term_words(term)}."
+
+
+def _term_words(term: Term) -> str:
+    place, argument = (name.replace("_", " ") for name in (term.port, term.variable))
+    alike = f", and nearly as well like {_first_labels(term.alike)}" if term.alike else ""
+    return f"a term in the {place} that depends on the {argument}{alike}"
 
 
 def _first_labels(labels: Sequence[str], most: int = 2) -> str:

@@ -203,7 +203,7 @@ def _tuned(nominal: NominalFit) -> NominalFit:
 
 
 def with_nuisance(study: Study, parameters: tuple[NuisanceParameter, ...]) -> Study:
-    """A study with other nuisance parameters of the same names."""
+    """A study with other nuisance parameters, of names that it has."""
     return study.with_nominal(replace(study.nominal, parameters=parameters))
 
 
