@@ -112,7 +112,8 @@ def _print_diagnosis(found: Any) -> None:
     if found.term is not None:
         term = f"{found.term.port} as a function of {found.term.variable}".replace("_", " ")
         formula = f": {found.term.formula}" if found.term.formula else ""
-        screen.print(escape(f"missing term: {term}{formula}"))
+        beside = "missing term" if found.verdict == "unknown" else "or a term, if it is none of these"
+        screen.print(escape(f"{beside}: {term}{formula}"))
     if len(found.candidates) > 1 and found.verdict in ("ambiguous", "unknown"):
         ranked = ", ".join(f"{c.label} {c.probability:.0%}" for c in found.candidates[:4])
         screen.print(escape(f"candidates: {ranked}"))

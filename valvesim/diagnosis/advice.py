@@ -25,7 +25,7 @@ def advice_on_causes(
     found = {c.label: _of_candidate(c) for one in in_set for c in one.candidates}
     noise = {one.label: NOISE for one in in_set if not one.candidates}
     beside = {"none of the known causes": NONE_PERHAPS} if unknown_reason else {}
-    errors = {"errors of the instruments": INSTRUMENTS} if or_instruments else {}
+    errors = {"errors of the instruments": OF_INSTRUMENTS} if or_instruments else {}
     advice = {**found, **noise, **beside, **errors}
     return tuple(what_to_do(label, a) for label, a in advice.items() if a is not None)
 
@@ -210,7 +210,7 @@ NOISE = Advice(
     confirm="repeat the tests: what is real grows with their number, noise does not",
     remedy="none until it shows clearly",
 )
-INSTRUMENTS = Advice(
+OF_INSTRUMENTS = Advice(
     part="oil thermometer, supply manometer, clocks and meters of the bench",
     inspect="their calibrations, and the zeros of the meters before and after a record",
     confirm="repeat a record with other instruments: what a cause in the valve does stays",

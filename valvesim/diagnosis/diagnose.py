@@ -29,7 +29,7 @@ from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
 from valvesim.diagnosis.detection import beyond_noise, is_certain, is_inadequate
 from valvesim.diagnosis.experiment_design import design
 from valvesim.diagnosis.extended_model import effect_files, scenario_text
-from valvesim.diagnosis.holdout_gain import holdout_gain
+from valvesim.diagnosis.holdout_gain import holdout_gain, traces_of
 from valvesim.diagnosis.intervals import confidence_intervals
 from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
@@ -53,6 +53,7 @@ from valvesim.diagnosis.term_entry import as_catalogue_entry
 from valvesim.diagnosis.wording import location_text, summary_text
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit, within_tolerance
+from valvesim.identification.self_oscillation import SelfOscillation, self_oscillation
 from valvesim.identification.session import Session
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import Study, prepare_session
@@ -73,6 +74,8 @@ def diagnose(
     progress("reading", 0.0)
     session = session if isinstance(session, Session) else load_session(session, options=options.identification)
     prepared = prepare_session(session, options=options.identification)
+    if (found := self_oscillation(prepared)) is not None:
+        return _of_oscillating_valve(found, options=options)
     nominal, known = fit_coarse_to_fine(
         prepared, lambda stage, share: progress(stage, 0.05 + 0.25 * share), options=options
     )
@@ -180,11 +183,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         next_test=next_test,
         term=term,
         shifts=parameter_shifts(study, point),
-        noise=tuple(
-            NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=CHANNEL_UNITS[channel],
-                       order=len(n.lags), verified=n.verified, source=n.source)
-            for (channel, rate), n in study.noise.items()
-        ),
+        noise=_noise_found(study),
         scores=score_table(scores),
         alarm_level=level,
         errors=error_table(study, before),
@@ -196,6 +195,51 @@ def _answer(isolation: Isolation) -> Diagnosis:
         reason=reason,
         bench=bench,
         what_to_do=(*todo, *isolation.bench),
+    )
+
+
+def _of_oscillating_valve(found: SelfOscillation, *, options: DiagnosisOptions) -> Diagnosis:
+    study, stated, session = found.study, found.stated, found.study.session
+    because = (
+        f"the stated valve oscillates by itself, at {found.frequency:.3g} Hz from rest, and the readings do not: are "
+        "its figures right?"
+    )
+    variant = stated.variant(study.nominal)
+    reads = zip(study.predictors, stated.readings, strict=True)
+    return Diagnosis(
+        title=session.title,
+        verdict=UNKNOWN,
+        causes=(),
+        summary=summary_text(UNKNOWN, (), None, because),
+        location="",
+        candidates=(),
+        parameters=(),
+        gain=(),
+        gain_claimed=False,
+        extension_offered=False,
+        detection_limits=(),
+        next_test=None,
+        term=None,
+        shifts=(),
+        noise=_noise_found(study),
+        scores=(),
+        alarm_level=float("nan"),
+        errors={},  # they are of a fit, and none was made
+        notes=(because, *session.notes),
+        traces=tuple(trace for one, read in reads for trace in traces_of(study, one.record, (read, read))),
+        extended_scenario=scenario_text(session, variant, options=options),
+        extended_effects=effect_files(session, variant),
+        extended_variant=variant,
+        reason=OTHER_VALVE,
+        what_to_do=advice_on_unknown(OTHER_VALVE, "", None),
+    )
+
+
+def _noise_found(study: Study) -> tuple[NoiseFound, ...]:
+    return tuple(
+        NoiseFound(channel=channel, rate=rate, deviation=n.deviation, unit=CHANNEL_UNITS[channel],
+                   order=len(n.lags), verified=n.verified, source=n.source)
+        for (channel, rate), n in study.noise.items()
     )  # fmt: skip
 
 

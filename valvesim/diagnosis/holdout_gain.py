@@ -47,7 +47,7 @@ def holdout_gain(
     variants = (before.variant(study.nominal), extended)
     gains, traces, pooled, failed = [], [], [], []
     for predictor, *reads in zip(study.predictors, before.readings, readings, strict=True):
-        traces += _traces(study, predictor.record, reads)
+        traces += traces_of(study, predictor.record, reads)
     for record in session.locked:
         record = settled(record, options=study.options) if fitted_waves(study.nominal) else record
         try:
@@ -58,7 +58,7 @@ def holdout_gain(
         except (InputError, SolveError) as reason:  # what was found in the others stands all the same
             failed.append(f"no gain is measured on a locked record that cannot be simulated: {reason}")
             continue
-        traces += _traces(study, record, reads)
+        traces += traces_of(study, record, reads)
         white = []
         for name in record.outputs:
             key = _nearest_noise_key(study, name, record.pace)
@@ -168,7 +168,8 @@ def _block_means(change: np.ndarray, seed: int, draws: int = 1000) -> np.ndarray
     return blocks[rng.integers(0, count, (draws, count))].mean(axis=1)
 
 
-def _traces(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]) -> list[Trace]:
+def traces_of(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray]]) -> list[Trace]:
+    """A record's readings beside those of the nominal and of the extended model, channel by channel."""
     found = []
     for name in record.outputs:
         key = _nearest_noise_key(study, name, record.pace)

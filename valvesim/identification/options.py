@@ -382,6 +382,20 @@ class FitOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SelfOscillationOptions:
+    """When the stated valve oscillates by itself and the measured one does not."""
+
+    step: float = option(0.5, "1", "prior deviations of a figure to either side, for the gradient", JUDGEMENT)
+    reach: float = option(
+        4.0, "1", "prior deviations of all figures together within which every valve must oscillate", JUDGEMENT
+    )
+    samples: float = option(2.0, "1", "samples per period from which a record can tell", "Nyquist")
+    share: float = option(
+        0.3, "1", "share of the stated valve's motion there from which the measured one oscillates too", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class IdentificationOptions:
     """All options of identification, a stage each."""
 
@@ -394,6 +408,7 @@ class IdentificationOptions:
     sensitivity: SensitivityOptions = SensitivityOptions()
     noise: NoiseOptions = NoiseOptions()
     fit: FitOptions = FitOptions()
+    self_oscillation: SelfOscillationOptions = SelfOscillationOptions()
 
 
 DEFAULT_IDENTIFICATION = IdentificationOptions()

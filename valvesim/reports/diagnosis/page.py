@@ -249,7 +249,8 @@ def _gain(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> Section:
 
 
 def _term(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> Section:
-    found, heading = diagnosis.term, "The missing term"
+    found = diagnosis.term
+    heading = "The missing term" if diagnosis.verdict == UNKNOWN else "A term, if it is none of the known causes"
     if found is None:
         return section(heading)
     (x_unit, x_factor), (y_unit, _) = term_units(found)
