@@ -12,8 +12,9 @@ from valvesim.diagnosis import score_test as score_testing
 from valvesim.diagnosis import symbolic_form, term_entry, term_estimation
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import recover_term
+from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
-from valvesim.diagnosis.result import BENCH, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART, UNKNOWN, WhatToDo
+from valvesim.diagnosis.result import AMBIGUOUS, BENCH, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART, UNKNOWN, WhatToDo
 from valvesim.diagnosis.score_test import score_test
 from valvesim.diagnosis.symbolic_form import _fitted_formulas, _formula_words, with_formula
 from valvesim.diagnosis.term_estimation import (
@@ -25,6 +26,8 @@ from valvesim.diagnosis.term_estimation import (
     term_normal_equations,
 )
 from valvesim.errors import InputError, SolveError
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.fit import evaluate_fit, with_shapes
 from valvesim.identification.nominal_fit import fit_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
@@ -114,6 +117,9 @@ def test_the_fit_explains_the_records_and_is_what_its_variant_reads(nominal, fou
         [residual_of(b.record, r) for b, r in zip(nominal.study.predictors, found.readings, strict=True)]
     )
     assert found.chi_square >= float(residual[:, 0] @ residual[:, 0]) + float(found.point @ found.point)
+    fit = found.as_fit(nominal.study)
+    assert fit.variant(nominal.study.nominal).effects[-1] == found.active and fit.readings is found.readings
+    np.testing.assert_array_equal(fit.residual, residual[:, 0])
 
 
 @pytest.mark.slow
@@ -196,6 +202,30 @@ def test_what_no_candidate_explains_is_unknown_with_its_term_in_the_scenario(ans
     assert told.extension_offered and told.extended_variant is found.variant  # nothing was locked away to object
     assert "recovered_term" in told.extended_scenario and told.what_to_do[0].label.startswith("a term in the spool")
     assert all(noise.verified for noise in told.noise) and not any("unverified" in note for note in told.notes)
+
+
+@pytest.mark.parametrize("gain, told", [(30.0, True), (-30.0, False)])
+def test_a_term_that_explains_more_than_a_doubtful_cause_stands_beside_it_with_the_test_that_tells(
+    nominal, found, monkeypatch, gain, told
+):
+    """By less than another law of hysteresis might: 30 of what it explains. The cause is doubtful by another reason."""
+    loop = Candidate("magnetic_hysteresis", CATALOGUE["magnetic_hysteresis"])
+    fit = evaluate_fit(nominal.study, nominal.fit.point, (with_shapes(loop, loop.typical),))
+    penalty = found.freedom * float(np.log(fit.rows))
+    best = FittedHypothesis(replace(fit, chi_square=found.chi_square + penalty + gain), options=DIAGNOSIS)
+    final = score_test(nominal, best.fit, options=DIAGNOSIS)
+    monkeypatch.setattr(diagnosing, "recover_term", lambda nominal, scores: found)
+    monkeypatch.setattr(diagnosing, "as_catalogue_entry", lambda isolation, recovered: isolation)
+    monkeypatch.setattr(diagnosing, "null_hypothesis_beside", lambda *_, **__: [])
+    isolation = Isolation(nominal, final, final, [best], [best], "a plain term does as well", True, 4.0)
+    answer = diagnosing._answer(isolation)
+    assert answer.verdict == AMBIGUOUS and answer.term is (found.term if told else None)
+    assert ("if none of them, it acts like a term in the spool force" in answer.summary) is told
+    assert "magnetic_hysteresis" in answer.extended_scenario or not answer.extension_offered
+    if told:
+        assert answer.next_test.separates == ("magnetic_hysteresis", "none of the known causes")
+    else:
+        assert answer.next_test is None
 
 
 def test_an_unknown_cause_without_a_term_is_told_with_the_nominal_valve(answer):

@@ -167,7 +167,10 @@ def _answer(isolation: Isolation) -> Diagnosis:
         todo = advice_on_unknown(reason, odd, term)
     next_test = None
     if verdict == AMBIGUOUS:
-        next_test = _propose_experiment(nominal, in_set, options=isolation.scores.options)
+        others = [(other.label, other.fit) for other in in_set[1:]]
+        if not others and term is not None and recovered is not None:
+            others = [("none of the known causes", recovered.as_fit(study))]
+        next_test = _propose_experiment(nominal, in_set[0], others, options=options)
     return Diagnosis(
         title=session.title,
         verdict=verdict,
@@ -310,20 +313,21 @@ def _least_left(found: Sequence[FittedHypothesis]) -> FittedHypothesis:
 
 
 def _propose_experiment(
-    nominal: NominalFit, in_set: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+    nominal: NominalFit, first: FittedHypothesis, others: Sequence[tuple[str, Fit]], *, options: DiagnosisOptions
 ) -> NextTest | None:
-    """The test that tells the likeliest from the next, or where none does so surely, from the one after it."""
-    first, *others = in_set
+    """The test that tells the likeliest from the next of the others, by label, or where none does so surely, from the
+    one after it.
+    """
     tests = (
         design(
             nominal,
             first.fit,
-            other.fit,
-            (first.label, other.label),
+            other,
+            (first.label, label),
             lambda more: answer_set_width(nominal, first, more),
             options=options,
         )
-        for other in others[: options.design.alternatives]
+        for label, other in others[: options.design.alternatives]
     )
     best: NextTest | None = None
     for test in tests:

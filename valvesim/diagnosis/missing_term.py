@@ -21,8 +21,11 @@ from valvesim.diagnosis.result import Term
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.symbolic_form import relative_difference, with_formula
 from valvesim.diagnosis.term_estimation import TermEstimate, TermProblem, estimate_term
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.fit import Fit, FittedCandidate, rescored
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.predictor import ModelVariant
+from valvesim.identification.study import Study
 from valvesim.valve.additive_term import NONE, TermHypothesis
 from valvesim.valve.effect import ActiveEffect
 
@@ -41,6 +44,14 @@ class RecoveredTerm:
     freedom: int
     readings: tuple[dict[str, np.ndarray], ...]
     variant: ModelVariant
+
+    def as_fit(self, study: Study) -> Fit:
+        """The same as a fit of the term's share, its figures fixed."""
+        effect = self.active.effect
+        figures = zip([p.name for p in effect.parameters], map(float, self.active.numbers), strict=True)
+        fixed = tuple((name, value) for name, value in figures if name != effect.amplitude.name)
+        member = FittedCandidate(Candidate(effect.name, effect, fixed), 1.0)
+        return rescored(study, Fit(self.point, (member,), self.chi_square, self.readings, np.zeros(0), 0.0))
 
 
 def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None:
