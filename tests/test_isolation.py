@@ -88,6 +88,7 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
     monkeypatch.setattr(isolation, "with_faults_beside_cause", beside_none)
     monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
+    monkeypatch.setattr(isolation, "joint_instrument_errors", lambda scores, options: None)
     monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
     for module in (isolation, detection):
         monkeypatch.setattr(module, "explained_by_bench", lambda scores: beside)
@@ -305,7 +306,7 @@ def test_causes_are_sought_without_errors_of_instruments_that_explain_only_toget
     }.items():
         monkeypatch.setattr(isolation, name, stub)
     found = isolation.isolate(base, lambda stage, share: None, options=DIAGNOSIS)
-    assert found.alarm == found.or_instruments == causes
+    assert found.alarm == causes and found.joint_errors is together
     assert sought == [(base, DIAGNOSIS.bench.most_faults), (plain, 0)][:searches]
 
 

@@ -10,6 +10,7 @@ import pytest
 from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis import score_test as score_testing
 from valvesim.diagnosis import symbolic_form, term_entry, term_estimation
+from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis
@@ -185,12 +186,13 @@ def test_a_fit_that_is_tested_again_is_not_linearised_again(nominal, scores, mon
 def answer(nominal, scores, found, monkeypatch):
     """The answer of a search that has ended without a cause, but for what is changed of it; the term was recovered."""
 
-    def answer(alarm=True, bench=(), **named):
+    def answer(alarm=True, bench=(), joint_errors=None, **named):
         monkeypatch.setattr(diagnosing, "odd_test", lambda nominal, options: named.get("odd", ""))
         monkeypatch.setattr(diagnosing, "recover_term", lambda nominal, scores: named.get("recovered", found))
         monkeypatch.setattr(diagnosing, "as_catalogue_entry", lambda isolation, recovered: isolation)
         monkeypatch.setattr(diagnosing, "is_inadequate", lambda nominal, fit, options: named.get("inadequate", False))
-        return diagnosing._answer(Isolation(nominal, scores, scores, [], [], "", alarm, 4.0, bench))
+        ended = Isolation(nominal, scores, scores, [], [], "", alarm, 4.0, bench, joint_errors=joint_errors)
+        return diagnosing._answer(ended)
 
     return answer
 
@@ -218,7 +220,10 @@ def test_a_term_that_explains_more_than_a_doubtful_cause_stands_beside_it_with_t
     monkeypatch.setattr(diagnosing, "as_catalogue_entry", lambda isolation, recovered: isolation)
     monkeypatch.setattr(diagnosing, "null_hypothesis_beside", lambda *_, **__: [])
     isolation = Isolation(nominal, final, final, [best], [best], "a plain term does as well", True, 4.0)
+    isolation = replace(isolation, joint_errors=JointErrors(397.0, ("a clock runs fast",), 1000.0))
     answer = diagnosing._answer(isolation)
+    assert "; errors of the instruments explain it as well (a clock runs fast)" in answer.summary
+    assert "errors of the instruments" in [one.label for one in answer.what_to_do]
     assert answer.verdict == AMBIGUOUS and answer.term is (found.term if told else None)
     assert ("if none of them, it acts like a term in the spool force" in answer.summary) is told
     assert "magnetic_hysteresis" in answer.extended_scenario or not answer.extension_offered
@@ -258,6 +263,14 @@ def test_without_an_alarm_the_bench_is_told_and_not_the_valve(answer):
     assert (told.verdict, told.reason, told.bench) == (NO_DISCREPANCY, BENCH, (ripple.label,))
     assert told.summary.startswith(f"The bench, not the valve: {ripple.label}") and ripple in told.what_to_do
     assert any(ripple.label in note for note in answer(bench=(ripple,)).notes)  # beside an unknown cause it is a note
+
+
+def test_errors_of_instruments_that_explain_it_together_are_told_with_the_fewest(answer):
+    few = JointErrors(397.0, ("the oil temperature is off by up to 0.7 K",), 1000.0)
+    told = answer(alarm=False, joint_errors=few)
+    assert told.verdict == NO_DISCREPANCY and "397 of the chi-square together" in told.notes[-1]
+    assert "with the fewest figures: the oil temperature is off by up to 0.7 K" in told.notes[-1]
+    assert JointErrors(397.0, (), 1000.0).words == "a little of each"
 
 
 def test_entries_of_the_catalogue_that_act_where_a_term_does_are_fitted_from_where_it_was(

@@ -282,19 +282,24 @@ class JointErrors:
     fewest: tuple[str, ...]
     evidence: float
 
+    @property
+    def words(self) -> str:
+        """The fewest in words."""
+        return ", ".join(self.fewest) or "a little of each"
+
 
 def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> JointErrors | None:
     """Errors of the instruments by a fit without candidates; None where one of them is told by itself, or where they
     explain no more than chance. A cause may act like several at once.
     """
-    study, model = scores.study, scores.study.nominal
-    at = {p.name: k for k, p in enumerate(model.parameters)}
+    study, parameters = scores.study, scores.study.nominal.parameters
+    at = {p.name: k for k, p in enumerate(parameters)}
     errors = {p.name for p in instrument_errors(study.session, options=study.options)} & set(at)
     together = wald_statistic(scores, [at[name] for name in errors])
     if together <= options.bench.minimum_gain + len(errors) or _faults_told(scores, options=options):
         return None
-    kept = {k: [at[p.name] for p in fault.parameters] for k, fault in enumerate(_known_faults(study))
-            if errors.issuperset(p.name for p in fault.parameters)}  # fmt: skip
+    faults = [fault for fault in _known_faults(study) if errors.issuperset(p.name for p in fault.parameters)]
+    kept = {k: [at[p.name] for p in fault.parameters] for k, fault in enumerate(faults)}
     covariance, out, least = nuisance_covariance(scores), list[int](), nuisance_occam_factor(scores)
     while kept:  # the one goes that costs least evidence, while that gains any
         tried = {}
@@ -306,12 +311,8 @@ def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> 
             break
         out, least = [*out, *kept.pop(worst)], tried[worst]
     point = scores.fit.point - covariance[:, out] @ inverse_of(covariance[np.ix_(out, out)]) @ scores.fit.point[out]
-    words = tuple(
-        fault.words(np.array([model.parameters[j].at(point[j]) for j in kept[k]]))
-        for k, fault in enumerate(_known_faults(study))
-        if k in kept
-    )
-    return JointErrors(together, words, scores.fit.chi_square + least)
+    fewest = tuple(faults[k].words(np.array([parameters[j].at(point[j]) for j in own])) for k, own in kept.items())
+    return JointErrors(together, fewest, scores.fit.chi_square + least)
 
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:

@@ -24,7 +24,6 @@ from valvesim.diagnosis.answer_tables import (
     score_table,
 )
 from valvesim.diagnosis.apart import odd_test
-from valvesim.diagnosis.bench_faults import joint_instrument_errors
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
 from valvesim.diagnosis.detection import beyond_noise, is_certain, is_inadequate
 from valvesim.diagnosis.experiment_design import design
@@ -84,7 +83,6 @@ def diagnose(
     return _answer(isolation)
 
 
-TOGETHER = "errors of the instruments explain it together (oil temperature, supply pressure, clocks, meters)"
 FAR_OFF = "what fits these records best is not the stated valve nor a part that could take its place"
 INADEQUATE = "the base model cannot come near these records: are they of this valve, with these units and signs?"
 
@@ -113,7 +111,11 @@ def _answer(isolation: Isolation) -> Diagnosis:
     if isolation.alarm and not in_set:
         far = _far_off(study, recovered.point if recovered is not None else chosen.point)
         recovered = None if far else recovered
-    doubt = "; ".join(filter(None, [unknown_reason, TOGETHER if isolation.or_instruments else ""]))
+    errors = isolation.joint_errors
+    doubt = unknown_reason
+    if errors is not None and in_set:
+        as_well = f"errors of the instruments explain it as well ({errors.words})"
+        doubt = f"{unknown_reason}; {as_well}" if unknown_reason else as_well
     answers = candidate_answers(nominal, found, in_set, level, doubt, options=isolation.scores.options)
     verdict = verdict_of(isolation.alarm, in_set, doubt)
     term: Term | None = None
@@ -131,13 +133,11 @@ def _answer(isolation: Isolation) -> Diagnosis:
         reason, because = BENCH, "; ".join(bench)
     notes[:0] = [because] if because else []
     notes += [f"the bench, not the valve: {fault}" for fault in bench if fault not in because]
-    if isolation.or_instruments and not in_set:
-        notes.append(TOGETHER)
-    if not in_set and (errors := joint_instrument_errors(isolation.scores, options=options)) is not None:
+    if errors is not None and not in_set:
         notes.append(
             f"errors of the instruments explain {errors.explained:.0f} of the chi-square together, and none of them by "
-            f"itself; with the fewest figures: {', '.join(errors.fewest)}; a cause may act like them: repeat a record "
-            "with other instruments"
+            f"itself; with the fewest figures: {errors.words}; a cause may act like them: repeat a record with other "
+            "instruments"
         )
     named = best if verdict in (CAUSE, AMBIGUOUS) else None
     unextended = nominal.fit.variant(study.nominal)
@@ -162,7 +162,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         )
     todo: tuple[WhatToDo, ...] = ()
     if verdict in (CAUSE, AMBIGUOUS):
-        todo = advice_on_causes(in_set, unknown_reason, or_instruments=isolation.or_instruments)
+        todo = advice_on_causes(in_set, unknown_reason, or_instruments=errors is not None)
     elif verdict == UNKNOWN:
         todo = advice_on_unknown(reason, odd, term)
     next_test = None

@@ -85,7 +85,8 @@ class Isolation:
     of the hypotheses `found` (best first) leaves; `answer_set` among them, and why an unknown cause is in it too,
     if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
     in words, and what to do about it; `is_other_valve` whether these are records of another valve than the stated one,
-    so that no cause was sought; `or_instruments` whether errors of the instruments together explain it as well.
+    so that no cause was sought; `joint_errors` errors of the instruments that explain it together, instead of causes or
+    as well as those of the answer set.
     """
 
     nominal: NominalFit
@@ -98,7 +99,7 @@ class Isolation:
     level: float
     bench: tuple[WhatToDo, ...] = ()
     is_other_valve: bool = False
-    or_instruments: bool = False
+    joint_errors: JointErrors | None = None
 
 
 def isolate(
@@ -120,10 +121,10 @@ def isolate(
     if bench and detect(scores)[0] and _may_be_bench(nominal, scores, options=options):
         return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
     isolation = _isolated(nominal, scores, progress, known, beside, options=options)
-    errors = None if isolation.alarm else joint_instrument_errors(isolation.scores, options=options)
-    if errors is not None:
+    errors = None if isolation.answer_set else joint_instrument_errors(isolation.scores, options=options)
+    if errors is not None and not isolation.alarm:
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
-    return replace(isolation, bench=told_faults(isolation.final, options=options))
+    return replace(isolation, bench=told_faults(isolation.final, options=options), joint_errors=errors)
 
 
 def _or_causes_like_errors(
@@ -135,7 +136,6 @@ def _or_causes_like_errors(
     nominal = without_instrument_errors(isolation.nominal)
     alone = replace(options, bench=replace(options.bench, most_faults=0))
     scores = score_test(nominal, nominal.fit, options=alone)
-
     study, most = isolation.nominal.study, errors.evidence - options.selection.answer_ratio
     promised = options.isolation.most_causes * float(np.max(scores.z(), initial=0.0)) ** 2
     if rescored(study, nominal.fit).chi_square - promised + nuisance_occam_factor(scores) > most:
@@ -145,8 +145,7 @@ def _or_causes_like_errors(
         return isolation
     best = other.answer_set[0]
     evidence = best.evidence + rescored(study, best.fit).chi_square - best.fit.chi_square
-    likelier = evidence + nuisance_occam_factor(other.scores) < most
-    return replace(other, or_instruments=True) if likelier else isolation
+    return other if evidence + nuisance_occam_factor(other.scores) < most else isolation
 
 
 def _with_bench(
