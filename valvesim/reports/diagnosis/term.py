@@ -30,5 +30,6 @@ def draw_term(diagnosis: Diagnosis) -> Figure | None:
     axis.set_xlabel(f"{short(spoken(term.variable))} [{x_unit or '-'}]")
     axis.set_ylabel(f"added to {short(spoken(term.port))} [{y_unit or '-'}]")
     axis.legend(loc="best")
-    axis.set_title(fill(f"formula, in SI units: {term.formula}", 100) if term.formula else "recovered term", loc="left")
+    words = fill(f"formula, in SI units: {term.formula}", 90) if term.formula else "recovered term"
+    axis.set_title(words, loc="left", pad=16.0)  # above the power of ten of small ticks
     return figure

@@ -25,6 +25,8 @@ def unit_of(unit: str, size: float, name: str = "") -> tuple[str, float]:
         return "A", 1.0
     if unit == "m" and 0.0 < abs(size) < 1e-5:
         return "µm", 1e6
+    if unit == "N*m" and 0.0 < abs(size) < 0.1:
+        return ("µN·m", 1e6) if abs(size) < 1e-4 else ("mN·m", 1e3)
     if unit.endswith("/K") and unit not in _UNITS:
         above, factor = DISPLAY.get(unit.removesuffix("/K"), (unit.removesuffix("/K"), 1.0))
         return f"{symbol(above)}/K", factor
