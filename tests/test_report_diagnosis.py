@@ -818,5 +818,5 @@ def test_the_banner_says_what_the_answer_is_about(reason, verdict, words):
 def test_numbers_are_read_without_dead_zeros():
     assert (number(-0.3, 10.0), number(-0.3, 0.1)) == ("0", "-0.30")
     assert unit_of("m", 2e-7) == ("µm", 1e6) and unit_of("m", 2e-3)[0] == "mm"
-    assert unit_of("N*m", 1e-5) == ("µN·m", 1e6) and unit_of("N*m", 2e-3)[0] == "mN·m" and unit_of("N*m", 2.0)[0] == "N·m"
+    assert [unit_of("N*m", size)[0] for size in (1e-5, 2e-3, 2.0)] == ["µN·m", "mN·m", "N·m"]
     assert unit_of("A", 3e3) == ("A", 1.0) and unit_of("A", 1e-3)[0] == "mA" and unit_of("1/K", 1e-5) == ("1e-6/K", 1e6)
