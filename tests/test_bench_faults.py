@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import valvesim as vs
 from valvesim.diagnosis import apart, bench_faults, detection
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import BenchFault, _likeliest, _shift_words, _waves_apart
+from valvesim.diagnosis.bench_faults import BenchFault, BenchHypothesis, _likeliest, _shift_words, _waves_apart
 from valvesim.diagnosis.detection import _is_stretched, is_other_valve
 from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
@@ -418,6 +418,32 @@ def test_samples_next_to_peaks_count_less_where_an_input_is_fitted_and_fully_aga
     assert names == [p.name for p in (*study.nominal.parameters, *errors)]
     without = bench_faults.without_instrument_errors(extended)
     assert without.study.nominal.parameters == study.nominal.parameters and without.study.weights
+
+
+@pytest.mark.parametrize("weights, left, joins", [((), 0.0, True), (("a",), 990.0, False), (("a",), 1500.0, True)])
+def test_a_fault_beside_which_peaks_count_less_has_not_explained_what_shows_at_peaks_alone(
+    monkeypatch, weights, left, joins
+):
+    """A quadratic torque of d' 39 that shows at peaks of the leakage alone: without any fault they count less too."""
+
+    def fit(chi_square, weights):
+        study = SimpleNamespace(weights=dict.fromkeys(weights), unweighted=lambda: None)
+        return SimpleNamespace(fit=SimpleNamespace(chi_square=chi_square, point=None), study=study)
+
+    nominal, better = fit(5000.0, ()), fit(980.0, weights)
+    for name, stub in {
+        "_likeliest": lambda *_, **__: BenchHypothesis((), 300.0),
+        "_extended": lambda nominal, parameters: better,
+        "fit_nominal_near": lambda study, point, full_weight: fit(left, weights),
+        "rescored": lambda study, fit: fit,
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    assert bench_faults.with_fault_left(nominal, None, options=DIAGNOSIS) is (better if joins else None)
+    monkeypatch.setattr(bench_faults, "with_inputs_reviewed", lambda nominal: nominal)
+    monkeypatch.setattr(bench_faults, "score_test", lambda *_, **__: "scores")
+    options = replace(DIAGNOSIS, bench=replace(DIAGNOSIS.bench, most_faults=1))
+    found, scores = bench_faults.with_bench_faults(nominal, "before", options=options)
+    assert (found, scores) == ((better, "scores") if joins else (nominal, "before"))
 
 
 def study_of_edges(after, right, runs=None):

@@ -97,7 +97,7 @@ def with_bench_faults(
         if likeliest is None:
             break
         better = _extended(nominal, likeliest.parameters)
-        if rescored(better.study, nominal.fit).chi_square - better.fit.chi_square < 0.5 * likeliest.gain:
+        if _gain_by_fault(nominal, better) < 0.5 * likeliest.gain:
             break  # the linear answers were wrong: it is something else
         nominal = with_inputs_reviewed(better)  # which the fault may have hidden
         scores = score_test(nominal, nominal.fit, options=options)
@@ -190,7 +190,21 @@ def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisO
     the bench explains none of that.
     """
     likeliest = _likeliest(nominal, left, options=options)
-    return None if likeliest is None else _extended(nominal, likeliest.parameters)
+    if likeliest is None:
+        return None
+    better = _extended(nominal, likeliest.parameters)
+    weighted = better.study.weights and not nominal.study.weights
+    return None if weighted and _gain_by_fault(nominal, better) < 0.5 * likeliest.gain else better
+
+
+def _gain_by_fault(nominal: NominalFit, better: NominalFit) -> float:
+    """What the bench explains in a nominal fit that is better by what it did: under the same weights, for a fault has
+    not explained what shows at peaks alone.
+    """
+    without = nominal
+    if better.study.weights and not nominal.study.weights:
+        without = fit_nominal_near(nominal.study.unweighted(), nominal.fit.point, full_weight=False)
+    return rescored(better.study, without.fit).chi_square - better.fit.chi_square
 
 
 def _tuned_beside(nominal: NominalFit, fit: Fit, beside: ScoreTest) -> tuple[NominalFit, Fit] | None:
