@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bench_plant import IMPERFECTIONS, draw_bench, write_bench_session
+from bench_plant import CALIBRATION, IMPERFECTIONS, draw_bench, write_bench_session
 from hidden_plant import truth
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -715,6 +715,17 @@ def test_a_healthy_valve_raises_no_alarm_on_a_bench_with_an_imperfection(tmp_pat
     if imperfection == "ripple":
         (fault,) = found.bench
         assert found.reason == "bench" and "the supply pressure ripples" in fault
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2_500_001, 2_500_002, 2_500_024])
+def test_a_healthy_valve_raises_no_alarm_where_all_instruments_are_off_a_little(tmp_path, seed):
+    """On such benches one healthy valve in twenty was "unknown", by leakage peaks at wrong microseconds, and where
+    errors of the instruments explain only together what they explain, causes must be likelier by far.
+    """
+    case, bench = draw_bench(seed, "none", imperfections=(CALIBRATION, "skew"))
+    write_bench_session(case, bench, tmp_path)
+    assert vs.diagnose(tmp_path).verdict == NO_DISCREPANCY
 
 
 @pytest.mark.slow
