@@ -14,6 +14,7 @@ from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis
+from valvesim.diagnosis.one_figure_term import one_figure_term
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import AMBIGUOUS, BENCH, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART, UNKNOWN, WhatToDo
 from valvesim.diagnosis.score_test import score_test
@@ -148,6 +149,28 @@ def test_a_slight_term_gets_few_knots():
     )  # no more than eleven would have cost
 
 
+def test_a_term_too_slight_for_knots_is_told_by_its_shape():
+    nominal = fit_nominal(prepare_session(session_of(cubic(0.13))))
+    scores = score_test(nominal, nominal.fit, options=DIAGNOSIS)
+    assert recover_term(nominal, scores) is None
+    found = one_figure_term(nominal, scores)
+    assert (found.term.port, found.term.variable, found.term.memory) == ("spool_force", "spool_position", NONE)
+    assert found.term.formula.endswith("x^3 N, x = spool_position in m") and found.freedom == 1
+    assert float(found.term.formula.split()[0]) == pytest.approx(0.13 * CUBIC, rel=0.3)
+    at, value = np.array(found.term.at), np.array(found.term.value)
+    np.testing.assert_allclose(value, float(found.term.formula.split()[0]) * at**3, rtol=1e-2, atol=1e-9)
+    assert np.all(np.abs(np.array(found.term.deviation)) <= np.abs(value)) and found.term.alike
+    assert nominal.fit.chi_square - found.chi_square > DIAGNOSIS.missing_term.minimum_gain
+    for predictor, read in zip(nominal.study.predictors, found.readings, strict=True):
+        again = predictor.readings(predictor.run(found.variant), found.variant)
+        assert all(np.array_equal(again[name], read[name]) for name in read)
+
+
+def test_where_nothing_is_hidden_no_shape_explains_more_than_it_costs():
+    plain = fit_nominal(prepare_session(session_of()))
+    assert one_figure_term(plain, score_test(plain, plain.fit, options=DIAGNOSIS)) is None
+
+
 def test_where_else_a_term_would_do_is_said_in_words(found):
     assert not any(label.startswith("spool force as a function of spool position") for label in found.term.alike)
     assert set(found.term.alike) <= {hypothesis.label for hypothesis in term_hypotheses()}
@@ -189,6 +212,7 @@ def answer(nominal, scores, found, monkeypatch):
     def answer(alarm=True, bench=(), joint_errors=None, **named):
         monkeypatch.setattr(diagnosing, "odd_test", lambda nominal, options: named.get("odd", ""))
         monkeypatch.setattr(diagnosing, "recover_term", lambda nominal, scores: named.get("recovered", found))
+        monkeypatch.setattr(diagnosing, "one_figure_term", lambda nominal, scores: named.get("slight"))
         monkeypatch.setattr(diagnosing, "as_catalogue_entry", lambda isolation, recovered: isolation)
         monkeypatch.setattr(diagnosing, "is_inadequate", lambda nominal, fit, options: named.get("inadequate", False))
         ended = Isolation(nominal, scores, scores, [], [], "", alarm, 4.0, bench, joint_errors=joint_errors)
@@ -231,6 +255,11 @@ def test_a_term_that_explains_more_than_a_doubtful_cause_stands_beside_it_with_t
         assert answer.next_test.separates == ("magnetic_hysteresis", "none of the known causes")
     else:
         assert answer.next_test is None
+
+
+def test_a_term_of_one_figure_is_told_where_none_on_knots_explains_what_shows(answer, found):
+    told = answer(recovered=None, slight=found)
+    assert told.verdict == UNKNOWN and told.term is found.term and told.extension_offered
 
 
 def test_an_unknown_cause_without_a_term_is_told_with_the_nominal_valve(answer):

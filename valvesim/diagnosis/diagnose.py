@@ -33,6 +33,7 @@ from valvesim.diagnosis.intervals import confidence_intervals
 from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, null_hypothesis_beside
+from valvesim.diagnosis.one_figure_term import one_figure_term
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
@@ -99,11 +100,13 @@ def _answer(isolation: Isolation) -> Diagnosis:
         excess = beyond_noise(nominal.fit, study, options=options) > 0.0
         odd = odd_test(nominal, options=options) if excess and not in_set else ""
         recovered = None if odd else recover_term(nominal, scores)
-        if recovered is None and not borne_out:  # neither a cause nor a term explains what the score tests showed
+        slight = one_figure_term(nominal, scores) if recovered is None and not odd else None
+        if recovered is slight is None and not borne_out:  # no cause and no term explains what the score tests showed
             isolation = replace(isolation, alarm=False)
         if recovered is not None and (entry := as_catalogue_entry(isolation, recovered)) is not isolation:
             isolation, recovered = entry, None
             best, chosen, in_set, unknown_reason = _hypotheses(isolation, options=options)
+        recovered = recovered or slight
     found = isolation.found
     if _none_stands(nominal, in_set, found, recovered, inadequate, options=options):
         in_set, unknown_reason = [], ""

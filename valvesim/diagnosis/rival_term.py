@@ -12,19 +12,21 @@ Symbols
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from valvesim.diagnosis.options import MissingTermOptions
 from valvesim.diagnosis.score_test import ScoreTest, score_test, term_spans
+from valvesim.diagnosis.symbolic_form import SHAPES
 from valvesim.identification.fit_jacobian import perturbation
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.projection import ProjectedScores, block_statistic, project
 from valvesim.valve.additive_term import LAG, NONE, PATH, PORTS, VARIABLES, TermHypothesis
 
-FORMS = {
-    NONE: (lambda u: u, np.abs, np.square, lambda u: u * np.abs(u), lambda u: u**3, np.sign),
+FORMS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], ...]] = {
+    NONE: (*SHAPES.values(), np.sign),
     LAG: (lambda u: u,),
     PATH: (np.ones_like, np.abs),
 }

@@ -17,7 +17,16 @@ from valvesim.diagnosis.term_estimation import (
 )
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.projection import inverse_of
-from valvesim.valve.additive_term import LAG, NONE, PATH
+from valvesim.valve.additive_term import LAG, NONE, PATH, TermHypothesis
+
+SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "{x}": lambda u: u,
+    "{x}^2": np.square,
+    "{x} |{x}|": lambda u: u * np.abs(u),
+    "{x}^3": lambda u: u**3,
+    "|{x}|": np.abs,
+}
+"""Shapes of one figure as they are written, of a variable (k,)."""
 
 SYMBOLS = {
     "current": "i", "armature_angle": "theta", "pilot_differential_pressure": "p", "spool_position": "x",
@@ -59,8 +68,7 @@ def formula_library(u: np.ndarray, x: str) -> list[LibraryFunction]:
         return LibraryFunction(lambda b: shape[:, None], lambda b, a: f"{a[0]:.3g} {text}")
 
     return [
-        power(np.ones_like(u), ""), power(u, x), power(u * u, f"{x}^2"), power(u * np.abs(u), f"{x} |{x}|"),
-        power(u**3, f"{x}^3"), power(np.abs(u), f"|{x}|"),
+        power(np.ones_like(u), ""), *(power(shape(u), text.format(x=x)) for text, shape in SHAPES.items()),
         LibraryFunction(lambda b: np.tanh(u / b)[:, None], lambda b, a: f"{a[0]:.3g} tanh({x}/{b:.3g})", widths),
         LibraryFunction(lambda b: (-np.sign(u) * np.expm1(-np.abs(u) / b))[:, None],
                lambda b, a: f"{a[0]:.3g} sign({x}) (1 - exp(-|{x}|/{b:.3g}))", widths),
@@ -202,6 +210,13 @@ def relative_difference(problem: TermProblem, new: np.ndarray, old: np.ndarray) 
     A, change = problem.taken_up() * weight[:, None], (new - old) * weight
     left = change - A @ np.linalg.lstsq(A, change, rcond=None)[0]
     return float(np.linalg.norm(left) / np.linalg.norm(new * weight))
+
+
+def formula_words(hypothesis: TermHypothesis, text: str, figure: float) -> str:
+    """A shape of one figure, as it is written, of a term without memory."""
+    x = SYMBOLS[hypothesis.variable.name]
+    upon = f"{x} = {hypothesis.variable.name} in {hypothesis.variable.unit}"
+    return f"{figure:.3g} {text.format(x=x)} {hypothesis.port.unit}, {upon}"
 
 
 def _formula_words(problem: TermProblem, formula: str, memory_log: float) -> str:
