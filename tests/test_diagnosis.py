@@ -373,7 +373,10 @@ def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_cause
     assert answers[0].probability > answers[1].probability > 0.2
     said = summary_text(AMBIGUOUS, [lap], None, unknown_reason=reason)
     assert said == f"Something is wrong, perhaps spool lap, or none of the known causes: {reason}."
-    term = SimpleNamespace(port="pilot_flow", variable="current", alike=())
+    term = Term(
+        port="pilot_flow", port_unit="m^3/s", variable="current", variable_unit="A", memory="none", at=(), value=(),
+        deviation=(), formula="", formula_error=0.0,
+    )  # fmt: skip
     said = summary_text(AMBIGUOUS, [lap], term, unknown_reason=reason)
     acts = "if none of them, it acts like a term in the pilot flow that depends on the current"
     assert said.endswith(f"{reason}; {acts}.")

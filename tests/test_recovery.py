@@ -14,11 +14,11 @@ from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis
-from valvesim.diagnosis.one_figure_term import one_figure_term
+from valvesim.diagnosis.one_parameter_term import one_parameter_term
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import AMBIGUOUS, BENCH, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART, UNKNOWN, WhatToDo
 from valvesim.diagnosis.score_test import score_test
-from valvesim.diagnosis.symbolic_form import _fitted_formulas, _formula_words, with_formula
+from valvesim.diagnosis.symbolic_form import _fitted_formulas, formula_words, with_formula
 from valvesim.diagnosis.term_estimation import (
     TermEstimate,
     TermFit,
@@ -153,7 +153,7 @@ def test_a_term_too_slight_for_knots_is_told_by_its_shape():
     nominal = fit_nominal(prepare_session(session_of(cubic(0.13))))
     scores = score_test(nominal, nominal.fit, options=DIAGNOSIS)
     assert recover_term(nominal, scores) is None
-    found = one_figure_term(nominal, scores)
+    found = one_parameter_term(nominal, scores)
     assert (found.term.port, found.term.variable, found.term.memory) == ("spool_force", "spool_position", NONE)
     assert found.term.formula.endswith("x^3 N, x = spool_position in m") and found.freedom == 1
     assert float(found.term.formula.split()[0]) == pytest.approx(0.13 * CUBIC, rel=0.3)
@@ -168,7 +168,7 @@ def test_a_term_too_slight_for_knots_is_told_by_its_shape():
 
 def test_where_nothing_is_hidden_no_shape_explains_more_than_it_costs():
     plain = fit_nominal(prepare_session(session_of()))
-    assert one_figure_term(plain, score_test(plain, plain.fit, options=DIAGNOSIS)) is None
+    assert one_parameter_term(plain, score_test(plain, plain.fit, options=DIAGNOSIS)) is None
 
 
 def test_where_else_a_term_would_do_is_said_in_words(found):
@@ -212,7 +212,7 @@ def answer(nominal, scores, found, monkeypatch):
     def answer(alarm=True, bench=(), joint_errors=None, **named):
         monkeypatch.setattr(diagnosing, "odd_test", lambda nominal, options: named.get("odd", ""))
         monkeypatch.setattr(diagnosing, "recover_term", lambda nominal, scores: named.get("recovered", found))
-        monkeypatch.setattr(diagnosing, "one_figure_term", lambda nominal, scores: named.get("slight"))
+        monkeypatch.setattr(diagnosing, "one_parameter_term", lambda nominal, scores: named.get("slight"))
         monkeypatch.setattr(diagnosing, "as_catalogue_entry", lambda isolation, recovered: isolation)
         monkeypatch.setattr(diagnosing, "is_inadequate", lambda nominal, fit, options: named.get("inadequate", False))
         ended = Isolation(nominal, scores, scores, [], [], "", alarm, 4.0, bench, joint_errors=joint_errors)
@@ -257,7 +257,7 @@ def test_a_term_that_explains_more_than_a_doubtful_cause_stands_beside_it_with_t
         assert answer.next_test is None
 
 
-def test_a_term_of_one_figure_is_told_where_none_on_knots_explains_what_shows(answer, found):
+def test_a_term_of_one_parameter_is_told_where_none_on_knots_explains_what_shows(answer, found):
     told = answer(recovered=None, slight=found)
     assert told.verdict == UNKNOWN and told.term is found.term and told.extension_offered
 
@@ -364,8 +364,8 @@ def test_what_the_base_could_make_up_is_not_held_against_a_formula():
 
 
 def test_a_formula_is_told_with_its_memory():
-    assert "lagged by 10 ms" in _formula_words(problem(LAG, time_constant=5e-3), "2 x", np.log(2.0))
-    assert "turns over 2e-05 m" in _formula_words(problem(PATH, width=1e-5), "2", np.log(2.0))
+    assert "lagged by 10 ms" in formula_words(problem(LAG, time_constant=5e-3).hypothesis, "2 x", np.log(2.0))
+    assert "turns over 2e-05 m" in formula_words(problem(PATH, width=1e-5).hypothesis, "2", np.log(2.0))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -7,10 +7,11 @@ import pytest
 from bench_plant import draw_bench, write_bench_session
 
 import valvesim as vs
+from valvesim.errors import SolveError
 from valvesim.identification import self_oscillation as module
 from valvesim.identification.fit import predict_readings
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
-from valvesim.identification.self_oscillation import _motion_about, self_oscillation
+from valvesim.identification.self_oscillation import _band_rms, self_oscillation
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session, with_records
 from valvesim.reports.diagnosis.page import draw
@@ -57,19 +58,32 @@ def test_a_stated_valve_that_rests_or_whose_neighbours_do_is_fitted(
     session_of_soft_tube, monkeypatch, steady_from, last
 ):
     prepared = prepare_session(load_session(session_of_soft_tube))
-    departs, asked = module._fastest_departure, []
+    departs, asked = module._least_stable_mode, []
 
     def departure(prepared, point):
         asked.append(float(np.linalg.norm(point)))
         growth, frequency = departs(prepared, point)
         return growth - 1e3 * (len(asked) > steady_from), frequency
 
-    monkeypatch.setattr(module, "_fastest_departure", departure)
+    monkeypatch.setattr(module, "_least_stable_mode", departure)
     assert self_oscillation(prepared) is None and asked[-1] == pytest.approx(last)
 
 
-def test_motion_about_a_frequency_is_that_of_the_wave_there():
+def test_where_a_valve_near_it_has_no_state_at_rest_the_stated_one_is_fitted(session_of_soft_tube, monkeypatch):
+    prepared = prepare_session(load_session(session_of_soft_tube))
+    own = module._least_stable_mode
+
+    def mode(prepared, point):
+        if point.any():
+            raise SolveError("no stable null")
+        return own(prepared, point)
+
+    monkeypatch.setattr(module, "_least_stable_mode", mode)
+    assert self_oscillation(prepared) is None
+
+
+def test_the_rms_about_a_frequency_is_that_of_the_wave_there():
     t = np.arange(500) / 1e3
     values = 3.0 + 2.0 * np.sin(2.0 * np.pi * 100.0 * t) + 5.0 * np.sin(2.0 * np.pi * 20.0 * t)
-    assert _motion_about(values, 1e3, 110.0) == pytest.approx(np.sqrt(2.0), rel=1e-6)
-    assert _motion_about(values, 1e3, 300.0) == pytest.approx(0.0, abs=1e-9)
+    assert _band_rms(values, 1e3, 110.0) == pytest.approx(np.sqrt(2.0), rel=1e-6)
+    assert _band_rms(values, 1e3, 300.0) == pytest.approx(0.0, abs=1e-9)

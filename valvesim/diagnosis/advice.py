@@ -41,8 +41,7 @@ def advice_on_unknown(reason: str, odd: str, term: Term | None) -> tuple[WhatToD
         return (what_to_do("the stated valve", OTHER),)
     if term is None:
         return (what_to_do("none of the known causes", NOT_LOCATED),)
-    place, argument = (name.replace("_", " ") for name in (term.port, term.variable))
-    return (what_to_do(f"a term in the {place} that depends on the {argument}", BY_PORT[term.port]),)
+    return (what_to_do(term.in_words(), BY_PORT[term.port]),)
 
 
 def what_to_do(label: str, advice: Advice) -> WhatToDo:

@@ -193,8 +193,13 @@ def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisO
     if likeliest is None:
         return None
     better = _extended(nominal, likeliest.parameters)
-    weighted = better.study.weights and not nominal.study.weights
-    return None if weighted and _gain_by_fault(nominal, better) < 0.5 * likeliest.gain else better
+    at_peaks = _has_lost_weight(nominal, better) and _gain_by_fault(nominal, better) < 0.5 * likeliest.gain
+    return None if at_peaks else better
+
+
+def _has_lost_weight(nominal: NominalFit, better: NominalFit) -> bool:
+    """Whether samples next to peaks count less in a fit with more parameters than they did."""
+    return bool(better.study.weights) and not nominal.study.weights
 
 
 def _gain_by_fault(nominal: NominalFit, better: NominalFit) -> float:
@@ -202,7 +207,7 @@ def _gain_by_fault(nominal: NominalFit, better: NominalFit) -> float:
     not explained what shows at peaks alone.
     """
     without = nominal
-    if better.study.weights and not nominal.study.weights:
+    if _has_lost_weight(nominal, better):
         without = fit_nominal_near(nominal.study.unweighted(), nominal.fit.point, full_weight=False)
     return rescored(better.study, without.fit).chi_square - better.fit.chi_square
 
@@ -262,7 +267,7 @@ def _is_at_full_weight(study: Study, extended: Study) -> bool:
 def without_instrument_errors(nominal: NominalFit) -> NominalFit:
     """The nominal fit without errors of the instruments among its parameters."""
     study = nominal.study.unweighted()
-    errors = {p.name for p in instrument_errors(study.session, options=study.options)}
+    errors = _error_names(study)
     kept = [k for k, p in enumerate(study.nominal.parameters) if p.name not in errors]
     plain = with_nuisance(study, tuple(study.nominal.parameters[k] for k in kept))
     return fit_nominal_near(plain, nominal.fit.point[kept], full_weight=not nominal.study.weights)
@@ -270,11 +275,20 @@ def without_instrument_errors(nominal: NominalFit) -> NominalFit:
 
 def told_faults(scores: ScoreTest, *, options: DiagnosisOptions) -> tuple[WhatToDo, ...]:
     """What the bench did by a fit, with what to do about it: what the readings would miss by more than chance."""
-    told, model = [], scores.study.nominal
-    for fault, own in _faults_told(scores, options=options):
-        values = np.array([model.parameters[k].at(scores.fit.point[k]) for k in own])
-        told.append(what_to_do(fault.words(values), fault.advice))
-    return tuple(told)
+    return tuple(
+        what_to_do(_fault_words(scores, fault, own, scores.fit.point), fault.advice)
+        for fault, own in _faults_told(scores, options=options)
+    )
+
+
+def _fault_words(scores: ScoreTest, fault: BenchFault, own: Sequence[int], point: np.ndarray) -> str:
+    """A fault of the bench in words, by its parameters in the model at a point (p,)."""
+    return fault.words(np.array([scores.study.nominal.parameters[k].at(point[k]) for k in own]))
+
+
+def _error_names(study: Study) -> set[str]:
+    """The names that errors of the instruments have among the parameters of a study."""
+    return {p.name for p in instrument_errors(study.session, options=study.options)}
 
 
 def _faults_told(scores: ScoreTest, *, options: DiagnosisOptions) -> list[tuple[BenchFault, list[int]]]:
@@ -306,9 +320,9 @@ def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> 
     """Errors of the instruments by a fit without candidates; None where one of them is told by itself, or where they
     explain no more than chance. A cause may act like several at once.
     """
-    study, parameters = scores.study, scores.study.nominal.parameters
-    at = {p.name: k for k, p in enumerate(parameters)}
-    errors = {p.name for p in instrument_errors(study.session, options=study.options)} & set(at)
+    study = scores.study
+    at = {p.name: k for k, p in enumerate(study.nominal.parameters)}
+    errors = _error_names(study) & set(at)
     together = wald_statistic(scores, [at[name] for name in errors])
     if together <= options.bench.minimum_gain + len(errors) or _faults_told(scores, options=options):
         return None
@@ -325,7 +339,7 @@ def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> 
             break
         out, least = [*out, *kept.pop(worst)], tried[worst]
     point = scores.fit.point - covariance[:, out] @ inverse_of(covariance[np.ix_(out, out)]) @ scores.fit.point[out]
-    fewest = tuple(faults[k].words(np.array([parameters[j].at(point[j]) for j in own])) for k, own in kept.items())
+    fewest = tuple(_fault_words(scores, faults[k], own, point) for k, own in kept.items())
     return JointErrors(together, fewest, scores.fit.chi_square + least)
 
 

@@ -33,7 +33,7 @@ from valvesim.diagnosis.intervals import confidence_intervals
 from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, null_hypothesis_beside
-from valvesim.diagnosis.one_figure_term import one_figure_term
+from valvesim.diagnosis.one_parameter_term import one_parameter_term
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
@@ -100,7 +100,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         excess = beyond_noise(nominal.fit, study, options=options) > 0.0
         odd = odd_test(nominal, options=options) if excess and not in_set else ""
         recovered = None if odd else recover_term(nominal, scores)
-        slight = one_figure_term(nominal, scores) if recovered is None and not odd else None
+        slight = one_parameter_term(nominal, scores) if recovered is None and not odd else None
         if recovered is slight is None and not borne_out:  # no cause and no term explains what the score tests showed
             isolation = replace(isolation, alarm=False)
         if recovered is not None and (entry := as_catalogue_entry(isolation, recovered)) is not isolation:

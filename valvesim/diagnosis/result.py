@@ -168,6 +168,11 @@ class Term:
     formula_error: float
     alike: tuple[str, ...] = ()
 
+    def in_words(self) -> str:
+        """Where it acts and what it depends on."""
+        place, argument = (name.replace("_", " ") for name in (self.port, self.variable))
+        return f"a term in the {place} that depends on the {argument}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:

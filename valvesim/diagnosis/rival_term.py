@@ -19,14 +19,14 @@ import numpy as np
 
 from valvesim.diagnosis.options import MissingTermOptions
 from valvesim.diagnosis.score_test import ScoreTest, score_test, term_spans
-from valvesim.diagnosis.symbolic_form import SHAPES
+from valvesim.diagnosis.symbolic_form import PLAIN_FORMS
 from valvesim.identification.fit_jacobian import perturbation
 from valvesim.identification.nominal_fit import NominalFit
-from valvesim.identification.projection import ProjectedScores, block_statistic, project
+from valvesim.identification.projection import ProjectedScores, block_statistic, direction_statistic, project
 from valvesim.valve.additive_term import LAG, NONE, PATH, PORTS, VARIABLES, TermHypothesis
 
 FORMS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], ...]] = {
-    NONE: (*SHAPES.values(), np.sign),
+    NONE: (*PLAIN_FORMS.values(), np.sign),
     LAG: (lambda u: u,),
     PATH: (np.ones_like, np.abs),
 }
@@ -82,11 +82,7 @@ def _reductions(scores: ScoreTest) -> list[tuple[float, TermHypothesis]]:
     projected, found = _without_cause(scores), []
     spans = term_spans(scores.linearised, scores.hypotheses)
     for term, block, span in zip(scores.hypotheses, scores.terms.blocks, spans, strict=True):
-        H, s = projected.overlap[np.ix_(block, block)], projected.score[list(block)]
         knots = np.linspace(*span, len(block)) / np.max(np.abs(span))
-        forms = [form(knots) for form in FORMS[term.memory]]
-        sizes = [w @ H @ w for w in forms]
-        least = 1e-6 * float(np.max(np.diag(H), initial=0.0))  # of less the records see nothing
-        falls = [float((w @ s) ** 2 / size) if size > least else 0.0 for w, size in zip(forms, sizes, strict=True)]
+        falls = [direction_statistic(projected, block, form(knots))[1] for form in FORMS[term.memory]]
         found.append((max(falls), term))
     return found

@@ -19,14 +19,14 @@ from valvesim.errors import InputError, SolveError
 from valvesim.identification.projection import inverse_of
 from valvesim.valve.additive_term import LAG, NONE, PATH, TermHypothesis
 
-SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+PLAIN_FORMS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "{x}": lambda u: u,
     "{x}^2": np.square,
     "{x} |{x}|": lambda u: u * np.abs(u),
     "{x}^3": lambda u: u**3,
     "|{x}|": np.abs,
 }
-"""Shapes of one figure as they are written, of a variable (k,)."""
+"""Forms of one parameter as they are written, of a variable (k,)."""
 
 SYMBOLS = {
     "current": "i", "armature_angle": "theta", "pilot_differential_pressure": "p", "spool_position": "x",
@@ -68,7 +68,7 @@ def formula_library(u: np.ndarray, x: str) -> list[LibraryFunction]:
         return LibraryFunction(lambda b: shape[:, None], lambda b, a: f"{a[0]:.3g} {text}")
 
     return [
-        power(np.ones_like(u), ""), *(power(shape(u), text.format(x=x)) for text, shape in SHAPES.items()),
+        power(np.ones_like(u), ""), *(power(form(u), text.format(x=x)) for text, form in PLAIN_FORMS.items()),
         LibraryFunction(lambda b: np.tanh(u / b)[:, None], lambda b, a: f"{a[0]:.3g} tanh({x}/{b:.3g})", widths),
         LibraryFunction(lambda b: (-np.sign(u) * np.expm1(-np.abs(u) / b))[:, None],
                lambda b, a: f"{a[0]:.3g} sign({x}) (1 - exp(-|{x}|/{b:.3g}))", widths),
@@ -172,7 +172,7 @@ def with_formula(problem: TermProblem, solution: TermEstimate, gained: float) ->
         scale = np.max(np.abs(formula.F), axis=0)
         a = np.linalg.lstsq(formula.F / scale, held.values, rcond=None)[0] / scale
         solution = replace(solution, state=held, covariance=covariance)
-        return solution, _formula_words(problem, formula.write(a), held.memory_log), formula.free_parameters
+        return solution, formula_words(problem.hypothesis, formula.write(a), held.memory_log), formula.free_parameters
     return None
 
 
@@ -212,15 +212,8 @@ def relative_difference(problem: TermProblem, new: np.ndarray, old: np.ndarray) 
     return float(np.linalg.norm(left) / np.linalg.norm(new * weight))
 
 
-def formula_words(hypothesis: TermHypothesis, text: str, figure: float) -> str:
-    """A shape of one figure, as it is written, of a term without memory."""
-    x = SYMBOLS[hypothesis.variable.name]
-    upon = f"{x} = {hypothesis.variable.name} in {hypothesis.variable.unit}"
-    return f"{figure:.3g} {text.format(x=x)} {hypothesis.port.unit}, {upon}"
-
-
-def _formula_words(problem: TermProblem, formula: str, memory_log: float) -> str:
-    hypothesis = problem.hypothesis
+def formula_words(hypothesis: TermHypothesis, formula: str, memory_log: float = 0.0) -> str:
+    """A formula of a term with its units and its memory, at a multiple exp(memory_log) of the hypothesis's."""
     x, by = SYMBOLS[hypothesis.variable.name], float(np.exp(memory_log))
     memory = {
         NONE: "",

@@ -41,9 +41,7 @@ def summary_text(
 
 
 def _term_words(term: Term) -> str:
-    place, argument = (name.replace("_", " ") for name in (term.port, term.variable))
-    alike = f", and nearly as well like {_first_labels(term.alike)}" if term.alike else ""
-    return f"a term in the {place} that depends on the {argument}{alike}"
+    return term.in_words() + (f", and nearly as well like {_first_labels(term.alike)}" if term.alike else "")
 
 
 def _first_labels(labels: Sequence[str], most: int = 2) -> str:

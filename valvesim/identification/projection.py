@@ -125,6 +125,17 @@ def alarm_level(projected: ProjectedScores, one_sided: np.ndarray, probability: 
     return float(np.quantile(top, 1.0 - probability))
 
 
+def direction_statistic(projected: ProjectedScores, members: Sequence[int], along: np.ndarray) -> tuple[float, float]:
+    """(amplitude, reduction of the chi-square) of several columns in fixed proportions `along` (k,); zeros where the
+    data see next to nothing of them so.
+    """
+    H, s = projected.overlap[np.ix_(members, members)], projected.score[list(members)]
+    size = float(along @ H @ along)
+    if size <= 1e-6 * float(np.max(np.diag(H), initial=0.0)):
+        return 0.0, 0.0
+    return float(along @ s) / size, float((along @ s) ** 2 / size)
+
+
 def block_statistic(projected: ProjectedScores, members: Sequence[int]) -> tuple[float, int]:
     """(chi-square, degrees of freedom) of several columns at once, those that the data see."""
     k = list(members)

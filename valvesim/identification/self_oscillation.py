@@ -2,9 +2,9 @@
 not of the stated valve, and a fit would only tell so in minutes.
 
 Symbols
-    A Jacobian of the scaled rates at rest, s its eigenvalues (1/s): where the real part of one is above zero, what is
-    at rest departs from it, at |Im s| / 2 pi
-    g gradient of the largest real part with respect to the valve's figures in prior deviations
+    A Jacobian of the scaled rates at rest, s its eigenvalues (1/s): a mode whose real part is above zero grows, at a
+    frequency of |Im s| / 2 pi
+    g gradient of the growth rate with respect to the valve's figures in prior deviations
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.noise_estimation import identify_noise, initial_noise
 from valvesim.identification.predictor import at_rest_together
@@ -32,18 +33,17 @@ def self_oscillation(prepared: PreparedSession) -> SelfOscillation | None:
     """How the stated valve oscillates by itself, and every one near it; None where it rests, or where the readings move
     about that frequency too, or cannot tell.
 
-    Of the valves near it the steadiest is looked at, by a gradient. Raises SolveError where the valve cannot be run.
+    Raises SolveError where the valve cannot be run.
     """
     nominal = np.zeros(len(prepared.nominal.parameters))
-    growth, frequency = _fastest_departure(prepared, nominal)
+    growth, frequency = _least_stable_mode(prepared, nominal)
     if growth <= 0.0 or frequency <= 0.0:
         return None
-    g, step = np.zeros_like(nominal), prepared.options.self_oscillation.step
-    for k in np.flatnonzero([p.is_of_valve for p in prepared.nominal.parameters]):
-        beside = np.where(np.arange(len(g)) == k, step, 0.0)
-        g[k] = _fastest_departure(prepared, beside)[0] - _fastest_departure(prepared, -beside)[0]
-    steadiest = -prepared.options.self_oscillation.reach * g / max(float(np.linalg.norm(g)), 1e-30)
-    if _fastest_departure(prepared, steadiest)[0] <= 0.0:
+    try:
+        rests = _growth_of_most_stable(prepared) <= 0.0
+    except (SolveError, InputError):  # a valve near it has no state at rest: the fit may tell
+        return None
+    if rests:
         return None
     first = evaluate_fit(prepared.with_noise(initial_noise(prepared)), nominal, ())
     study = prepared.with_noise(identify_noise(prepared, first.readings))
@@ -51,16 +51,27 @@ def self_oscillation(prepared: PreparedSession) -> SelfOscillation | None:
     return None if _is_measured(study, stated, frequency) else SelfOscillation(frequency, study, stated)
 
 
-def _fastest_departure(prepared: PreparedSession, point: np.ndarray) -> tuple[float, float]:
-    """The largest real part (1/s) of the eigenvalues at rest where the records begin, and its frequency (Hz)."""
-    variant, fastest = prepared.nominal.at(point), (-np.inf, 0.0)
+def _growth_of_most_stable(prepared: PreparedSession) -> float:
+    """The growth rate (1/s) of the least stable mode of the most stable valve near the stated one, by a gradient."""
+    options = prepared.options.self_oscillation
+    g = np.zeros(len(prepared.nominal.parameters))
+    for k in np.flatnonzero([p.is_of_valve for p in prepared.nominal.parameters]):
+        beside = np.where(np.arange(len(g)) == k, options.step, 0.0)
+        g[k] = _least_stable_mode(prepared, beside)[0] - _least_stable_mode(prepared, -beside)[0]
+    most_stable = -options.reach * g / max(float(np.linalg.norm(g)), 1e-30)
+    return _least_stable_mode(prepared, most_stable)[0]
+
+
+def _least_stable_mode(prepared: PreparedSession, point: np.ndarray) -> tuple[float, float]:
+    """The growth rate (1/s) and the frequency (Hz) of the least stable mode at rest where the records begin."""
+    variant, least = prepared.nominal.at(point), (-np.inf, 0.0)
     posed = [predictor.posed(variant) for predictor in prepared.predictors]
     for one, rest in zip(posed, at_rest_together(posed), strict=True):
         A = np.zeros((len(rest), len(rest)))
         one.compiled.jacobian(rest, one.under.first_inputs, one.knots[0], A)
         s = max(np.linalg.eigvals(A), key=lambda each: each.real)
-        fastest = max(fastest, (float(s.real), float(abs(s.imag)) / (2.0 * np.pi)))
-    return fastest
+        least = max(least, (float(s.real), float(abs(s.imag)) / (2.0 * np.pi)))
+    return least
 
 
 def _is_measured(study: Study, stated: Fit, frequency: float) -> bool:
@@ -74,14 +85,14 @@ def _is_measured(study: Study, stated: Fit, frequency: float) -> bool:
             good = record.usable[name] & np.isfinite(predicted)
             if good.any():
                 measured, expected = (
-                    _motion_about(np.interp(record.time, record.time[good], one[good]), record.pace, frequency)
+                    _band_rms(np.interp(record.time, record.time[good], one[good]), record.pace, frequency)
                     for one in (record.values[name], predicted)
                 )
                 shares.append(measured / max(expected, 1e-30))
     return not shares or float(np.median(shares)) > options.share
 
 
-def _motion_about(values: np.ndarray, rate: float, frequency: float) -> float:
+def _band_rms(values: np.ndarray, rate: float, frequency: float) -> float:
     """The root mean square of what values (n,) at a rate (Hz) do within half an octave of a frequency."""
     spectrum = np.abs(np.fft.rfft(values - values.mean()))
     octaves = np.log2(np.maximum(np.fft.rfftfreq(len(values), 1.0 / rate), 1e-9) / frequency)
