@@ -1,5 +1,6 @@
 """A stated valve that oscillates by itself where the measured one rests: told before anything is fitted."""
 
+import datetime
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICA
 from valvesim.identification.self_oscillation import _band_rms, self_oscillation
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session, with_records
-from valvesim.reports.diagnosis.page import draw
+from valvesim.reports.diagnosis.page import draw, write_report
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +30,15 @@ def session_of_soft_tube(tmp_path_factory):
     return folder
 
 
-def test_records_at_rest_are_not_of_a_valve_that_oscillates_by_itself(session_of_soft_tube, monkeypatch):
+def test_records_at_rest_are_not_of_a_valve_that_oscillates_by_itself(session_of_soft_tube, monkeypatch, tmp_path):
     monkeypatch.setattr("valvesim.diagnosis.diagnose.fit_coarse_to_fine", None)  # nothing is fitted
     found = vs.diagnose(session_of_soft_tube)
     assert (found.verdict, found.reason) == ("unknown", "other_valve") and not found.extension_offered
     assert "the stated valve oscillates by itself, at 2" in found.summary and "are its figures right?" in found.summary
     assert found.what_to_do[0].label == "the stated valve" and list(draw(found)) == ["traces"]
+    write_report(found, tmp_path, valve="-", date=datetime.date(2026, 1, 1))
+    page = (tmp_path / "report.html").read_text()
+    assert "stated model" in page and "refitted model" not in page and "Gain of the extended model" not in page
     assert "spring_tube_stiffness" in found.extended_scenario and found.to_dict()["alarm_level"] is None
 
 

@@ -223,7 +223,7 @@ def _next_test(diagnosis: Diagnosis) -> Section:
 def _gain(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> Section:
     """Before, after and noise floor on the hold-out records, or why no gain is claimed."""
     heading = "Gain of the extended model"
-    if diagnosis.verdict == NO_DISCREPANCY:
+    if diagnosis.verdict == NO_DISCREPANCY or _is_unfitted(diagnosis):
         return section(heading)
     if not diagnosis.gain:
         none = "No gain is claimed: there is no hold-out record that the extended model could be tried on."
@@ -328,8 +328,14 @@ def _limits(limits: Sequence[DetectionLimit]) -> Section:
 
 
 def _extended(diagnosis: Diagnosis) -> Section:
-    model = "extended model" if diagnosis.extension_offered else "refitted model"
+    refitted = "stated model" if _is_unfitted(diagnosis) else "refitted model"
+    model = "extended model" if diagnosis.extension_offered else refitted
     return section(f"The {model}", Listing("extended.toml", f", which runs the {model}", diagnosis.extended_scenario))
+
+
+def _is_unfitted(diagnosis: Diagnosis) -> bool:
+    """Whether the records were told as another valve's before anything was fitted to them."""
+    return diagnosis.reason == OTHER_VALVE and not diagnosis.shifts
 
 
 def _what_to_do(diagnosis: Diagnosis) -> Section:
