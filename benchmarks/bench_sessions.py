@@ -41,7 +41,7 @@ import numpy as np  # noqa: E402
 from bench_plant import IMPERFECTIONS, Bench, bench_records, draw_bench, write_bench_session  # noqa: E402
 from hidden_plant import EFFECTS, truth  # noqa: E402
 from hidden_report import wilson  # noqa: E402
-from thermal_sessions import left_by_fit, meter_noise, read_rows, write_rows  # noqa: E402
+from thermal_sessions import fit_to_plant, left_by_fit, meter_noise, read_rows, write_rows  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 from valvesim.identification.input_choice import HELD_NAME, STRAIGHT, input_choices  # noqa: E402
@@ -111,8 +111,8 @@ def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
     what a fit of valve, instruments, the ripple and the times of edges takes up of it; and no more than a figure of
     the valve would be off, in prior deviations, that does the same.
 
-    The change is the plant's own, before it is rounded, on top of what the nominal valve does. As in every fit beside a
-    ripple, samples next to sharp peaks count less.
+    The change is the plant's own, before it is rounded, on top of what the model does as fitted to the plant. As in
+    every fit beside a ripple, samples next to sharp peaks count less.
     """
     quiet = replace(case, meters=tuple(replace(meter, noise=0.0, colour=0.0, resolution=0.0) for meter in case.meters))
     with_it, without = (bench_records(quiet, bench, strength) for strength in (1.0, 0.0))
@@ -130,11 +130,13 @@ def distance(case: hidden_plant.Case, bench: Bench, folder: str) -> float:
     prepared = with_input_choice(prepared, way)
     paces = {predictor.record.pace for predictor in prepared.predictors}
     noise = {(meter.channel, pace): meter_noise(meter) for meter in case.meters for pace in paces}
-    changes = []
+    quiet_readings, changes = [], []
     for predictor in prepared.predictors:
         k = runs.index(predictor.record.name)
+        quiet_readings.append({name: without[k][name] for name in predictor.record.outputs})
         changes.append({name: np.nan_to_num(with_it[k][name] - without[k][name]) for name in predictor.record.outputs})
-    most = left_by_fit(prepared, noise, changes)
+    base = fit_to_plant(prepared, noise, quiet_readings)
+    most = left_by_fit(prepared, noise, base, changes)
     ((hidden, figures),) = truth(case)["parameters"].items()
     for candidate in prepared.candidates:
         if candidate.effect is not None and candidate.effect.name == hidden:

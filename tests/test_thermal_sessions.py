@@ -46,7 +46,23 @@ def test_each_figure_of_the_network_is_told_in_words_of_heat_with_what_to_do(nam
     assert any(column in advice.confirm for column in PART_TEMPERATURES)  # one that a session may have
 
 
+def test_heat_transfer_is_known_less_well_than_heat_capacities():
+    figures = _network_parameters(ThermalNetwork(), options=DEFAULT_IDENTIFICATION)
+    known = {p.name.removeprefix(NETWORK): p for p in figures}
+    assert np.exp(2.0 * known["spool_capacity"].deviation) == pytest.approx(1.5)  # its declared tolerance
+    assert np.exp(2.0 * known["oil_to_spool"].deviation) == pytest.approx(DEFAULT_IDENTIFICATION.prior.heat_transfer)
+    halfway = np.log(known["oil_to_spring_tube"].nominal / known["spring_tube_to_torque_motor"].nominal)
+    apart = known["oil_to_spring_tube"].deviation + known["spring_tube_to_torque_motor"].deviation
+    assert halfway < 2.0 * apart  # a tube halfway between oil and torque motor is within the tolerances
+
+
 @pytest.mark.slow
 def test_a_healthy_valve_with_other_heat_paths_raises_no_alarm_in_a_warm_up(tmp_path):
     write_thermal_session(draw_thermal(710020, network="structure", rate=50.0, duration=10.0), tmp_path)
+    assert vs.diagnose(tmp_path).verdict == "no_discrepancy"
+
+
+@pytest.mark.slow
+def test_nor_does_one_whose_heat_paths_had_been_named(tmp_path):
+    write_thermal_session(draw_thermal(810000, network="structure", rate=100.0, duration=20.0), tmp_path)
     assert vs.diagnose(tmp_path).verdict == "no_discrepancy"

@@ -202,6 +202,12 @@ class PriorOptions:
     reach: float = option(
         10.0, "1", "prior deviations that no quantity of the valve goes beyond", "five tolerances: another part"
     )
+    heat_transfer: float = option(
+        5.0,
+        "1",
+        "factor within which the heat transfer between two parts is known, either way",
+        "jets 3 to 10 kW/m2K; contacts, and where a part's heat goes, are known less well: no valve has been measured",
+    )
     network_reach: float = option(
         100.0, "1", "factor within which a figure of the thermal network is sought either way", JUDGEMENT
     )

@@ -201,19 +201,21 @@ def _has_parts_apart(record: Record) -> bool:
 
 
 def _network_parameters(network: ThermalNetwork, *, options: IdentificationOptions) -> list[NuisanceParameter]:
-    """The figures of a thermal network, each known to a factor alone."""
+    """The figures of a thermal network, each known to a factor alone: heat capacities by their declared tolerance,
+    heat transfer less well.
+    """
     found = []
     for name, declared in quantities(ThermalNetwork).items():
         nominal = float(getattr(network, name))
         if nominal > 0.0:
-            width = float(np.log1p(declared.metadata["tolerance"]))
+            factor = options.prior.heat_transfer if "_to_" in name else 1.0 + declared.metadata["tolerance"]
             low, high = (nominal * options.prior.network_reach**sign for sign in (-1.0, 1.0))
             found.append(
                 NuisanceParameter(
                     NETWORK + name,
                     declared.metadata["unit"],
                     nominal,
-                    width / 2.0,
+                    float(np.log(factor)) / 2.0,
                     (max(low, declared.metadata["bounds"][0]), min(high, declared.metadata["bounds"][1])),
                     logarithmic=True,
                 )  # fmt: skip
