@@ -1,7 +1,7 @@
 """Warm-ups and launches of a plant whose parts follow otherwise than the model's: how often the diagnosis is right.
 
     .venv/bin/python benchmarks/thermal_sessions.py run --count 20      # of the working set; goes on where it stopped
-    .venv/bin/python benchmarks/thermal_sessions.py run --set second    # to be opened once, at the end
+    .venv/bin/python benchmarks/thermal_sessions.py run --set third     # to be opened once, at the end
     .venv/bin/python benchmarks/thermal_sessions.py report              # docs/thermal_sessions.md from what there is
 
 A session is drawn by tests/thermal_plant.py. A third are of healthy valves; in the others one of twelve causes is
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -46,7 +47,7 @@ from valvesim.identification.study import PreparedSession, prepare_session, with
 
 Row = dict[str, Any]
 Records = list[dict[str, np.ndarray]]
-SETS = {"working": (710_000, 300), "second": (810_000, 300)}  # first seed, sessions
+SETS = {"working": (710_000, 300), "second": (810_000, 300), "third": (910_000, 300)}  # first seed, sessions
 RESULTS = ROOT / "benchmarks" / "results" / "thermal_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "thermal_sessions.md"
 MEASURED = ("body", "torque_motor")
@@ -192,11 +193,13 @@ def run(name: str, count: int | None, results: Path) -> None:
     """Diagnose what the results do not have yet, a line each."""
     results.parent.mkdir(parents=True, exist_ok=True)
     done = {row["seed"] for row in read_rows(results)}
+    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude", "*"]
+    engine = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
     for k, spec in enumerate(sessions(name)):
         if count is not None and k >= count:
             break
         if spec["seed"] not in done:
-            row = diagnosed(spec)
+            row = diagnosed(spec) | {"engine": engine}
             with open(results, "a", encoding="utf-8") as file:
                 file.write(json.dumps(row, ensure_ascii=False) + "\n")
             print(*_cells(row), sep=" | ", flush=True)
