@@ -652,10 +652,19 @@ DIFFERENCES = {
 """What is zero on the drawing, side 1 minus side 2 or a lap: (standard deviation, most), m."""
 
 
-def draw(seed: int, kind: str, *, name: str | None = None, noise: float | None = None) -> Case:
+def draw(
+    seed: int,
+    kind: str,
+    *,
+    name: str | None = None,
+    noise: float | None = None,
+    rate: float = 1000.0,
+    duration: float = 1.0,
+) -> Case:
     """The case of a seed: what is hidden (or `name`; "a+b" for a pair), in which valve, under which tests and sensors.
 
-    `noise` is the sensors' standard deviation as a share of each channel's size, else drawn from 0.2 to 1 %.
+    `noise` is the sensors' standard deviation as a share of each channel's size, else drawn from 0.2 to 1 %. `rate` Hz
+    and `duration` s of a record are others where the oil's temperature moves.
     """
     if kind not in KINDS:
         raise ValueError(f"kind {kind!r} is none of {KINDS}")
@@ -674,7 +683,7 @@ def draw(seed: int, kind: str, *, name: str | None = None, noise: float | None =
         seed=seed,
         kind=kind,
         hidden=tuple((each, _figures(dice, each, channels)) for each in names),
-        runs=_runs(dice, session=session, voltage=voltage, poor=kind == "poor"),
+        runs=_runs(dice, session=session, voltage=voltage, poor=kind == "poor", rate=rate, duration=duration),
         meters=_meters(dice, (*channels, "current") if voltage else channels, noise),
         unit=_unit(dice),
         drive="voltage" if voltage else "current",
@@ -773,9 +782,9 @@ def _meters(dice, channels: tuple[str, ...], noise: float | None) -> tuple[Meter
     return tuple(meters)
 
 
-def _runs(dice, *, session: str, voltage: bool, poor: bool) -> tuple[Run, ...]:
+def _runs(dice, *, session: str, voltage: bool, poor: bool, rate: float, duration: float) -> tuple[Run, ...]:
     """Four training runs, two of them the same, and two tests."""
-    rate, duration = (500.0, 3.0) if session == "thermal" else (1000.0, 1.0)
+    rate, duration = (500.0, 3.0) if session == "thermal" else (rate, duration)
     n = int(rate * duration) + 1
     shapes = ["chirp", "slow", str(dice.choice(("steps", "multisine")))]
     dice.shuffle(shapes)

@@ -159,7 +159,7 @@ def choose_inputs(
     `columns` are the sensitivities there, first of all those of the study's own parameters. Another way than `now` must
     be better by more than chance; straight lines need be no worse.
     """
-    p = len(point)
+    p, options = len(point), study.options.input
     J = study.stack([{name: each[:, :p] for name, each in own.items()} for own in columns])
     best, least, reached, straight = now, np.inf, np.inf, np.inf
     delays, starts = are_delays(study.nominal), [point]
@@ -173,16 +173,20 @@ def choose_inputs(
         added = np.zeros(len(choice.parameters))
         tried = [_evaluated(study.with_nominal(nominal), np.append(start, added), fitted) for start in starts]
         H = more.T @ more + np.eye(more.shape[1])
-        predicted = [(_predicted(fit, more, H, nominal), fit.rows) for fit in tried if fit is not None]
+        predicted = [
+            (_predicted(fit, more, H, nominal), fit.rows, fit.chi_square) for fit in tried if fit is not None
+        ]
         if not predicted:
             continue
-        chi_square, rows = min(predicted)
+        chi_square, rows, before = min(predicted)
         least = min(least, chi_square) if choice.name == now.name else least
         straight = chi_square if choice.name == STRAIGHT.name else straight
-        gain = max(study.options.input.minimum_gain, study.options.input.gain_share * (least - rows))
+        gain = max(
+            options.minimum_gain, options.gain_share * (least - rows), options.linear_share * (before - chi_square)
+        )
         if chi_square < least - gain and chi_square < reached:
             best, reached = choice, chi_square
-    return STRAIGHT if best is now and straight < least + study.options.input.minimum_gain else best
+    return STRAIGHT if best is now and straight < least + options.minimum_gain else best
 
 
 def are_delays(nominal: NominalModel) -> np.ndarray:

@@ -135,6 +135,9 @@ class InputOptions:
     gain_share: float = option(
         0.02, "1", "the same as a share of what straight lines leave beyond the noise", "a cause may be hidden as well"
     )
+    linear_share: float = option(
+        2e-4, "1", "and as one of how far the chi-square falls by the linearised equations", "they err by as much"
+    )
     holdout_steps: int = option(6, "1", "steps at most in which the inputs of a hold-out record are fitted", JUDGEMENT)
     spread: float = option(
         0.03, "1", "share of what another way than straight lines changes of a reading that may be wrong", JUDGEMENT
