@@ -36,7 +36,7 @@ from hidden_report import wilson  # noqa: E402
 from thermal_plant import CAUSES, draw_thermal, write_thermal_session  # noqa: E402
 
 import valvesim as vs  # noqa: E402
-from valvesim.identification.fit import Fit, evaluate_fit, predict_readings  # noqa: E402
+from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, predict_readings  # noqa: E402
 from valvesim.identification.fit_jacobian import linearise_study  # noqa: E402
 from valvesim.identification.noise_model import NoiseModel  # noqa: E402
 from valvesim.identification.nominal_fit import linearise_nominal, refit_nominal  # noqa: E402
@@ -130,7 +130,9 @@ def tuned(case: hidden_plant.Case, folder: Path) -> tuple[float, Records, float]
     for _ in range(TRIES):  # a shift of a null goes with the strength, what it does to a peak does not
         clean, changed = changes(strength)
         found = left_by_fit(prepared, noise, base, changed)
-        more = min(float(np.clip(target / max(found, 1e-9), 0.1, 10.0)), 1.0 / strength)
+        if found == 0.0:
+            break
+        more = min(float(np.clip(target / found, 0.1, 10.0)), 1.0 / strength)
         if 1.0 / NEAR < more < NEAR:
             break
         strength *= more
@@ -156,8 +158,11 @@ def left_by_fit(
     changes: Sequence[Mapping[str, np.ndarray]],
 ) -> float:
     """d' of changes (n,) of the readings, by predictor and channel, on top of what the model does at a fit: what a fit
-    of the nuisance parameters leaves of them. Samples next to sharp peaks count as they do in a fit.
+    of the nuisance parameters leaves of them; zero where the model has not come near the plant, for that tells nothing.
+    Samples next to sharp peaks count as they do in a fit.
     """
+    if not is_adequate(base, options=prepared.options):
+        return 0.0
     point, before = base.point, predict_readings(prepared, base.variant(prepared.nominal))
     left = []
     for share in (0.0, 0.3, 1.0):  # by and by: a fit of the whole at once may get lost
