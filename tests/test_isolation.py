@@ -10,7 +10,7 @@ from valvesim.diagnosis import detection, isolation, refits, second_cause
 from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
-from valvesim.diagnosis.model_selection import FittedHypothesis
+from valvesim.diagnosis.model_selection import FittedHypothesis, distinct
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
@@ -235,6 +235,23 @@ def test_what_is_far_behind_the_best_is_not_refined(monkeypatch):
     ended = refits.refined_hypotheses(nominal(9000.0), [far, near, best], options=DIAGNOSIS)
     assert asked == [4900.0, 4910.0]
     assert [one.fit.chi_square for one in ended] == [4898.0, 4908.0, 4990.0] and ended[-1] is far
+
+
+def test_a_pair_of_which_one_comes_to_nothing_is_what_it_is_without_it(monkeypatch):
+    """Known from a search with another bench, it was the only hypothesis, and none was left (880128)."""
+    pair, asked = hypothesis(4900.0, "spool_lap", "entrained_air"), []
+    kept, gone = pair.fit.fitted
+
+    def fitted(nominal, start, point, *, worthwhile):
+        asked.append(start)
+        return replace(pair.fit, fitted=tuple(start))
+
+    nothing = replace(pair.fit, fitted=(kept, replace(gone, above_neutral=0.0)))
+    monkeypatch.setattr(refits, "refined", lambda study, fit: nothing)
+    monkeypatch.setattr(refits, "fit_hypothesis", fitted)
+    ended = refits.refined_hypotheses(nominal(9000.0), [pair], options=DIAGNOSIS)
+    assert asked == [(kept,)]
+    assert [one.label for one in distinct(ended, options=DIAGNOSIS)] == ["spool_lap"]
 
 
 @pytest.mark.parametrize("left, named", [(0.0, ["spool_lap"]), (0.5, [])])

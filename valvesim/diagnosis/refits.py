@@ -270,7 +270,9 @@ def _from_best(best: FittedHypothesis, k: int, known: Fit) -> tuple[FittedCandid
 def refined_hypotheses(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """The found, the best that come near the records refined, as far as they may still be the best then."""
+    """The found, the best that come near the records refined, as far as they may still be the best then; and without
+    what has come to nothing by that.
+    """
     best = distinct(found, options=options)[: options.isolation.refined]
     near, better = list[FittedHypothesis](), list[FittedHypothesis]()
     for one in best:
@@ -280,6 +282,10 @@ def refined_hypotheses(
         ):
             near.append(one)
             better.append(FittedHypothesis(refined(nominal.study, one.fit), options=options))
+    for fit in [one.fit for one in better]:
+        more = tuple(m for m in fit.fitted if not is_negligible(m, options.selection.negligible_amplitude))
+        if 0 < len(more) < len(fit.fitted):
+            better += fit_starts(nominal, [more], fit.point, options=options)
     return [*better, *(one for one in found if not any(one is other for other in near))]
 
 
