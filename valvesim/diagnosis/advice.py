@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from valvesim.diagnosis.model_selection import FittedHypothesis
-from valvesim.diagnosis.result import OTHER_VALVE, RECORDS_APART, Term, WhatToDo
+from valvesim.diagnosis.result import MISREAD, OTHER_VALVE, RECORDS_APART, Term, WhatToDo
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.prior import NETWORK
 from valvesim.valve.effect import Advice
@@ -39,6 +39,8 @@ def advice_on_unknown(reason: str, odd: str, term: Term | None) -> tuple[WhatToD
         return (what_to_do(f"the test {odd}", APART),)
     if reason == OTHER_VALVE:
         return (what_to_do("the stated valve", OTHER),)
+    if reason == MISREAD:
+        return (what_to_do("the channels", CHANNELS),)
     if term is None:
         return (what_to_do("none of the known causes", NOT_LOCATED),)
     return (what_to_do(term.in_words(), BY_PORT[term.port]),)
@@ -226,6 +228,13 @@ OTHER = Advice(
     inspect="name plate and serial number; units, sign and wiring of each channel; [valve] and [oil] of the session",
     confirm="flow over current and leakage at null, slow, against the data sheet of this valve",
     remedy="correct units or signs, or state the figures of the valve that was measured in [valve]",
+)
+
+CHANNELS = Advice(
+    part="wiring of these channels, and their columns",
+    inspect="polarity of sensor and coils, plugs, scale of the amplifier; name and unit in the header of each column",
+    confirm="a slow triangle: does each channel go the way, and as far, as the data sheet of this valve has it?",
+    remedy="correct the columns, or their units, and diagnose again",
 )
 
 OF_WAVE = {

@@ -39,6 +39,7 @@ from valvesim.diagnosis.result import (
     AMBIGUOUS,
     BENCH,
     CAUSE,
+    MISREAD,
     NO_DISCREPANCY,
     OTHER_VALVE,
     RECORDS_APART,
@@ -51,6 +52,7 @@ from valvesim.diagnosis.result import (
 )
 from valvesim.diagnosis.term_entry import as_catalogue_entry
 from valvesim.diagnosis.wording import location_text, summary_text
+from valvesim.identification.channel_check import MisreadChannels, misread_channels
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit, within_tolerance
 from valvesim.identification.self_oscillation import SelfOscillation, self_oscillation
@@ -74,8 +76,10 @@ def diagnose(
     progress("reading", 0.0)
     session = session if isinstance(session, Session) else load_session(session, options=options.identification)
     prepared = prepare_session(session, options=options.identification)
-    if (found := self_oscillation(prepared)) is not None:
-        return _of_oscillating_valve(found, options=options)
+    if (oscillates := self_oscillation(prepared)) is not None:
+        return _before_any_fit(oscillates, OTHER_VALVE, _oscillates(oscillates), options=options)
+    if (misread := misread_channels(prepared)) is not None:
+        return _before_any_fit(misread, MISREAD, "; ".join(misread.words), options=options)
     nominal, known = fit_coarse_to_fine(
         prepared, lambda stage, share: progress(stage, 0.05 + 0.25 * share), options=options
     )
@@ -204,12 +208,18 @@ def _answer(isolation: Isolation) -> Diagnosis:
     )
 
 
-def _of_oscillating_valve(found: SelfOscillation, *, options: DiagnosisOptions) -> Diagnosis:
-    study, stated, session = found.study, found.stated, found.study.session
-    because = (
+def _oscillates(found: SelfOscillation) -> str:
+    return (
         f"the stated valve oscillates by itself, at {found.frequency:.3g} Hz from rest, and the readings do not: are "
         "its figures right?"
     )
+
+
+def _before_any_fit(
+    found: SelfOscillation | MisreadChannels, reason: str, because: str, *, options: DiagnosisOptions
+) -> Diagnosis:
+    """What the stated valve tells by itself: nothing is fitted to the records."""
+    study, stated, session = found.study, found.stated, found.study.session
     variant = stated.variant(study.nominal)
     reads = zip(study.predictors, stated.readings, strict=True)
     return Diagnosis(
@@ -236,8 +246,8 @@ def _of_oscillating_valve(found: SelfOscillation, *, options: DiagnosisOptions) 
         extended_scenario=scenario_text(session, variant, options=options),
         extended_effects=effect_files(session, variant),
         extended_variant=variant,
-        reason=OTHER_VALVE,
-        what_to_do=advice_on_unknown(OTHER_VALVE, "", None),
+        reason=reason,
+        what_to_do=advice_on_unknown(reason, "", None),
     )
 
 

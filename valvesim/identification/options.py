@@ -62,6 +62,9 @@ class AuditOptions:
     overshoot: float = option(
         0.02, "1", "share of the supply by which a measured load pressure may exceed it", JUDGEMENT
     )
+    coldest_oil: float = option(
+        -20.0, "degC", "coldest oil of a bench: what never falls below it in kelvin may be written in these", JUDGEMENT
+    )
     hold_out_share: float = option(
         0.25, "1", "share of the tests that is held out where the session names none", JUDGEMENT
     )
@@ -391,6 +394,16 @@ class FitOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChannelOptions:
+    """When a channel's sign, unit or plug seems wrong."""
+
+    correlation: float = option(
+        0.9, "1", "correlation with what the stated valve reads, of either sign, from which a channel tells", JUDGEMENT
+    )
+    factor: float = option(5.0, "1", "times what the stated valve reads, or one of as many, from which", "no part's")
+
+
+@dataclass(frozen=True, kw_only=True)
 class SelfOscillationOptions:
     """When the stated valve oscillates by itself and the measured one does not."""
 
@@ -417,6 +430,7 @@ class IdentificationOptions:
     sensitivity: SensitivityOptions = SensitivityOptions()
     noise: NoiseOptions = NoiseOptions()
     fit: FitOptions = FitOptions()
+    channel: ChannelOptions = ChannelOptions()
     self_oscillation: SelfOscillationOptions = SelfOscillationOptions()
 
 

@@ -13,7 +13,7 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import OUTPUTS, PART_TEMPERATURES, UNITS, Record, Sensor, value_text
 from valvesim.measurement.quality import grid_step
 from valvesim.units import DISPLAY, quantities
-from valvesim.valve.fluid import COMPUTED_RANGE
+from valvesim.valve.fluid import COMPUTED_RANGE, KELVIN
 from valvesim.valve.parameters import Valve
 
 # Where the output goes when the command goes up, so that a flat top can be told from rest; leakage goes down both ways.
@@ -72,6 +72,10 @@ def check_conditions(
         (low, high), values = bounds[name], record.values[name]
         span = f"[{value_text(low, UNITS[name])}, {value_text(high, UNITS[name])}]"
         refuse((values < low) | (values > high), name, f"is outside {span}")
+    oil = record.values.get("oil_temperature", np.zeros(1))
+    if oil.min() > KELVIN + options.audit.coldest_oil:
+        least = value_text(oil.min(), UNITS["oil_temperature"])
+        notes.append(f"{record.name}: oil_temperature is {least} and more throughout: is it in kelvin?")
     pressure = {f"{n}_pressure": record.values.get(f"{n}_pressure", getattr(valve, f"{n}_pressure")) for n in
                 ("supply", "return", "load")}  # fmt: skip
     supply = np.broadcast_to(pressure["supply_pressure"], record.time.shape)

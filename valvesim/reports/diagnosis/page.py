@@ -12,6 +12,7 @@ from valvesim.diagnosis.result import (
     AMBIGUOUS,
     BENCH,
     CAUSE,
+    MISREAD,
     NO_DISCREPANCY,
     OTHER_VALVE,
     RECORDS_APART,
@@ -68,6 +69,7 @@ REASON_WORDS = {
     BENCH: "The bench, not the valve",
     RECORDS_APART: "Records that do not belong together",
     OTHER_VALVE: "Not the stated valve",
+    MISREAD: "Channels, not the valve",
 }  # words of the banner in place of the verdict's
 DIAGNOSIS_DPI = 140  # of the pictures: sharp on paper too
 MEMORY_WORDS = {NONE: "none", LAG: "follows with a lag", PATH: "turns with the direction, as hysteresis does"}
@@ -130,7 +132,7 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
                      else "These records show none of the candidates well enough to set an alarm level."),
         ),
         _shifts(diagnosis.shifts), _noise(diagnosis.noise),
-        _limits(() if diagnosis.reason == OTHER_VALVE else diagnosis.detection_limits),
+        _limits(() if diagnosis.reason in (OTHER_VALVE, MISREAD) else diagnosis.detection_limits),
         section("Notes", Bullets(diagnosis.notes)), _extended(diagnosis), _what_to_do(diagnosis), glossary(diagnosis),
     ]  # fmt: skip
 
@@ -334,8 +336,8 @@ def _extended(diagnosis: Diagnosis) -> Section:
 
 
 def _is_unfitted(diagnosis: Diagnosis) -> bool:
-    """Whether the records were told as another valve's before anything was fitted to them."""
-    return diagnosis.reason == OTHER_VALVE and not diagnosis.shifts
+    """Whether the records were told as another valve's, or their channels as misread, before anything was fitted."""
+    return diagnosis.reason in (OTHER_VALVE, MISREAD) and not diagnosis.shifts
 
 
 def _what_to_do(diagnosis: Diagnosis) -> Section:

@@ -1,0 +1,100 @@
+"""A sign, a unit or a plug that is wrong is told before anything is fitted."""
+
+import datetime
+import re
+import shutil
+
+import numpy as np
+import pytest
+from hidden_plant import draw, shortened, write_session
+from hypothesis import given
+from hypothesis import strategies as st
+
+import valvesim as vs
+from valvesim.identification.channel_check import NOZZLES, WITH_COMMAND, _by_slopes, misread_channels
+from valvesim.identification.options import DEFAULT_IDENTIFICATION
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_session
+from valvesim.reports.diagnosis.page import write_report
+
+OPTIONS = DEFAULT_IDENTIFICATION.channel
+WELL = {"record_1": (1.02, 0.999), "record_2": (0.97, 0.98)}
+TURNED = {name: (-b, -r) for name, (b, r) in WELL.items()}
+
+
+@pytest.mark.parametrize("slopes, told", [
+    ({"spool_position": WELL, "load_flow": WELL}, []),
+    ({"spool_position": WELL, "load_flow": TURNED}, ["load_flow goes the other way than the stated valve: its sign?"]),
+    ({"load_flow": TURNED}, ["load_flow goes the other way than the stated valve: its sign, or that of the command?"]),
+    ({"spool_position": TURNED, "load_flow": TURNED},
+     ["spool_position and load_flow go the other way than the stated valve: the sign of the command?"]),
+    ({"spool_position": WELL} | dict.fromkeys(NOZZLES, TURNED),
+     ["nozzle_pressure_1 reads what nozzle_pressure_2 should, and the other way about: swapped?"]),
+    (dict.fromkeys(NOZZLES, TURNED),
+     ["nozzle_pressure_1 and nozzle_pressure_2 go the other way than the stated valve: are they swapped, or is it the "
+      "sign of the command?"]),
+    ({"spool_position": WELL, "nozzle_pressure_2": TURNED},
+     ["nozzle_pressure_2 goes the other way than the stated valve: is it that of the other nozzle?"]),
+    ({"spool_position": WELL, "load_flow": {**WELL, "record_3": (-1.0, -0.99)}},
+     ["load_flow goes the other way in record_3 than in record_1, record_2: its sign?"]),
+    ({"load_flow": {name: (60.0 * b, r) for name, (b, r) in WELL.items()}},
+     ["load_flow reads 59.7 times what the stated valve does: its unit?"]),
+    ({"load_flow": {**WELL, "record_3": (60.0, 0.99)}}, []),  # in one record alone it is none of unit
+    ({"load_flow": {"record_1": (-0.4, -0.5)}}, []),  # what hardly follows the command tells nothing
+])  # fmt: skip
+def test_what_is_told_of_slopes(slopes, told):
+    assert _by_slopes(slopes, options=OPTIONS) == told
+
+
+@given(st.dictionaries(st.sampled_from(WITH_COMMAND), st.floats(0.3, 3.0), min_size=1))
+def test_no_cause_that_weakens_or_strengthens_a_channel_threefold_is_a_unit(gains):
+    assert _by_slopes({name: {"record_1": (b, 0.95)} for name, b in gains.items()}, options=OPTIONS) == []
+
+
+@pytest.fixture(scope="module")
+def folder_of_healthy_valve(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("healthy")
+    write_session(shortened(draw(3400017, "none", noise=0.004), 301), folder)
+    return folder
+
+
+def changed(folder, target, column, by):
+    """The session with one column of every record other than it was."""
+    shutil.copytree(folder, target)
+    for path in target.glob("*.csv"):
+        head, *rows = path.read_text().splitlines()
+        k = next(k for k, name in enumerate(head.split(",")) if name.startswith(column))
+        cells = [row.split(",") for row in rows]
+        lines = [",".join([*row[:k], repr(by(float(row[k]))), *row[k + 1 :]]) for row in cells]
+        path.write_text("\n".join([head, *lines]) + "\n")
+    return target
+
+
+def test_channels_that_read_well_are_not_told(folder_of_healthy_valve):
+    assert misread_channels(prepare_session(load_session(folder_of_healthy_valve))) is None
+
+
+@pytest.mark.parametrize("column, by, told", [
+    ("load_flow", lambda x: -x, "load_flow goes the other way than the stated valve: its sign?"),
+    ("load_flow", lambda x: 60.0 * x, r"load_flow reads [56]\d\.?\d* times what the stated valve does: its unit\?"),
+    ("current", lambda x: -x, "nozzle_pressure_2 and load_flow go the other way than the stated valve: the sign of the "
+                              "command?"),
+])  # fmt: skip
+def test_a_sign_or_a_unit_is_told_before_anything_is_fitted(
+    folder_of_healthy_valve, tmp_path, monkeypatch, column, by, told
+):
+    monkeypatch.setattr("valvesim.diagnosis.diagnose.fit_coarse_to_fine", None)
+    found = vs.diagnose(changed(folder_of_healthy_valve, tmp_path / "changed", column, by))
+    assert (found.verdict, found.reason) == ("unknown", "misread_channels") and not found.extension_offered
+    assert told in found.summary or re.search(told, found.summary)
+    assert found.what_to_do[0].label == "the channels"
+    write_report(found, tmp_path / "page", valve="-", date=datetime.date(2026, 1, 1))
+    page = (tmp_path / "page" / "report.html").read_text()
+    assert "Channels, not the valve" in page and "stated model" in page and "refitted model" not in page
+
+
+def test_an_oil_that_is_hotter_than_any_throughout_is_asked_for_its_unit(folder_of_healthy_valve, tmp_path):
+    session = load_session(changed(folder_of_healthy_valve, tmp_path / "kelvin", "oil_temperature", lambda x: x + 273))
+    assert any("oil_temperature is 29" in note and "in kelvin?" in note for note in session.notes)
+    assert not any("kelvin" in note for note in load_session(folder_of_healthy_valve).notes)
+    assert np.isfinite(session.records[0].values["oil_temperature"]).all()

@@ -1,0 +1,99 @@
+"""Whether channels read as the stated valve does: a sign, a unit or a plug that is wrong is told before any fit, for
+figures of the valve would go to their limits to make up for it.
+
+Symbols
+    y readings, m what the stated valve reads, each about its mean in a record
+    b = sum(y m)/sum(m m) slope, r = sum(y m)/sqrt(sum(y y) sum(m m)) correlation
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from valvesim.identification.fit import Fit, evaluate_fit, rescored
+from valvesim.identification.noise_estimation import identify_noise, initial_noise
+from valvesim.identification.options import ChannelOptions
+from valvesim.identification.session import Record
+from valvesim.identification.study import PreparedSession, Study
+
+NOZZLES = ("nozzle_pressure_1", "nozzle_pressure_2")  # of which one rises as the other falls
+WITH_COMMAND = ("spool_position", "armature_angle", "load_flow", "current", *NOZZLES)
+"""Channels that go with the command, as far as it goes; an internal leakage may well be eight times what it was."""
+
+
+@dataclass(frozen=True, eq=False)
+class MisreadChannels:
+    """What channels read otherwise than the stated valve, in words, and its fit at nominal in a study."""
+
+    words: tuple[str, ...]
+    study: Study
+    stated: Fit
+
+
+def misread_channels(prepared: PreparedSession) -> MisreadChannels | None:
+    """The channels whose sign, unit or plug seems wrong; None where there are none.
+
+    Raises SolveError where the stated valve cannot be run.
+    """
+    prepared = prepared.without_oversampling()
+    first = evaluate_fit(
+        prepared.with_noise(initial_noise(prepared)), np.zeros(len(prepared.nominal.parameters)), ()
+    )
+    records = [predictor.record for predictor in prepared.predictors]
+    words = _by_slopes(slopes_of(records, first.readings), options=prepared.options.channel)
+    if not words:
+        return None
+    study = prepared.with_noise(identify_noise(prepared, first.readings))
+    return MisreadChannels(tuple(words), study, rescored(study, first))
+
+
+def slopes_of(
+    records: Sequence[Record], readings: Sequence[dict[str, np.ndarray]]
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """By channel and record, (b, r) of what was read against what the stated valve reads, where both move, of those
+    that are `WITH_COMMAND`.
+    """
+    found = dict[str, dict[str, tuple[float, float]]]()
+    for record, read in zip(records, readings, strict=True):
+        for name in (each for each in record.outputs if each in WITH_COMMAND):
+            good = record.usable[name] & np.isfinite(read[name])
+            y, m = (values[good] - values[good].mean() if good.any() else np.zeros(1)
+                    for values in (record.values[name], read[name]))  # fmt: skip
+            yy, ym, mm = float(y @ y), float(y @ m), float(m @ m)
+            if yy > 0.0 and mm > 0.0:
+                found.setdefault(name, {})[record.name] = (ym / mm, ym / np.sqrt(yy * mm))
+    return found
+
+
+def _by_slopes(slopes: dict[str, dict[str, tuple[float, float]]], *, options: ChannelOptions) -> list[str]:
+    """What slopes and correlations of channels say is wrong, in words."""
+    words, turned = list[str](), list[str]()
+    for name, own in slopes.items():
+        against = [record for record, (_, r) in own.items() if r < -options.correlation]
+        along = {record: b for record, (b, r) in own.items() if r > options.correlation}
+        if against and not along:
+            turned.append(name)
+        elif against:
+            words.append(f"{name} goes the other way in {', '.join(against)} than in {', '.join(along)}: its sign?")
+        elif len(along) == len(own):
+            b = float(np.median(list(along.values())))
+            if not 1.0 / options.factor < b < options.factor:
+                words.append(f"{name} reads {b:.3g} times what the stated valve does: its unit?")
+    if len(turned) == len(slopes) > 1:
+        swapped = "are they swapped, or is it " if set(turned) == set(NOZZLES) else ""
+        return [f"{_listed(turned)} go the other way than the stated valve: {swapped}the sign of the command?"]
+    if set(NOZZLES) <= set(turned):
+        words.append("nozzle_pressure_1 reads what nozzle_pressure_2 should, and the other way about: swapped?")
+        turned = [name for name in turned if name not in NOZZLES]
+    for name in turned:
+        asked = "is it that of the other nozzle?" if name in NOZZLES else "its sign?"
+        asked = asked if len(slopes) > 1 else f"{asked.removesuffix('?')}, or that of the command?"
+        words.append(f"{name} goes the other way than the stated valve: {asked}")
+    return words
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
