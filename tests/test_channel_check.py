@@ -3,6 +3,7 @@
 import datetime
 import re
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import valvesim as vs
-from valvesim.identification.channel_check import NOZZLES, WITH_COMMAND, _by_slopes, misread_channels
+from valvesim.identification.channel_check import NOZZLES, WITH_COMMAND, _by_slopes, _slopes, misread_channels
 from valvesim.identification.options import DEFAULT_IDENTIFICATION
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
@@ -49,6 +50,21 @@ def test_what_is_told_of_slopes(slopes, told):
 @given(st.dictionaries(st.sampled_from(WITH_COMMAND), st.floats(0.3, 3.0), min_size=1))
 def test_no_cause_that_weakens_or_strengthens_a_channel_threefold_is_a_unit(gains):
     assert _by_slopes({name: {"record_1": (b, 0.95)} for name, b in gains.items()}, options=OPTIONS) == []
+
+
+@pytest.mark.parametrize("moves, found", [(0.1, {}), (2.0, {"spool_position": {"record_1": (-0.5, -1.0)}})])
+def test_a_drift_with_the_oil_that_goes_the_other_way_is_no_sign(moves, found):
+    """What hardly moves but for its drift tells nothing of a sign; what follows the command does beside any drift."""
+    time = np.linspace(0.0, 10.0, 500)
+    oil, command = 20.0 + 60.0 * np.clip(time - 2.0, 0.0, 4.0) / 4.0, moves * np.sin(2.0 * np.pi * time)
+    record = SimpleNamespace(
+        name="record_1", time=time, outputs=("spool_position", "internal_leakage"),
+        values={"oil_temperature": oil, "spool_position": -0.5 * command - 0.2 * oil, "internal_leakage": -command},
+        usable=dict.fromkeys(("spool_position", "internal_leakage"), np.full(500, True)),
+    )  # fmt: skip
+    predicted = {"spool_position": command + 0.02 * oil, "internal_leakage": command}
+    slopes = _slopes([record], [predicted], options=OPTIONS)
+    assert slopes == {name: {k: pytest.approx(v) for k, v in own.items()} for name, own in found.items()}
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 figures of the valve would go to their limits to make up for it.
 
 Symbols
-    y readings, m what the stated valve reads, each about its mean in a record
+    y readings, m what the stated valve reads, each less what goes with time or the oil's temperature in a record
     b = sum(y m)/sum(m m) slope, r = sum(y m)/sqrt(sum(y y) sum(m m)) correlation
 """
 
@@ -39,31 +39,32 @@ def misread_channels(prepared: PreparedSession) -> MisreadChannels | None:
     Raises SolveError where the stated valve cannot be run.
     """
     prepared = prepared.without_oversampling()
-    first = evaluate_fit(
-        prepared.with_noise(initial_noise(prepared)), np.zeros(len(prepared.nominal.parameters)), ()
-    )
+    study, options = prepared.with_noise(initial_noise(prepared)), prepared.options.channel
+    first = evaluate_fit(study, np.zeros(len(prepared.nominal.parameters)), ())
     records = [predictor.record for predictor in prepared.predictors]
-    words = _by_slopes(slopes_of(records, first.readings), options=prepared.options.channel)
+    words = _by_slopes(_slopes(records, first.readings, options=options), options=options)
     if not words:
         return None
     study = prepared.with_noise(identify_noise(prepared, first.readings))
     return MisreadChannels(tuple(words), study, rescored(study, first))
 
 
-def slopes_of(
-    records: Sequence[Record], readings: Sequence[dict[str, np.ndarray]]
+def _slopes(
+    records: Sequence[Record], readings: Sequence[dict[str, np.ndarray]], *, options: ChannelOptions
 ) -> dict[str, dict[str, tuple[float, float]]]:
-    """By channel and record, (b, r) of what was read against what the stated valve reads, where both move, of those
-    that are `WITH_COMMAND`.
+    """By channel and record, (b, r) of what was read against what the stated valve reads, of channels that are
+    `WITH_COMMAND`, where that is what moves the valve: a drift may well go the other way.
     """
     found = dict[str, dict[str, tuple[float, float]]]()
     for record, read in zip(records, readings, strict=True):
+        oil = record.values.get("oil_temperature", np.zeros(len(record.time)))
+        drifts = np.column_stack([np.ones(len(oil)), record.time, record.time**2, oil])
         for name in (each for each in record.outputs if each in WITH_COMMAND):
             good = record.usable[name] & np.isfinite(read[name])
-            y, m = (values[good] - values[good].mean() if good.any() else np.zeros(1)
-                    for values in (record.values[name], read[name]))  # fmt: skip
+            both = np.column_stack([record.values[name], read[name]])[good]
+            y, m = (both - drifts[good] @ np.linalg.lstsq(drifts[good], both)[0]).T
             yy, ym, mm = float(y @ y), float(y @ m), float(m @ m)
-            if yy > 0.0 and mm > 0.0:
+            if yy > 0.0 and mm > options.by_command * len(m) * float(np.var(both[:, 1])):
                 found.setdefault(name, {})[record.name] = (ym / mm, ym / np.sqrt(yy * mm))
     return found
 

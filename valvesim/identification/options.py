@@ -400,7 +400,12 @@ class ChannelOptions:
     correlation: float = option(
         0.9, "1", "correlation with what the stated valve reads, of either sign, from which a channel tells", JUDGEMENT
     )
-    factor: float = option(5.0, "1", "times what the stated valve reads, or one of as many, from which", "no part's")
+    factor: float = option(
+        5.0, "1", "times what the stated valve reads, or a share of one in as many, likewise", "no cause comes near"
+    )
+    by_command: float = option(
+        0.5, "1", "share of a channel's variance that goes neither with time nor with the oil's temperature", JUDGEMENT
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,63 @@
+"""Sessions of the tests' plant at other rates, lengths and noises than the tests draw.
+
+    .venv/bin/python benchmarks/other_rates.py 3200000 50            # healthy valves, by seeds
+    .venv/bin/python benchmarks/other_rates.py 3300000 16 --effect   # each with an effect of random strength
+
+200 Hz to 10 kHz, 0.2 to 5 s, a noise of 0.05 to 3 % of each channel's size. A line for each session: what was hidden,
+rate, duration, noise, and the answer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: a worker is one core
+    os.environ.setdefault(threads, "1")
+sys.path.insert(0, str(ROOT / "tests"))
+
+from hidden_plant import draw, write_session  # noqa: E402
+
+import valvesim as vs  # noqa: E402
+
+CLOCKS = ((200.0, 5.0), (500.0, 2.0), (1000.0, 1.0), (2000.0, 0.5), (5000.0, 0.4), (10000.0, 0.2), (1000.0, 2.0))
+"""Hz and s."""
+
+
+def diagnosed(seed: int, kind: str) -> tuple[object, ...]:
+    """What was hidden in a session, its rate, duration and noise, and the answer with its seconds of processor."""
+    dice = random.Random(seed)  # noqa: S311 - no secret
+    rate, duration = dice.choice(CLOCKS)
+    noise = 10.0 ** dice.uniform(-3.3, -1.5)
+    case = draw(seed, kind, noise=noise, rate=rate, duration=duration)
+    with tempfile.TemporaryDirectory() as folder:
+        write_session(case, folder)
+        worked = time.process_time()
+        try:
+            found = vs.diagnose(folder)
+            answer = f"{found.verdict}: {', '.join(one.label for one in found.candidates if one.in_set) or '-'}"
+        except (vs.InputError, vs.SolveError) as error:
+            answer = f"{type(error).__name__}: {error}"
+        worked = time.process_time() - worked
+    hidden = ", ".join(name for name, _ in case.hidden) or "-"
+    return seed, hidden, f"{rate:g} Hz", f"{duration:g} s", f"{100 * noise:.2g} %", answer, f"{worked:.1f} s"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("first", type=int, help="the first seed")
+    parser.add_argument("count", type=int)
+    parser.add_argument("--effect", action="store_true", help="with an effect hidden in each")
+    given = parser.parse_args()
+    for seed in range(given.first, given.first + given.count):
+        print(*diagnosed(seed, "effect" if given.effect else "none"), sep=" | ", flush=True)
+
+
+if __name__ == "__main__":
+    main()
