@@ -119,11 +119,17 @@ def fit_starts(
         fits = [fit := fit_hypothesis(nominal, start, point, worthwhile=worthwhile)]
         if fit is None:
             continue
-        more = tuple(member for member in fit.fitted if not is_negligible(member, options.isolation.slight_share))
-        if 0 < len(more) < len(start):  # from there, one alone may get where it could not before
+        if more := _without_negligible(fit, options.isolation.slight_share):
+            # from there, one alone may get where it could not before
             fits.append(fit_hypothesis(nominal, more, fit.point, worthwhile=worthwhile))
         found += [FittedHypothesis(one, options=options) for one in fits if one is not None]
     return found
+
+
+def _without_negligible(fit: Fit, share: float) -> tuple[FittedCandidate, ...]:
+    """What a fit has besides candidates that came to less than a share of what is typical; () where all or none did."""
+    more = tuple(member for member in fit.fitted if not is_negligible(member, share))
+    return more if len(more) < len(fit.fitted) else ()
 
 
 def far_off(found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> frozenset[str]:
@@ -283,8 +289,7 @@ def refined_hypotheses(
             near.append(one)
             better.append(FittedHypothesis(refined(nominal.study, one.fit), options=options))
     for fit in [one.fit for one in better]:
-        more = tuple(m for m in fit.fitted if not is_negligible(m, options.selection.negligible_amplitude))
-        if 0 < len(more) < len(fit.fitted):
+        if more := _without_negligible(fit, options.selection.negligible_amplitude):
             better += fit_starts(nominal, [more], fit.point, options=options)
     return [*better, *(one for one in found if not any(one is other for other in near))]
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvesim.identification.fit import Fit, evaluate_fit, rescored
-from valvesim.identification.noise_estimation import identify_noise, initial_noise
+from valvesim.identification.fit import Fit, predict_readings
+from valvesim.identification.noise_estimation import evaluated_under_own_noise
 from valvesim.identification.options import ChannelOptions
 from valvesim.identification.session import Record
 from valvesim.identification.study import PreparedSession, Study
@@ -39,14 +39,11 @@ def misread_channels(prepared: PreparedSession) -> MisreadChannels | None:
     Raises SolveError where the stated valve cannot be run.
     """
     prepared = prepared.without_oversampling()
-    study, options = prepared.with_noise(initial_noise(prepared)), prepared.options.channel
-    first = evaluate_fit(study, np.zeros(len(prepared.nominal.parameters)), ())
+    options, nominal = prepared.options.channel, np.zeros(len(prepared.nominal.parameters))
     records = [predictor.record for predictor in prepared.predictors]
-    words = _by_slopes(_slopes(records, first.readings, options=options), options=options)
-    if not words:
-        return None
-    study = prepared.with_noise(identify_noise(prepared, first.readings))
-    return MisreadChannels(tuple(words), study, rescored(study, first))
+    readings = predict_readings(prepared, prepared.nominal.at(nominal))
+    words = _by_slopes(_slopes(records, readings, options=options), options=options)
+    return MisreadChannels(tuple(words), *evaluated_under_own_noise(prepared, nominal)) if words else None
 
 
 def _slopes(

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.noise_model import NoiseModel, fit_autoregression, quantisation_error
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import Record
-from valvesim.identification.study import PreparedSession
+from valvesim.identification.study import PreparedSession, Study
 
 
 def identify_noise(
@@ -91,3 +92,13 @@ def initial_noise(prepared: PreparedSession) -> dict[tuple[str, float], NoiseMod
             )
             found[name, record.pace] = NoiseModel(max(size, floor, 1e-30), (), False, "first guess")
     return found
+
+
+def evaluated_under_own_noise(prepared: PreparedSession, point: np.ndarray) -> tuple[Study, Fit]:
+    """A session under the noise that the model leaves at a point (p,), and the fit there without candidates.
+
+    Raises SolveError, InputError where the valve cannot be run.
+    """
+    first = evaluate_fit(prepared.with_noise(initial_noise(prepared)), point, ())
+    study = prepared.with_noise(identify_noise(prepared, first.readings))
+    return study, rescored(study, first)

@@ -28,7 +28,7 @@ from valvesim.identification.input_waves import dominant_wave, fitted_waves, tun
 from valvesim.identification.instrument_errors import instrument_errors
 from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
 from valvesim.identification.linearised_record import LinearisedRecord
-from valvesim.identification.noise_estimation import identify_noise, initial_noise
+from valvesim.identification.noise_estimation import evaluated_under_own_noise, identify_noise, initial_noise
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.study import Prepared, PreparedSession, Study, with_records
 
@@ -407,9 +407,8 @@ def fit_nominal_near(prepared: PreparedSession, point: np.ndarray, *, full_weigh
     """The nominal model fitted from a point (p,) near its best, and the noise with it; samples next to peaks count less
     unless at `full_weight`.
     """
-    fit = evaluate_fit(prepared.with_noise(initial_noise(prepared)), point, ())
-    study = prepared.with_noise(identify_noise(prepared, fit.readings))
-    nominal = _with_edges_searched(_tuned(linearise_nominal(study, rescored(study, fit))))
+    study, fit = evaluated_under_own_noise(prepared, point)
+    nominal = _with_edges_searched(_tuned(linearise_nominal(study, fit)))
     for last in (False, True):
         weighted = nominal.study if full_weight else down_weight_peaks(nominal.study, nominal.linearised)
         nominal = _converge(reweighted(weighted, nominal), study.options.fit.nominal_ftol)

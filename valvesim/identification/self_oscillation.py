@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import Fit, evaluate_fit, rescored
-from valvesim.identification.noise_estimation import identify_noise, initial_noise
+from valvesim.identification.fit import Fit
+from valvesim.identification.noise_estimation import evaluated_under_own_noise
 from valvesim.identification.predictor import at_rest_together
 from valvesim.identification.study import PreparedSession, Study
 
@@ -45,9 +45,7 @@ def self_oscillation(prepared: PreparedSession) -> SelfOscillation | None:
         return None
     if rests:
         return None
-    first = evaluate_fit(prepared.with_noise(initial_noise(prepared)), nominal, ())
-    study = prepared.with_noise(identify_noise(prepared, first.readings))
-    stated = rescored(study, first)
+    study, stated = evaluated_under_own_noise(prepared, nominal)
     return None if _is_measured(study, stated, frequency) else SelfOscillation(frequency, study, stated)
 
 
