@@ -14,14 +14,13 @@ from valvesim.identification.between_samples import (
     EdgeTime,
     Held,
     InputShift,
-    Polyline,
     Smooth,
     Wave,
     added_input,
     added_on_grid,
     command_jumps,
-    command_through,
     deviating_command,
+    piecewise_command,
 )
 from valvesim.identification.input_choice import HELD_NAME, edge_time, input_choices
 from valvesim.identification.linearised_record import linearise_record
@@ -30,16 +29,19 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
-from valvesim.inputs import Table, evaluate
+from valvesim.inputs import Piecewise, Table, evaluate, piece_value, straight_pieces
 
 TIME = np.arange(400) / 1e3
 CHIRP = np.sin(2.0 * np.pi * (TIME + 199.0 * TIME**2 / 2.0))
 
 
-def mean(points, start, end):
-    """The mean of straight lines between points."""
-    t = np.unique(np.concatenate([[start, end], points[0][(points[0] > start) & (points[0] < end)]]))
-    return float(np.trapezoid(np.interp(t, *points), t) / (end - start))
+def applied(deviation, values, amount=1.0, time=TIME):
+    """The pieces of a record's samples with a deviation in them."""
+    return deviation.apply(straight_pieces(time, values), (time, values), amount)
+
+
+def value(pieces, times):
+    return evaluate(Piecewise(pieces), times)
 
 
 def test_an_edge_is_where_its_amount_says_and_slopes_go_on_to_it():
@@ -47,28 +49,30 @@ def test_an_edge_is_where_its_amount_says_and_slopes_go_on_to_it():
     (edge,) = [EdgeTime("a", "current", int(k)) for k in command_jumps(values, options=OPTIONS)]
     assert edge.after == 199
     for amount in (-4e-4, 0.0, 3e-4):
-        t, u = edge.apply((TIME, values), (TIME, values), amount)
-        at = 0.1995 + amount
-        np.testing.assert_allclose(np.interp([at - 1e-6, at + 1e-6], t, u), [1.0 + 2.0 * at, -3.0 * at], atol=1e-4)
-    t, _ = edge.apply((TIME, values), (TIME, values), 1.0)
-    assert np.all(np.diff(t) > 0.0)  # held within its interval
+        pieces, at = applied(edge, values, amount), 0.1995 + amount
+        np.testing.assert_allclose(value(pieces, [at - 1e-6, at + 1e-6]), [1.0 + 2.0 * at, -3.0 * at], atol=1e-4)
+        np.testing.assert_allclose(value(pieces, TIME), values, atol=1e-12)
+    assert np.all(np.diff(applied(edge, values)[1:, 0]) > 0.0)  # held within its interval
 
 
 def test_held_samples_stay_and_smooth_ones_go_through_the_samples():
-    t, u = Held("a", "current").apply((TIME, CHIRP), (TIME, CHIRP), 1.0)
-    np.testing.assert_allclose(np.interp(TIME[:-1] + 9e-4, t, u), CHIRP[:-1])
-    t, u = Smooth("a", "current").apply((TIME, CHIRP), (TIME, CHIRP), 1.0)
-    exact = np.sin(2.0 * np.pi * (t + 199.0 * t**2 / 2.0))
-    straight = np.abs(np.interp(t, TIME, CHIRP) - exact).max()
-    assert np.abs(u - exact).max() < 0.03 * straight  # of a cubic spline: 0.05
+    held = applied(Held("a", "current"), CHIRP)
+    np.testing.assert_allclose(value(held, TIME[:-1] + 9e-4), CHIRP[:-1])
+    smooth, fine = applied(Smooth("a", "current"), CHIRP), np.linspace(0.0, TIME[-1], 8 * 399 + 1)
+    exact = np.sin(2.0 * np.pi * (fine + 199.0 * fine**2 / 2.0))
+    straight = np.abs(np.interp(fine, TIME, CHIRP) - exact).max()
+    assert np.abs(value(smooth, fine) - exact).max() < 0.03 * straight  # of a cubic spline: 0.05
+    assert np.abs(value(smooth, TIME) - CHIRP).max() < 1e-3 * straight
+    for row, following in zip(smooth[1:-2], smooth[2:-1], strict=True):  # no corners
+        np.testing.assert_allclose(piece_value(row, following[0]), following[1:3], atol=1e-6)
 
 
 @given(st.lists(st.tuples(st.floats(1e-6, 1.0), st.floats(-1e3, 1e3)), min_size=2, max_size=20), st.floats(-1.0, 2.0))
-def test_a_polyline_goes_as_a_table_of_its_points(steps, late):
+def test_pieces_through_points_go_as_a_table_of_them(steps, late):
     t, u = np.cumsum([step for step, _ in steps]) + late, np.array([value for _, value in steps])
     at = np.linspace(t[0] - 0.1, t[-1] + 0.1, 97)
     table = Table(times=tuple(t.tolist()), values=tuple(u.tolist()))
-    np.testing.assert_array_equal(evaluate(Polyline((t, u)), at), evaluate(table, at))
+    np.testing.assert_array_equal(value(straight_pieces(t, u), at), evaluate(table, at))
     assert table == Table(times=tuple(t.tolist()), values=tuple(u.tolist())) and not table.points[0].flags.writeable
 
 
@@ -77,41 +81,45 @@ def test_a_command_that_goes_on_smoothly_keeps_its_amplitude(frequency):
     fine = np.linspace(0.05, 0.35, 30_001)
     exact = np.sin(2.0 * np.pi * frequency * fine + 0.3)
     wave = np.sin(2.0 * np.pi * frequency * TIME + 0.3)
-    between = np.interp(fine, *Smooth("a", "current").apply((TIME, wave), (TIME, wave), 1.0))
+    between = value(applied(Smooth("a", "current"), wave), fine)
     assert abs(between @ exact / (exact @ exact) - 1.0) < 5e-5  # straight lines: 0.13 at 200 Hz, a cubic spline 7e-3
 
 
-def test_a_command_of_few_samples_between_corners_goes_on_smoothly_too():
+def test_a_piecewise_command_few_samples_between_corners_goes_on_smoothly_too():
     for count in (2, 3, 4, 6, 9):
         time = TIME[:count]
-        t, u = Smooth("a", "current").apply((time, time**2), (time, time**2), 1.0)
-        assert len(t) == 8 * (count - 1) + 1 and np.abs(u - t**2).max() < 3e-7
+        pieces, fine = applied(Smooth("a", "current"), time**2, time=time), np.linspace(0.0, time[-1], 97)
+        assert np.abs(value(pieces, fine) - fine**2).max() < (3e-7 if count < 4 else 1e-15)
 
 
 def test_smooth_commands_are_straight_in_the_intervals_of_their_corners():
-    t, u = Smooth("a", "current", (199,)).apply((TIME, CHIRP), (TIME, CHIRP), 1.0)
-    assert np.interp(0.1995, t, u) == pytest.approx(CHIRP[199:201].mean())
+    pieces = applied(Smooth("a", "current", (0, 199, 200, 398)), CHIRP)
+    for k in (0, 199, 200, 398):
+        assert value(pieces, TIME[k] + 5e-4) == pytest.approx(CHIRP[k : k + 2].mean(), abs=1e-9)
 
 
 @pytest.mark.parametrize("column, values", [("supply_pressure", np.full(400, 2e7)), ("current", CHIRP)])
 def test_waves_and_shifts_are_added(column, values):
-    samples = (TIME, values)
-    command = command_through(samples)
+    command = piecewise_command(straight_pieces(TIME, values))
+    if isinstance(command, Piecewise):
+        command = Table(times=tuple(TIME), values=tuple(values))
     both = ((Wave("a", column, 50.0, 0.3), 0.1), (InputShift("a", column), 1.0))
     moved = deviating_command(command, TIME[-1], both)
     wave = 0.1 * np.cos(2.0 * np.pi * 50.0 * TIME - 0.3)
     np.testing.assert_allclose(evaluate(moved, TIME), values + wave + 1.0, rtol=1e-12)
     assert deviating_command(command, TIME[-1], ()) is command
-    t, u = InputShift("a", column, growing=True).apply(samples, samples, 2.0)
-    assert u[-1] - values[-1] == pytest.approx(2.0) and u[0] == values[0]
+    for one in (straight_pieces(TIME, values), applied(Smooth("a", column), values)):
+        grown = InputShift("a", column, growing=True).apply(one, (TIME, values), 2.0)
+        fine = np.linspace(0.0, TIME[-1], 777)
+        np.testing.assert_allclose(value(grown, fine) - value(one, fine), 2.0 * fine / TIME[-1], atol=1e-7)
     added = added_input(command, TIME[-1], both, both[1:], TIME)
     np.testing.assert_allclose(added, wave * np.sinc(0.05) ** 2, atol=1e-12)
 
 
 def test_a_wave_on_a_grid_is_what_its_points_would_add():
     wave, fine = Wave("a", "current", 210.0, 1.1), np.linspace(0.0, TIME[-1], 40_001)
-    points = (fine, 0.3 * np.cos(2.0 * np.pi * 210.0 * fine - 1.1))
-    added = added_on_grid(points, (TIME[[0, -1]], np.zeros(2)), TIME)
+    pieces = straight_pieces(fine, 0.3 * np.cos(2.0 * np.pi * 210.0 * fine - 1.1))
+    added = added_on_grid(pieces, straight_pieces(TIME[[0, -1]], np.zeros(2)), TIME)
     np.testing.assert_allclose(added[1:-1], 0.3 * wave.on_grid(TIME)[1:-1], atol=1e-5)
 
 
@@ -119,11 +127,29 @@ def test_what_is_added_on_a_grid_has_its_area_and_its_moment_whatever_the_grid()
     times = np.linspace(0.0, 0.399, 1 + 399 * 2)
     values = np.where(TIME < 0.2, 0.0, 1.0)
     edge = EdgeTime("a", "current", 199)
-    new, old = (edge.apply((TIME, values), (TIME, values), amount) for amount in (2e-4, -1e-4))
+    new, old = (applied(edge, values, amount) for amount in (2e-4, -1e-4))
     added = added_on_grid(new, old, times)
     assert np.sum(added) * times[1] == pytest.approx(-3e-4, rel=1e-4)  # of height 1, later by 0.3 ms
     assert np.sum(added * times) / np.sum(added) == pytest.approx(0.19955, abs=1e-6)
     assert np.count_nonzero(np.abs(added) > 1e-9) <= 4
+
+
+@given(st.integers(0, 10_000), st.integers(2, 30))
+def test_what_is_added_on_a_grid_is_the_mean_over_hats_of_any_pieces(seed, count):
+    dice, h = np.random.default_rng(seed), 0.01
+    times = h * np.arange(21)
+    new, old = (np.column_stack([np.sort(dice.uniform(0.0, 0.2, count)), dice.normal(size=(count, 4))])
+                for _ in range(2))  # fmt: skip
+    new[0, 0] = old[0, 0] = 0.0
+    new[0, 2:], old[0, 2:], new[-1, 2:], old[-1, 2:] = 0.0, 0.0, 0.0, 0.0
+    new[:, 3:] *= [1e2, 1e4]
+    added = added_on_grid(new, old, times)
+    shares = (np.arange(4000) + 0.5) / 2000 - 1.0  # of the hat's half width
+    for k in range(2, 19):
+        at = times[k] + h * shares
+        apart = value(new, at) - value(old, at)
+        mean = 2.0 * np.mean(apart * (1.0 - np.abs(shares)))  # errs by a jump's part of one of 4000 steps
+        assert added[k] == pytest.approx(mean, abs=1e-3 * np.abs(apart).max() + 1e-9)
 
 
 def test_jumps_are_found_and_fast_commands_have_none():

@@ -14,6 +14,7 @@ from valvesim.inputs import (
     Chirp,
     Constant,
     Extremes,
+    Piecewise,
     Pulse,
     Ramp,
     Scaled,
@@ -59,6 +60,13 @@ def chirps(logarithmic):
     )  # fmt: skip
 
 
+@st.composite
+def cubics(draw):
+    count = draw(st.integers(1, 6))
+    starts = [0.0, *sorted(draw(st.lists(st.floats(0.01, 2.5), min_size=count, max_size=count, unique=True)))]
+    return Piecewise(np.array([[start, *(draw(values) for _ in range(4))] for start in starts]))
+
+
 straight = {
     "constant": st.builds(Constant, value=values),
     "step": st.builds(Step, before=values, after=values, time=moments),
@@ -69,14 +77,15 @@ straight = {
     ),
     "table": tables(),
 }
-waves = {
+curved = {
+    "cubics": cubics(),
     "sine": st.builds(
         Sine, amplitude=values, frequency=frequencies, phase=st.floats(-7.0, 7.0), offset=values, time=moments
     ),
     "linear chirp": chirps(st.just(False)),
     "logarithmic chirp": chirps(st.just(True)),
 }
-every = {**straight, **waves}
+every = {**straight, **curved}
 commands = st.one_of(*every.values())
 mixtures = st.lists(commands, min_size=1, max_size=5)
 of_every_kind = pytest.mark.parametrize("kind", every)
@@ -123,6 +132,9 @@ def defined(c, t):
             return c.start_value + (c.end_value - c.start_value) * jumps / c.steps
         case Table():
             return float(np.interp(t, c.times, c.values))
+        case Piecewise():
+            start, *figures = next(row for row in c.rows[::-1] if row[0] <= t)
+            return sum(figure * (t - start) ** k for k, figure in enumerate(figures))
 
 
 def refusal(function, *arguments, **options):

@@ -146,7 +146,7 @@ BARE = {  # numbers that no judgement sets
     ("diagnosis/power.py", "NINE_IN_TEN"): "a quantile of the normal distribution",
     ("diagnosis/power.py", "NINETEEN_IN_TWENTY"): "a quantile of the normal distribution",
     ("identification/between_samples.py", "EDGE"): "how a jump is written as points, in every stored deviation alike",
-    ("identification/between_samples.py", "SMOOTH"): "how a smooth command is written as points, likewise",
+    ("identification/between_samples.py", "CUBICS"): "how a smooth command is written as pieces, likewise",
     ("identification/tangent_linear.py", "DIVERGED"): "where squares overflow",
     ("identification/from_figures/similarity.py", "ANCHOR_STIFFNESS"): "a dimension of the anchor, as published",
     ("identification/from_figures/similarity.py", "ANCHOR_STROKE"): "a dimension of the anchor",

@@ -3,7 +3,7 @@
 Every command is a row of pieces, so that one formula (`piece_value`) serves numpy and compiled code, and every jump is
 known before the integration starts and is never stepped over. In a piece, with tau = t - start,
 
-    value = offset + slope tau + sum over its waves of A sin(2 pi f g(tau) + phase),
+    value = offset + slope tau + square tau^2 + cube tau^3 + sum over its waves of A sin(2 pi f g(tau) + phase),
     g = tau + (rate/2) tau^2 / f for a linear chirp,  g = (exp(growth tau) - 1)/growth for a logarithmic one.
 
 Times in seconds, values in the unit of what is commanded. Levels are absolute; amplitudes, heights and rates are
@@ -24,7 +24,8 @@ from valvesim.errors import InputError, unknown_name
 from valvesim.units import POSITIVE, check_bounds, has_unit, in_si, quantities, quantity
 
 MOST_PIECES = 1_000_000  # of a command within a run: with all that is made of them some 300 MB
-PIECE_WIDTH, WAVE_WIDTH = 3, 5  # (start, offset, slope), then (amplitude, frequency, rate, growth, phase) per wave
+PIECE_WIDTH = 5  # (start, offset, slope, square, cube), then for each wave
+WAVE_WIDTH = 5  # (amplitude, frequency, rate, growth, phase)
 
 VALUE = "value"  # the unit of such a figure is that of what is commanded
 COMMANDED = ("A", "V", "Pa", "degC")  # what a command may be of: current, voltage, pressure, temperature
@@ -92,8 +93,10 @@ def piece_value(row, t):
 def piece_motion(row, t):
     """(value, rate, rate of the rate) of one piece at time t, or times. Compiled as it stands."""
     tau = t - row[0]
-    value, rate, bend = row[1] + row[2] * tau, row[2], 0.0
-    for k in range(3, row.shape[0], 5):
+    value = row[1] + tau * (row[2] + tau * (row[3] + tau * row[4]))
+    rate = row[2] + tau * (2.0 * row[3] + tau * 3.0 * row[4])
+    bend = 2.0 * row[3] + tau * 6.0 * row[4]
+    for k in range(5, row.shape[0], 5):
         amplitude, frequency, sweep, growth, phase = row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4]
         if amplitude != 0.0:
             swelling = 0.0 if growth == 0.0 else np.expm1(growth * tau)
@@ -107,14 +110,38 @@ def piece_motion(row, t):
     return value, rate, bend
 
 
+def polynomial(rows: np.ndarray, tau: Any) -> Any:
+    """Values of pieces (n, width) without their waves, each at a time after its start, (n,)."""
+    return rows[:, 1] + tau * (rows[:, 2] + tau * (rows[:, 3] + tau * rows[:, 4]))
+
+
+def moved_to(rows: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """The polynomials of pieces (n, width), each from another start on, (n, 5): the same functions of time."""
+    tau, (_, _, slope, square, cube) = starts - rows[:, 0], rows[:, :PIECE_WIDTH].T
+    rate, bend = slope + tau * (2.0 * square + tau * 3.0 * cube), square + tau * 3.0 * cube
+    return np.column_stack([starts, polynomial(rows, tau), rate, bend, cube])
+
+
+def pieces_at(rows: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The index of the piece that rules at each time, any shape; before the first, the first."""
+    return np.clip(np.searchsorted(rows[:, 0], times, side="right") - 1, 0, None)
+
+
+def lines(start: Any, offset: Any, slope: Any = 0.0) -> np.ndarray:
+    """Rows of `Command.pieces` (n, 5) that go straight: of starts, offsets and slopes, (n,) or one for all."""
+    rows = np.zeros((np.broadcast(start, offset, slope).size, PIECE_WIDTH))
+    rows[:, 0], rows[:, 1], rows[:, 2] = start, offset, slope
+    return rows
+
+
 def straight_pieces(t: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Rows of `Command.pieces` of straight lines between points (n,), held at the first and the last value."""
-    rows = np.column_stack([t, y, np.append(np.diff(y) / np.diff(t), 0.0)])
-    return np.vstack([[min(t[0], 0.0), y[0], 0.0], rows])  # what holds before the first point
+    before = lines(min(t[0], 0.0), y[0])  # what holds before the first point
+    return np.vstack([before, lines(t, y, np.append(np.diff(y) / np.diff(t), 0.0))])
 
 
 class Command(Protocol):
-    """What a command can do. `pieces(end)`: rows (n, 3 + 5 waves) sorted by start, the first at or before zero."""
+    """What a command can do. `pieces(end)`: rows (n, 5 + 5 waves) sorted by start, the first at or before zero."""
 
     def pieces(self, end: float) -> np.ndarray: ...
 
@@ -125,10 +152,13 @@ def evaluate(command: Command, times) -> np.ndarray:
     if isinstance(command, Sum):
         return np.sum([evaluate(term, t) for term in command.terms], axis=0)
     rows = command.pieces(float(np.max(t, initial=0.0)))
-    which = np.clip(np.searchsorted(rows[:, 0], t, side="right") - 1, 0, None)
-    if rows.shape[1] == PIECE_WIDTH:
-        return rows[which, 1] + rows[which, 2] * (t - rows[which, 0])
+    which = pieces_at(rows, t)
     piece, point, values = which.ravel(), t.ravel(), np.empty(t.size)
+    if rows.shape[1] == PIECE_WIDTH:
+        if not rows[:, 3:].any():
+            return rows[which, 1] + rows[which, 2] * (t - rows[which, 0])
+        ruling = rows[piece]
+        return polynomial(ruling, point - ruling[:, 0]).reshape(t.shape)
     order = np.argsort(piece, kind="stable")
     for group in np.split(order, np.flatnonzero(np.diff(piece[order], prepend=-1)))[1:]:  # the points of one piece
         values[group] = piece_value(rows[piece[group[0]]], point[group])[0]
@@ -148,25 +178,45 @@ class Extremes:
 def extremes(command: Command, end: float) -> Extremes:
     """What a command reaches over 0..end, values just before a jump included: bounds that nothing exceeds.
 
-    Exact for straight pieces. Waves are bounded by bisection of time: to 1e-10 of their size where each piece has one
-    (or several of one frequency), and nearly always where they differ; after `MOST_BOUNDED` intervals the bound that
-    stands is given, which is safe but may be wide.
+    Exact for pieces without waves. Waves are bounded by bisection of time: to 1e-10 of their size where each piece has
+    one (or several of one frequency), and nearly always where they differ; after `MOST_BOUNDED` intervals the bound
+    that stands is given, which is safe but may be wide.
     """
     rows = command.pieces(end)
     first, stop = np.maximum(rows[:, 0], 0.0), np.append(rows[1:, 0], np.inf)
     ruling = (first < stop) & (first <= end)
     rows, begin, until = rows[ruling], first[ruling], np.minimum(stop, end)[ruling]
-    if not rows[:, PIECE_WIDTH::WAVE_WIDTH].any():  # straight: at the ends of a piece
-        times = np.append(begin, until)
-        values = np.tile(rows[:, 1], 2) + np.tile(rows[:, 2], 2) * (times - np.tile(rows[:, 0], 2))
+    if not rows[:, PIECE_WIDTH::WAVE_WIDTH].any():  # at the ends of a piece, or where a cubic turns
+        times = np.array([begin, until, *_turning_points(rows, begin, until)])
+        values = np.array([polynomial(rows, at - rows[:, 0]) for at in times])
+        times, values = times.ravel(), values.ravel()
         least, most = int(np.argmin(values)), int(np.argmax(values))
         return Extremes(float(values[least]), float(times[least]), float(values[most]), float(times[most]))
     high, high_at = _highest(rows, begin, until)
-    mirrored = rows.copy()
-    mirrored[:, 1:3] *= -1.0
-    mirrored[:, PIECE_WIDTH::WAVE_WIDTH] *= -1.0
-    low, low_at = _highest(mirrored, begin, until)
+    low, low_at = _highest(_scaled(rows, -1.0), begin, until)
     return Extremes(-low, low_at, high, high_at)
+
+
+def _turning_points(rows: np.ndarray, begin: np.ndarray, until: np.ndarray) -> np.ndarray:
+    """Where the cubics of pieces (n, width) turn between `begin` and `until`, (2, n) in s; elsewhere `begin`. None of
+    straight ones, (0, n).
+    """
+    if not rows[:, 3:PIECE_WIDTH].any():
+        return np.zeros((0, len(rows)))
+    slope, square, cube = rows[:, 2], rows[:, 3], rows[:, 4]
+    with np.errstate(all="ignore"):
+        q = -(square + np.copysign(np.sqrt(square**2 - 3.0 * cube * slope), square))  # of no cancellation
+        tau = np.array([q / (3.0 * cube), slope / q])
+        at = rows[:, 0] + tau
+        return np.where((at > begin) & (at < until), at, begin)
+
+
+def _scaled(rows: np.ndarray, factor: float) -> np.ndarray:
+    """Pieces times a factor."""
+    rows = np.array(rows, dtype=float)
+    rows[:, 1:PIECE_WIDTH] *= factor
+    rows[:, PIECE_WIDTH::WAVE_WIDTH] *= factor
+    return rows
 
 
 def largest(command: Command, end: float) -> float:
@@ -188,9 +238,9 @@ def turns(rows: np.ndarray, end: float) -> float:
 
 def _highest(rows: np.ndarray, begin: np.ndarray, until: np.ndarray) -> tuple[float, float]:
     """(upper bound, when) of pieces that rule from `begin` to `until`."""
-    lines, waves = rows[:, :PIECE_WIDTH], _joined(rows[:, PIECE_WIDTH:].reshape(len(rows), -1, WAVE_WIDTH))
+    cubics, waves = rows[:, :PIECE_WIDTH], _joined(rows[:, PIECE_WIDTH:].reshape(len(rows), -1, WAVE_WIDTH))
     with np.errstate(all="ignore"):
-        best, at, upper = _bounds(lines, waves, begin, until)
+        best, at, upper = _bounds(cubics, waves, begin, until)
         size = float(np.max(np.abs(upper))) if len(upper) else 0.0
         close, told, spent = 1e-10 * size, best, 0
         piece = np.arange(len(rows))
@@ -205,7 +255,7 @@ def _highest(rows: np.ndarray, begin: np.ndarray, until: np.ndarray) -> tuple[fl
             rest[pick] = False
             middle = 0.5 * (begin[pick] + until[pick])
             which, low, high = np.tile(piece[pick], 2), np.append(begin[pick], middle), np.append(middle, until[pick])
-            reached, when, bound = _bounds(lines[which], waves[which], low, high)
+            reached, when, bound = _bounds(cubics[which], waves[which], low, high)
             if reached > best:
                 best, at = reached, when
             spent += len(which)
@@ -230,13 +280,13 @@ def _joined(waves: np.ndarray) -> np.ndarray:
     return waves[:, (waves[:, :, 0] != 0.0).any(axis=0)]
 
 
-def _bounds(lines: np.ndarray, waves: np.ndarray, begin: np.ndarray, until: np.ndarray) -> tuple[float, float, Any]:
-    """(greatest value seen, when, upper bound (n,) of each) of pieces (n, 3) with waves (n, k, 5) in begin..until.
+def _bounds(cubics: np.ndarray, waves: np.ndarray, begin: np.ndarray, until: np.ndarray) -> tuple[float, float, Any]:
+    """(greatest value seen, when, upper bound (n,) of each) of pieces (n, 5) with waves (n, k, 5) in begin..until.
 
     The bound is the lesser of two: every term at its own greatest, and a parabola about the middle that bends as much
-    as any wave can.
+    as the cubic and every wave can.
     """
-    start, offset, slope = lines.T
+    start, _, slope, square, cube = cubics.T
     amplitude, frequency, sweep, growth, phase = (waves[:, :, k] for k in range(WAVE_WIDTH))
 
     def angle(t):
@@ -248,11 +298,11 @@ def _bounds(lines: np.ndarray, waves: np.ndarray, begin: np.ndarray, until: np.n
         tau = (t - start)[:, None]
         return 2.0 * np.pi * (frequency * np.exp(growth * tau) + sweep * tau)
 
-    def line(t):
-        return offset + slope * (t - start)
+    def cubic(t):
+        return polynomial(cubics, t - start)
 
     def value(t):
-        return line(t) + (amplitude * np.sin(angle(t))).sum(axis=1)
+        return cubic(t) + (amplitude * np.sin(angle(t))).sum(axis=1)
 
     middle, half = 0.5 * (begin + until), 0.5 * (until - begin)
     first, last, slow, fast = angle(begin), angle(until), speed(begin), speed(until)
@@ -262,14 +312,17 @@ def _bounds(lines: np.ndarray, waves: np.ndarray, begin: np.ndarray, until: np.n
     rising = (slow > 0.0) & (fast > 0.0)
     ends = np.maximum(amplitude * np.sin(first), amplitude * np.sin(last))
     tops = np.where(rising & (after > last), ends, np.abs(amplitude))
-    apart = np.maximum(line(begin), line(until)) + tops.sum(axis=1)
-    here = value(middle)
-    rate = slope + (amplitude * np.cos(angle(middle)) * speed(middle)).sum(axis=1)
+    curvature = np.maximum(*(np.abs(2.0 * square + 6.0 * cube * (t - start)) for t in (begin, until)))
+    arch = 0.5 * curvature * half**2  # a cubic is above the line between its ends by no more
+    apart = np.maximum(cubic(begin), cubic(until)) + arch + tops.sum(axis=1)
+    here, tau = value(middle), middle - start
+    swing = amplitude * np.cos(angle(middle)) * speed(middle)
+    rate = slope + tau * (2.0 * square + 3.0 * cube * tau) + swing.sum(axis=1)
     bend = np.maximum(slow**2, fast**2) + np.maximum(
         *(np.abs(2.0 * np.pi * (sweep + growth * frequency * np.exp(growth * (t - start)[:, None])))
           for t in (begin, until))
     )  # fmt: skip
-    together = here + np.abs(rate) * half + 0.5 * (np.abs(amplitude) * bend).sum(axis=1) * half**2
+    together = here + np.abs(rate) * half + arch + 0.5 * (np.abs(amplitude) * bend).sum(axis=1) * half**2
     upper = np.where(np.isfinite(together), np.minimum(apart, together), apart)
     seen = [(begin, value(begin)), (until, value(until)), (middle, here)]
     for k in range(min(waves.shape[1], 4)):
@@ -300,7 +353,7 @@ class Constant:
         check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
-        return np.array([[0.0, self.value, 0.0]])
+        return lines(0.0, self.value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -316,7 +369,7 @@ class Step:
         check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
-        return np.array([[0.0, self.before, 0.0], [self.time, self.after, 0.0]])
+        return lines([0.0, self.time], [self.before, self.after])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -335,8 +388,7 @@ class Ramp:
     def pieces(self, end: float) -> np.ndarray:
         change = self.end_value - self.start_value
         slope, stop = np.sign(change) * self.rate, self.time + abs(change) / self.rate
-        rows = [[0.0, self.start_value, 0.0], [self.time, self.start_value, slope], [stop, self.end_value, 0.0]]
-        return np.array(rows)
+        return lines([0.0, self.time, stop], [self.start_value, self.start_value, self.end_value], [0.0, slope, 0.0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -354,9 +406,9 @@ class Sine:
         check_bounds(self)
 
     def pieces(self, end: float) -> np.ndarray:
-        still = [0.0, self.offset, 0.0, *_wave(0.0, self.frequency, 0.0, 0.0, 0.0)]
+        still = _wave(0.0, self.frequency, 0.0, 0.0, 0.0)
         wave = _wave(self.amplitude, self.frequency, 0.0, 0.0, self.phase)
-        return np.array([still, [self.time, self.offset, 0.0, *wave]])
+        return np.column_stack([lines([0.0, self.time], self.offset), [still, wave]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -385,13 +437,8 @@ class Chirp:
         if self.logarithmic:
             rate, growth = 0.0, np.log(ratio) / self.duration
         wave = _wave(self.amplitude, self.start_frequency, rate, growth, 0.0)
-        return np.array(
-            [
-                [0.0, self.offset, 0.0, *still],
-                [self.time, self.offset, 0.0, *wave],
-                [self.time + self.duration, self.offset, 0.0, *still],
-            ]
-        )
+        starts = [0.0, self.time, self.time + self.duration]
+        return np.column_stack([lines(starts, self.offset), [still, wave, still]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -423,9 +470,8 @@ class Pulse:
         k = np.arange(int(within))
         starts = self.time + k * (self.period if np.isfinite(self.period) else 0.0)
         stops = np.minimum(starts + self.width, self.time + (k + 1) * self.period)  # rounding never mixes their order
-        rows = np.zeros((1 + 2 * len(k), PIECE_WIDTH))
-        rows[0, 1], rows[1::2, 0], rows[2::2, 0] = self.base, starts, stops
-        rows[1::2, 1], rows[2::2, 1] = self.base + self.height, self.base
+        rows = lines(np.zeros(1 + 2 * len(k)), self.base)
+        rows[1::2, 0], rows[2::2, 0], rows[1::2, 1] = starts, stops, self.base + self.height
         return rows
 
 
@@ -451,7 +497,7 @@ class Staircase:
                 key="staircase.steps", joint=" = ", related=("staircase.hold",),
             )  # fmt: skip
         levels = np.linspace(self.start_value, self.end_value, int(self.steps) + 1)
-        return np.column_stack([np.arange(len(levels)) * self.hold, levels, np.zeros(len(levels))])
+        return lines(np.arange(len(levels)) * self.hold, levels)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -506,6 +552,16 @@ class Table:
         return straight_pieces(*self.points)
 
 
+@dataclass(frozen=True, eq=False)
+class Piecewise:
+    """A command by its own pieces (n, 5 + 5 waves), sorted by start, the first at or before zero; taken as they are."""
+
+    rows: np.ndarray
+
+    def pieces(self, end: float) -> np.ndarray:
+        return self.rows
+
+
 @dataclass(frozen=True)
 class Sum:
     """The sum of commands, such as a bias with a sine."""
@@ -524,10 +580,7 @@ class Scaled:
     factor: float
 
     def pieces(self, end: float) -> np.ndarray:
-        rows = np.array(self.command.pieces(end), dtype=float)
-        rows[:, 1:PIECE_WIDTH] *= self.factor
-        rows[:, PIECE_WIDTH::WAVE_WIDTH] *= self.factor
-        return rows
+        return _scaled(self.command.pieces(end), self.factor)
 
 
 @dataclass(frozen=True)
@@ -538,9 +591,9 @@ class Intervals:
     rows: np.ndarray
 
     def sum_of_inputs(self) -> np.ndarray:
-        """One row an interval: straight parts added (moved to the interval's start), waves side by side."""
+        """One row an interval: polynomials added (moved to the interval's start), waves side by side."""
         n, inputs, _ = self.rows.shape
-        lines = self.rows[:, :, 1] + self.rows[:, :, 2] * (self.starts[:, None] - self.rows[:, :, 0])
+        cubics = [moved_to(self.rows[:, k], self.starts) for k in range(inputs)]
         waves = self.rows[:, :, PIECE_WIDTH:].reshape(n, inputs, -1, WAVE_WIDTH).copy()
         late = (self.starts[:, None] - self.rows[:, :, 0])[:, :, None]  # a wave goes on from where it is
         frequency, sweep, growth, phase = (waves[..., k] for k in (1, 2, 3, 4))
@@ -548,7 +601,7 @@ class Intervals:
             turns = np.where(growth == 0.0, frequency * late, frequency * np.expm1(growth * late) / growth)
         waves[..., 4] = phase + 2 * np.pi * (turns + 0.5 * sweep * late**2)
         waves[..., 1] = frequency * np.exp(growth * late) + sweep * late
-        return np.column_stack([self.starts, lines.sum(1), self.rows[:, :, 2].sum(1), waves.reshape(n, -1)])
+        return np.column_stack([self.starts, np.sum(cubics, axis=0)[:, 1:], waves.reshape(n, -1)])
 
 
 def merge(commands: Sequence[Command], end: float) -> tuple[np.ndarray, Intervals]:
@@ -568,8 +621,7 @@ def merge(commands: Sequence[Command], end: float) -> tuple[np.ndarray, Interval
         raise InputError(f"{len(starts)} pieces of {len(pieces)} commands with waves are too many to hold", key="sum")
     rows = np.zeros((len(starts), len(pieces), width))
     for k, p in enumerate(pieces):
-        which = np.clip(np.searchsorted(p[:, 0], starts, side="right") - 1, 0, None)
-        rows[:, k, : p.shape[1]] = p[which]
+        rows[:, k, : p.shape[1]] = p[pieces_at(p, starts)]
     return starts, Intervals(starts, rows)
 
 

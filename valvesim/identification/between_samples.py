@@ -2,7 +2,7 @@
 
 A record holds its command at samples. In between it may go straight, stay (a generator's staircase), go on smoothly (a
 generator far faster than the logger), or jump at any time; and what was logged as constant may have moved. Each is an
-`InputDeviation`. Most make of points (time, value) with straight lines between them other points, by so much as their
+`InputDeviation`. Most make of the pieces that an input goes by (`inputs.Command`) other pieces, by so much as their
 amount; a `Wave` is added to what comes of these, as the sine that it is.
 """
 
@@ -11,15 +11,15 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from valvesim.identification.options import IdentificationOptions
-from valvesim.inputs import Command, Constant, Sine, Sum, Table, straight_pieces
+from valvesim.inputs import Command, Constant, Piecewise, Sine, Sum, Table, lines, moved_to, pieces_at, straight_pieces
 
 EDGE = 1e-6  # s: how long a jump takes
-SMOOTH = 8  # points to a sample of a command that goes on smoothly
+CUBICS = 2  # cubics to a sample of a command that goes on smoothly
 
 Points = tuple[np.ndarray, np.ndarray]
 
@@ -35,8 +35,8 @@ class PointDeviation(Protocol):
     def column(self) -> str:
         """The input's column."""
 
-    def apply(self, points: Points, samples: Points, amount: float) -> Points:
-        """The points with this deviation in them; `samples` are the record's own."""
+    def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
+        """The pieces (n, 5) with this deviation in them; `samples` are the record's own."""
 
 
 @dataclass(frozen=True)
@@ -50,17 +50,16 @@ class EdgeTime:
     column: str
     after: int
 
-    def apply(self, points: Points, samples: Points, amount: float) -> Points:
-        (t, u), (time, values), k = points, samples, self.after
+    def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
+        (time, values), k = samples, self.after
         start, end = time[k], time[k + 1]
         edge = float(np.clip(0.5 * (start + end) + amount, start + 2.0 * EDGE, end - 2.0 * EDGE))
-        first, last = np.searchsorted(t, start, "right"), np.searchsorted(t, end, "left")
+        first, last = np.searchsorted(pieces[:, 0], start, "right") - 1, np.searchsorted(pieces[:, 0], end, "left")
         slope = np.diff(values, prepend=values[0], append=values[-1])[[k, k + 2]] / (end - start)
         sides = values[k : k + 2] + slope * (edge - time[k : k + 2])
-        return (
-            np.concatenate([t[:first], [edge - 0.5 * EDGE, edge + 0.5 * EDGE], t[last:]]),
-            np.concatenate([u[:first], sides, u[last:]]),
-        )
+        t = np.array([pieces[first, 0], edge - 0.5 * EDGE, edge + 0.5 * EDGE, pieces[last, 0]])
+        u = np.array([pieces[first, 1], *sides, pieces[last, 1]])
+        return np.vstack([pieces[:first], lines(t[:-1], u[:-1], np.diff(u) / np.diff(t)), pieces[last:]])
 
 
 @dataclass(frozen=True)
@@ -70,54 +69,60 @@ class Held:
     record: str
     column: str
 
-    def apply(self, points: Points, samples: Points, amount: float) -> Points:
+    def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
         (time, values), step = samples, samples[0][1] - samples[0][0]
-        ends = time[1:] - min(EDGE, 0.1 * step)
-        return np.insert(time, np.arange(1, len(time)), ends), np.insert(values, np.arange(1, len(time)), values[:-1])
+        ends, at = time[1:] - min(EDGE, 0.1 * step), np.arange(1, len(time))
+        return straight_pieces(np.insert(time, at, ends), np.insert(values, at, values[:-1]))
 
 
 @dataclass(frozen=True)
 class Smooth:
     """The command goes on smoothly through its samples (splines of degree 7), straight in the intervals `straight`.
 
-    At a fifth of the sampling rate a cubic spline is 0.5 % too small, as is an armature of a larger inertia. Straight
-    lines join points so far outside the spline that they enclose as much as it does.
+    At a fifth of the sampling rate a cubic spline is 0.5 % too small, as is an armature of a larger inertia. Cubics
+    half a sample long have its slopes at both their ends, and values by so much outside it that they enclose as much
+    as it does.
     """
 
     record: str
     column: str
     straight: tuple[int, ...] = ()
 
-    def apply(self, points: Points, samples: Points, amount: float) -> Points:
-        return _smooth_between(samples[0].tobytes(), samples[1].tobytes(), self.straight)
+    def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
+        return _smooth_pieces(samples[0].tobytes(), samples[1].tobytes(), self.straight)
 
 
 @functools.lru_cache(maxsize=64)
-def _smooth_between(times: bytes, samples: bytes, straight: tuple[int, ...]) -> Points:
-    """The points of a `Smooth` through samples, whose arrays are given as bytes: every run of a record asks for them.
+def _smooth_pieces(times: bytes, samples: bytes, straight: tuple[int, ...]) -> np.ndarray:
+    """The pieces of a `Smooth` through samples, whose arrays are given as bytes: every run of a record asks for them.
     """
     time, values = np.frombuffer(times), np.frombuffer(samples)
-    t, u = [], []
-    for first, last in zip((0, *(k + 1 for k in straight)), (*straight, len(time) - 1), strict=True):
-        part, fine = slice(first, last + 1), np.linspace(time[first], time[last], (last - first) * SMOOTH + 1)
-        t.append(fine)
-        u.append(_smooth(time[part], values[part], fine))
-    points = np.concatenate(t), np.concatenate(u)
-    for column in points:
-        column.flags.writeable = False
-    return points
+    pieces = straight_pieces(time, values)
+    parts, done = [pieces[:1]], 0  # what holds before the first sample
+    for last in (*straight, len(time) - 1):
+        parts.append(_smooth_part(time[done : last + 1], values[done : last + 1]))
+        parts.append(pieces[last + 1 : last + 2])  # straight to the next, or held after the last
+        done = last + 1
+    joined = np.vstack(parts)
+    joined.flags.writeable = False
+    return joined
 
 
-def _smooth(time: np.ndarray, values: np.ndarray, fine: np.ndarray) -> np.ndarray:
-    """Points (m,) at the even times `fine` whose straight lines go as a smooth curve through samples (n,) does."""
+def _smooth_part(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Pieces (m, 5) that go smoothly through samples (n,), from the first to the last."""
     from scipy.interpolate import make_interp_spline
 
     if len(time) < 4:
-        return np.interp(fine, time, values)
+        return straight_pieces(time, values)[1:-1]
     curve = make_interp_spline(time, values, k=min(7, 2 * (len(time) // 2) - 1))
-    outside = -((fine[1] - fine[0]) ** 2) / 12.0 * curve.derivative(2)(fine)
-    outside[[0, -1]] = 0.0  # a straight interval may follow
-    return curve(fine) + outside
+    at = np.linspace(time[0], time[-1], (len(time) - 1) * CUBICS + 1)
+    u, rate = curve(at), curve.derivative()(at)
+    if curve.k > 3:
+        u[1:-1] += (at[1] - at[0]) ** 4 / 720.0 * curve.derivative(4)(at[1:-1])
+    step, slope = np.diff(at), np.diff(u) / np.diff(at)
+    square = (3.0 * slope - 2.0 * rate[:-1] - rate[1:]) / step
+    cube = (rate[:-1] + rate[1:] - 2.0 * slope) / step**2
+    return np.column_stack([at[:-1], u[:-1], rate[:-1], square, cube])
 
 
 @dataclass(frozen=True)
@@ -128,9 +133,14 @@ class InputShift:
     column: str
     growing: bool = False
 
-    def apply(self, points: Points, samples: Points, amount: float) -> Points:
-        t, u = points
-        return t, u + amount * ((t - t[0]) / (t[-1] - t[0]) if self.growing else 1.0)
+    def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
+        shifted, (first, last) = pieces.copy(), samples[0][[0, -1]]
+        if not self.growing:
+            shifted[:, 1] += amount
+            return shifted
+        shifted[:, 1] += amount * np.clip((pieces[:, 0] - first) / (last - first), 0.0, 1.0)
+        shifted[(pieces[:, 0] >= first) & (pieces[:, 0] < last), 2] += amount / (last - first)
+        return shifted
 
 
 @dataclass(frozen=True)
@@ -162,45 +172,35 @@ def acting_on(deviations: Deviations, record: str, column: str = "") -> Deviatio
     return tuple(each for each in deviations if each[0].record == record and column in ("", each[0].column))
 
 
-def points_of(command: Command, end: float) -> Points:
-    """A measured input, straight between its samples, as points."""
+def samples_of(command: Command, end: float) -> Points:
+    """The samples of a measured input, which goes straight between them."""
     if isinstance(command, Constant):
         return np.array([0.0, end]), np.full(2, float(command.value))
-    assert isinstance(command, Table | Polyline)  # noqa: S101 - a record's inputs are one of these
+    assert isinstance(command, Table)  # noqa: S101 - a record's inputs are one of these
     return command.points
 
 
-def deviating(samples: Points, deviations: Deviations) -> Points:
-    """An input's points with deviations of these; waves are none."""
-    points = samples
+def deviating(samples: Points, deviations: Deviations) -> np.ndarray:
+    """The pieces (n, 5) of a measured input with deviations of its; waves are none."""
+    pieces = straight_pieces(*samples)
     for deviation, amount in deviations:
         if not isinstance(deviation, Wave):
-            points = deviation.apply(points, samples, amount)
-    return points
+            pieces = deviation.apply(pieces, samples, amount)
+    return pieces
 
 
 def deviating_command(command: Command, end: float, deviations: Deviations) -> Command:
     """A measured input with deviations of it."""
     waves = [one.command(amount) for one, amount in deviations if isinstance(one, Wave)]
     if len(waves) < len(deviations):
-        command = command_through(deviating(points_of(command, end), deviations))
+        command = piecewise_command(deviating(samples_of(command, end), deviations))
     return Sum((command, *waves)) if waves else command
 
 
-@dataclass(frozen=True, eq=False)
-class Polyline:
-    """A command that goes straight between points of rising times, as a `Table` does; they are taken as they are."""
-
-    points: Points
-
-    def pieces(self, end: float) -> np.ndarray:
-        return straight_pieces(*self.points)
-
-
-def command_through(points: Points) -> Command:
-    """The command that goes straight between points."""
-    values = points[1]
-    return Constant(value=float(values[0])) if np.ptp(values) == 0.0 else Polyline(points)
+def piecewise_command(pieces: np.ndarray) -> Command:
+    """The command that goes by some pieces."""
+    still = np.ptp(pieces[:, 1]) == 0.0 and not pieces[:, 2:].any()
+    return Constant(value=float(pieces[0, 1])) if still else Piecewise(pieces)
 
 
 def added_input(
@@ -214,28 +214,37 @@ def added_input(
                 added += sign * amount * one.on_grid(times)
     new, old = (tuple(each for each in those if not isinstance(each[0], Wave)) for those in (deviations, before))
     if new != old:
-        samples = points_of(command, end)
+        samples = samples_of(command, end)
         added += added_on_grid(deviating(samples, new), deviating(samples, old), times)
     return added
 
 
-def added_on_grid(new: Points, old: Points, times: np.ndarray) -> np.ndarray:
-    """What some points add to others at each time (n,) of an even grid where straight lines join them.
+def added_on_grid(new: np.ndarray, old: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """What some pieces (n, 5) add to others at each time (n,) of an even grid where straight lines join them.
 
     Means over hats of the grid's width, exact: second differences of the double integral. So a jump shows at its true
     time, whatever the grid.
     """
     h = float(times[1] - times[0])
-    t = np.union1d(new[0], old[0])
-    u = np.interp(t, *new) - np.interp(t, *old)
-    t, u = np.concatenate([[t[0] - 2.0 * h], t, [t[-1] + 2.0 * h]]), np.concatenate([u[:1], u, u[-1:]])
-    step, slope = np.diff(t), np.diff(u) / np.diff(t)
-    once = np.concatenate([[0.0], np.cumsum(step * (u[:-1] + u[1:]) / 2.0)])
-    twice = np.concatenate([[0.0], np.cumsum(once[:-1] * step + u[:-1] * step**2 / 2.0 + slope * step**3 / 6.0)])
+    t = np.union1d(new[:, 0], old[:, 0])
+    added, before = (moved_to(new[pieces_at(new, t)], t) - moved_to(old[pieces_at(old, t)], t))[:, 1:], np.zeros(4)
+    before[0] = added[0, 0]
+    t, added = np.append(t[0] - 2.0 * h, t), np.vstack([before, added])
+
+    def integrals(k: Any, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The integral and the double one over the first `d` of pieces k."""
+        offset, slope, square, cube = added[k].T
+        once = d * (offset + d * (slope / 2.0 + d * (square / 3.0 + d * cube / 4.0)))
+        return once, d**2 * (offset / 2.0 + d * (slope / 6.0 + d * (square / 12.0 + d * cube / 20.0)))
+
+    step = np.diff(t)
+    over, twice_over = integrals(slice(0, -1), step)
+    once = np.concatenate([[0.0], np.cumsum(over)])
+    twice = np.concatenate([[0.0], np.cumsum(once[:-1] * step + twice_over)])
     at = np.concatenate([[times[0] - h], times, [times[-1] + h]])
-    k = np.clip(np.searchsorted(t, at, "right") - 1, 0, len(step) - 1)
+    k = np.clip(np.searchsorted(t, at, "right") - 1, 0, len(t) - 1)
     d = at - t[k]
-    integral = twice[k] + once[k] * d + u[k] * d**2 / 2.0 + slope[k] * d**3 / 6.0
+    integral = twice[k] + once[k] * d + integrals(k, d)[1]
     return np.diff(integral, 2) / h**2
 
 
