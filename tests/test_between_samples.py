@@ -19,6 +19,7 @@ from valvesim.identification.between_samples import (
     added_input,
     added_on_grid,
     command_jumps,
+    deviating,
     deviating_command,
     piecewise_command,
 )
@@ -53,6 +54,20 @@ def test_an_edge_is_where_its_amount_says_and_slopes_go_on_to_it():
         np.testing.assert_allclose(value(pieces, [at - 1e-6, at + 1e-6]), [1.0 + 2.0 * at, -3.0 * at], atol=1e-4)
         np.testing.assert_allclose(value(pieces, TIME), values, atol=1e-12)
     assert np.all(np.diff(applied(edge, values)[1:, 0]) > 0.0)  # held within its interval
+
+
+@given(st.integers(0, 10_000))
+def test_edges_together_are_edges_one_by_one(seed):
+    """In any order, next to each other too; one that is applied again takes the place of what it was."""
+    dice = np.random.default_rng(seed)
+    values = dice.normal(size=400)
+    after = dice.choice(np.arange(1, 398) if seed % 2 else np.arange(50, 60), 8, replace=False)
+    edges = tuple((EdgeTime("a", "current", int(k)), float(dice.normal(0.0, 2e-4))) for k in after)
+    smooth = Smooth("a", "current", tuple(sorted(int(k) for k in after)))
+    one_by_one = applied(smooth, values)
+    for edge, amount in edges:
+        one_by_one = edge.apply(edge.apply(one_by_one, (TIME, values), -amount), (TIME, values), amount)
+    np.testing.assert_allclose(deviating((TIME, values), ((smooth, 1.0), *edges)), one_by_one, rtol=1e-12)
 
 
 def test_held_samples_stay_and_smooth_ones_go_through_the_samples():

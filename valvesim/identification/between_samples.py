@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Protocol
 
 import numpy as np
@@ -51,15 +52,26 @@ class EdgeTime:
     after: int
 
     def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
-        (time, values), k = samples, self.after
-        start, end = time[k], time[k + 1]
-        edge = float(np.clip(0.5 * (start + end) + amount, start + 2.0 * EDGE, end - 2.0 * EDGE))
-        first, last = np.searchsorted(pieces[:, 0], start, "right") - 1, np.searchsorted(pieces[:, 0], end, "left")
-        slope = np.diff(values, prepend=values[0], append=values[-1])[[k, k + 2]] / (end - start)
-        sides = values[k : k + 2] + slope * (edge - time[k : k + 2])
-        t = np.array([pieces[first, 0], edge - 0.5 * EDGE, edge + 0.5 * EDGE, pieces[last, 0]])
-        u = np.array([pieces[first, 1], *sides, pieces[last, 1]])
-        return np.vstack([pieces[:first], lines(t[:-1], u[:-1], np.diff(u) / np.diff(t)), pieces[last:]])
+        return _with_edges(pieces, samples, np.array([self.after]), np.array([amount]))
+
+
+def _with_edges(pieces: np.ndarray, samples: Points, after: np.ndarray, amounts: np.ndarray) -> np.ndarray:
+    """The pieces with jumps after several samples (m,), see `EdgeTime`: what an interval had gives way to them."""
+    (time, values), t = samples, pieces[:, 0]
+    start, end = time[after], time[after + 1]
+    edge = np.clip(0.5 * (start + end) + amounts, start + 2.0 * EDGE, end - 2.0 * EDGE)
+    slopes = np.diff(values, prepend=values[0], append=values[-1])
+    first, last = np.searchsorted(t, start, "right") - 1, np.searchsorted(t, end, "left")
+    before = values[after] + slopes[after] * (edge - start) / (end - start)
+    beyond = values[after + 1] + slopes[after + 2] * (edge - end) / (end - start)
+    at = np.column_stack([t[first], edge - 0.5 * EDGE, edge + 0.5 * EDGE, t[last]])
+    u = np.column_stack([pieces[first, 1], before, beyond, pieces[last, 1]])
+    jumps = lines(at[:, :-1].ravel(), u[:, :-1].ravel(), (np.diff(u) / np.diff(at)).ravel())
+    taken = np.zeros(len(t) + 1, dtype=int)
+    np.add.at(taken, first, 1)
+    np.add.at(taken, last, -1)
+    joined = np.vstack([pieces[np.cumsum(taken[:-1]) == 0], jumps])
+    return joined[np.argsort(joined[:, 0], kind="stable")]
 
 
 @dataclass(frozen=True)
@@ -183,9 +195,14 @@ def samples_of(command: Command, end: float) -> Points:
 def deviating(samples: Points, deviations: Deviations) -> np.ndarray:
     """The pieces (n, 5) of a measured input with deviations of its; waves are none."""
     pieces = straight_pieces(*samples)
-    for deviation, amount in deviations:
-        if not isinstance(deviation, Wave):
-            pieces = deviation.apply(pieces, samples, amount)
+    for together, some in groupby(deviations, key=lambda each: isinstance(each[0], EdgeTime)):
+        if together:
+            after, amounts = np.transpose([(one.after, amount) for one, amount in some if isinstance(one, EdgeTime)])
+            pieces = _with_edges(pieces, samples, after.astype(int), amounts)
+            continue
+        for deviation, amount in some:
+            if not isinstance(deviation, Wave):
+                pieces = deviation.apply(pieces, samples, amount)
     return pieces
 
 
@@ -225,11 +242,20 @@ def added_on_grid(new: np.ndarray, old: np.ndarray, times: np.ndarray) -> np.nda
     Means over hats of the grid's width, exact: second differences of the double integral. So a jump shows at its true
     time, whatever the grid.
     """
-    h = float(times[1] - times[0])
+    h, means = float(times[1] - times[0]), np.zeros(len(times))
+    lead = _common(new, old)
+    tail = min(_common(new[::-1], old[::-1]), len(new) - lead, len(old) - lead)
+    if lead == len(new) == len(old):
+        return means
+    new, old = (rows[max(lead - 1, 0) : len(rows) - max(tail - 1, 0)] for rows in (new, old))
     t = np.union1d(new[:, 0], old[:, 0])
+    first = np.searchsorted(times, t[0] - h) if lead else 0
+    last = np.searchsorted(times, t[-1] + h) if tail else len(times)
+    if first == last:
+        return means
     added, before = (moved_to(new[pieces_at(new, t)], t) - moved_to(old[pieces_at(old, t)], t))[:, 1:], np.zeros(4)
     before[0] = added[0, 0]
-    t, added = np.append(t[0] - 2.0 * h, t), np.vstack([before, added])
+    t, added = np.append(min(t[0], times[first]) - 2.0 * h, t), np.vstack([before, added])
 
     def integrals(k: Any, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The integral and the double one over the first `d` of pieces k."""
@@ -241,11 +267,18 @@ def added_on_grid(new: np.ndarray, old: np.ndarray, times: np.ndarray) -> np.nda
     over, twice_over = integrals(slice(0, -1), step)
     once = np.concatenate([[0.0], np.cumsum(over)])
     twice = np.concatenate([[0.0], np.cumsum(once[:-1] * step + twice_over)])
-    at = np.concatenate([[times[0] - h], times, [times[-1] + h]])
+    at = np.concatenate([[times[first] - h], times[first:last], [times[last - 1] + h]])
     k = np.clip(np.searchsorted(t, at, "right") - 1, 0, len(t) - 1)
     d = at - t[k]
-    integral = twice[k] + once[k] * d + integrals(k, d)[1]
-    return np.diff(integral, 2) / h**2
+    means[first:last] = np.diff(twice[k] + once[k] * d + integrals(k, d)[1], 2) / h**2
+    return means
+
+
+def _common(one: np.ndarray, other: np.ndarray) -> int:
+    """How many of the first pieces two inputs have in common."""
+    both = min(len(one), len(other))
+    differ = np.flatnonzero((one[:both] != other[:both]).any(axis=1))
+    return int(differ[0]) if len(differ) else both
 
 
 def command_jumps(values: np.ndarray, *, options: IdentificationOptions) -> np.ndarray:

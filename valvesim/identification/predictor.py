@@ -83,7 +83,8 @@ class Trajectory:
 class RecordPredictor:
     """One record, prepared: `times` (n,) is the grid, every `oversampling`-th of its points a sample of the record.
 
-    `preliminary` where that grid is meant for the way to a fit alone, see `without_oversampling`.
+    `preliminary` where that grid is meant for the way to a fit alone, see `without_oversampling`; its inputs are those
+    under `deviations`.
     """
 
     record: Record
@@ -102,6 +103,7 @@ class RecordPredictor:
     throttling: Callable | None  # of the scenario
     options: IdentificationOptions
     preliminary: bool = False
+    deviations: Deviations = ()
 
     def without_oversampling(self) -> RecordPredictor:
         """The same predictor with its grid at the samples alone: it reads the same, and is seen in less time."""
@@ -117,19 +119,21 @@ class RecordPredictor:
 
     def under(self, deviations: Deviations) -> RecordPredictor:
         """The same predictor where its command and pressures deviate so; a temperature is left to `temperatures`."""
-        columns = {one.column for one, _ in acting_on(deviations, self.record.name)} - {"oil_temperature"}
-        if not columns:
+        acting = acting_on(deviations, self.record.name)
+        own = tuple(each for each in acting if each[0].column != "oil_temperature")
+        if own == self.deviations:
             return self
+        columns = {one.column for one, _ in (*own, *self.deviations)}
         changed = {
-            k: self._deviating(column, command, deviations)
+            k: self._deviating(column, command, own)
             for k, (column, command) in enumerate(self._commands())
             if column in columns
         }
         commands = [changed.get(k, command) for k, (_, command) in enumerate(self._commands())]
         starts, intervals = merge(commands, self.scenario.duration)
         fine = _with_inputs(self.fine_inputs, changed, self.fine_times)
-        own = fine if self.sensor_oversampling == 1 else _with_inputs(self.inputs, changed, self.times)
-        return replace(self, starts=starts, rows=intervals.rows, inputs=own, fine_inputs=fine)
+        coarse = fine if self.sensor_oversampling == 1 else _with_inputs(self.inputs, changed, self.times)
+        return replace(self, starts=starts, rows=intervals.rows, inputs=coarse, fine_inputs=fine, deviations=own)
 
     def _deviating(self, column: str, command: Command, deviations: Deviations) -> Command:
         """An input with what deviates of its column."""
