@@ -15,8 +15,8 @@ import valvesim as vs
 from valvesim.diagnosis import apart, bench_faults, detection
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
 from valvesim.diagnosis.bench_faults import BenchFault, BenchHypothesis, _likeliest, _shift_words, _waves_apart
+from valvesim.diagnosis.conclusion import figures_at_limit
 from valvesim.diagnosis.detection import _is_stretched, is_other_valve
-from valvesim.diagnosis.diagnose import _far_off
 from valvesim.diagnosis.holdout_gain import _change_interval
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
@@ -604,8 +604,8 @@ def test_a_figure_far_off_is_told_with_its_tolerances():
     figures = [SimpleNamespace(name=name) for name in ("null_gap", "mass")]
     study = SimpleNamespace(nominal=SimpleNamespace(parameters=figures), options=IDENTIFICATION)
     limit = IDENTIFICATION.prior.reach
-    assert _far_off(study, np.array([0.9 * limit, -0.9 * limit])) == ""
-    assert _far_off(study, np.array([1.0, -limit])) == "mass 5 tolerances off"
+    assert figures_at_limit(study, np.array([0.9 * limit, -0.9 * limit])) == ""
+    assert figures_at_limit(study, np.array([1.0, -limit])) == "mass 5 tolerances off"
 
 
 @pytest.mark.parametrize("excess, alarm, odd", [((900.0, 20.0, 20.0), False, "a"), ((900.0, 20.0, 20.0), True, ""),

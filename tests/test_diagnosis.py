@@ -14,8 +14,8 @@ import valvesim as vs
 from valvesim.diagnosis import isolation, refits, second_cause
 from valvesim.diagnosis.advice import advice_on_unknown
 from valvesim.diagnosis.answer_tables import candidate_answers
+from valvesim.diagnosis.conclusion import gain_of_term, term_explains_more, verdict_of
 from valvesim.diagnosis.detection import rests_on_limits, unexplained_share
-from valvesim.diagnosis.diagnose import _gain_of_term, _term_explains_more, verdict_of
 from valvesim.diagnosis.holdout_gain import holdout_gain
 from valvesim.diagnosis.isolation import _better_nominal, _known_hypotheses, unknown_reason_of
 from valvesim.diagnosis.model_selection import (
@@ -388,9 +388,9 @@ def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_
 
     def takes_the_place(found, chi_square, freedom=3):
         term = SimpleNamespace(chi_square=chi_square - 3.0 * np.log(lap.fit.rows), freedom=freedom)
-        return _term_explains_more(nominal, term, found, options=DIAGNOSIS)
+        return term_explains_more(nominal, term, found, options=DIAGNOSIS)
 
-    assert _gain_of_term(SimpleNamespace(chi_square=900.0, freedom=0), [air, lap]) == 100.0
+    assert gain_of_term(SimpleNamespace(chi_square=900.0, freedom=0), [air, lap]) == 100.0
     needed = 1000.0 - DIAGNOSIS.selection.answer_ratio
     assert takes_the_place([air, lap], needed - 0.1) and not takes_the_place([air, lap], needed + 0.1)
     assert not takes_the_place([air, lap], needed - 0.1, freedom=12)

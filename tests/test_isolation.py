@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from valvesim.diagnosis import detection, isolation, refits, second_cause
-from valvesim.diagnosis import diagnose as diagnosing
+from valvesim.diagnosis import conclusion, detection, isolation, refits, second_cause
+from valvesim.diagnosis.answer_tables import candidate_answers
 from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis, distinct
@@ -453,27 +453,12 @@ def test_the_parts_of_channels_add_up_to_the_chi_square():
 
 @pytest.mark.parametrize("inadequate", [True, False])
 def test_of_an_answer_set_that_was_emptied_no_candidate_is_told_to_be_in_it(inadequate, monkeypatch):
-    best, base, told = hypothesis(4900.0, "spool_lap"), nominal(9000.0), {}
+    best, base = hypothesis(4900.0, "spool_lap"), nominal(9000.0)
     scores = SimpleNamespace(options=DIAGNOSIS)
     ended = isolation.Isolation(base, scores, scores, [best], [best], "", True, 4.0)
-
-    class Told(Exception):
-        pass
-
-    def verdict_of(*given):
-        raise Told
-
-    def answers(*given, options):
-        told["candidates"] = own(*given, options=options)
-        return told["candidates"]
-
-    own = diagnosing.candidate_answers
-    base.study.session = SimpleNamespace(notes=())
-    monkeypatch.setattr(diagnosing, "is_inadequate", lambda nominal, fit, options: inadequate)
-    monkeypatch.setattr(diagnosing, "_far_off", lambda study, point: "")
-    monkeypatch.setattr(diagnosing, "candidate_answers", answers)
-    monkeypatch.setattr(diagnosing, "verdict_of", verdict_of)
-    with pytest.raises(Told):
-        diagnosing._answer(ended)
-    in_set = {answer.label for answer in told["candidates"] if answer.in_set}
+    monkeypatch.setattr(conclusion, "is_inadequate", lambda nominal, fit, options: inadequate)
+    monkeypatch.setattr(conclusion, "figures_at_limit", lambda study, point: "")
+    concluded = conclusion.conclude(ended)
+    answers = candidate_answers(base, ended.found, concluded.answer_set, 4.0, concluded.doubt, options=DIAGNOSIS)
+    in_set = {answer.label for answer in answers if answer.in_set}
     assert in_set == ({"none of the known causes"} if inadequate else {"spool_lap"})

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from valvesim.diagnosis import conclusion, symbolic_form, term_entry, term_estimation
 from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis import score_test as score_testing
-from valvesim.diagnosis import symbolic_form, term_entry, term_estimation
 from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import recover_term
@@ -210,11 +210,11 @@ def answer(nominal, scores, found, monkeypatch):
     """The answer of a search that has ended without a cause, but for what is changed of it; the term was recovered."""
 
     def answer(alarm=True, bench=(), joint_errors=None, **named):
-        monkeypatch.setattr(diagnosing, "odd_test", lambda nominal, options: named.get("odd", ""))
-        monkeypatch.setattr(diagnosing, "recover_term", lambda nominal, scores: named.get("recovered", found))
-        monkeypatch.setattr(diagnosing, "one_parameter_term", lambda nominal, scores: named.get("slight"))
-        monkeypatch.setattr(diagnosing, "as_catalogue_entry", lambda isolation, recovered: isolation)
-        monkeypatch.setattr(diagnosing, "is_inadequate", lambda nominal, fit, options: named.get("inadequate", False))
+        monkeypatch.setattr(conclusion, "odd_test", lambda nominal, options: named.get("odd", ""))
+        monkeypatch.setattr(conclusion, "recover_term", lambda nominal, scores: named.get("recovered", found))
+        monkeypatch.setattr(conclusion, "one_parameter_term", lambda nominal, scores: named.get("slight"))
+        monkeypatch.setattr(conclusion, "as_catalogue_entry", lambda isolation, recovered: isolation)
+        monkeypatch.setattr(conclusion, "is_inadequate", lambda nominal, fit, options: named.get("inadequate", False))
         ended = Isolation(nominal, scores, scores, [], [], "", alarm, 4.0, bench, joint_errors=joint_errors)
         return diagnosing._answer(ended)
 
@@ -240,9 +240,9 @@ def test_a_term_that_explains_more_than_a_doubtful_cause_stands_beside_it_with_t
     penalty = found.freedom * float(np.log(fit.rows))
     best = FittedHypothesis(replace(fit, chi_square=found.chi_square + penalty + gain), options=DIAGNOSIS)
     final = score_test(nominal, best.fit, options=DIAGNOSIS)
-    monkeypatch.setattr(diagnosing, "recover_term", lambda nominal, scores: found)
-    monkeypatch.setattr(diagnosing, "as_catalogue_entry", lambda isolation, recovered: isolation)
-    monkeypatch.setattr(diagnosing, "null_hypothesis_beside", lambda *_, **__: [])
+    monkeypatch.setattr(conclusion, "recover_term", lambda nominal, scores: found)
+    monkeypatch.setattr(conclusion, "as_catalogue_entry", lambda isolation, recovered: isolation)
+    monkeypatch.setattr(conclusion, "null_hypothesis_beside", lambda *_, **__: [])
     isolation = Isolation(nominal, final, final, [best], [best], "a plain term does as well", True, 4.0)
     isolation = replace(isolation, joint_errors=JointErrors(397.0, ("a clock runs fast",), 1000.0))
     answer = diagnosing._answer(isolation)

@@ -9,7 +9,7 @@ leave. A cause is named only where nothing else explains the data nearly as well
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,38 +23,34 @@ from valvesim.diagnosis.answer_tables import (
     parameter_shifts,
     score_table,
 )
-from valvesim.diagnosis.apart import odd_test
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
-from valvesim.diagnosis.detection import beyond_noise, is_certain, is_inadequate
+from valvesim.diagnosis.conclusion import Conclusion, conclude, gain_of_term
 from valvesim.diagnosis.experiment_design import design
 from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain, traces_of
 from valvesim.diagnosis.intervals import confidence_intervals
 from valvesim.diagnosis.isolation import Isolation, isolate
-from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
-from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, null_hypothesis_beside
-from valvesim.diagnosis.one_parameter_term import one_parameter_term
+from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
-    BENCH,
     CAUSE,
     MISREAD,
-    NO_DISCREPANCY,
     OTHER_VALVE,
-    RECORDS_APART,
     UNKNOWN,
     Diagnosis,
+    Gain,
     NextTest,
     NoiseFound,
     Term,
+    Trace,
     WhatToDo,
 )
-from valvesim.diagnosis.term_entry import as_catalogue_entry
 from valvesim.diagnosis.wording import location_text, summary_text
 from valvesim.identification.channel_check import MisreadChannels, misread_channels
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit, within_tolerance
+from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.self_oscillation import SelfOscillation, self_oscillation
 from valvesim.identification.session import Session
 from valvesim.identification.session_toml import load_session
@@ -88,124 +84,129 @@ def diagnose(
     return _answer(isolation)
 
 
-FAR_OFF = "what fits these records best is not the stated valve nor a part that could take its place"
-INADEQUATE = "the base model cannot come near these records: are they of this valve, with these units and signs?"
+@dataclass(frozen=True, eq=False)
+class _Extension:
+    """What a conclusion makes of the model: the `variant` that is offered or else the nominal one, its `point` and the
+    missing `term` in it, and its gain on the hold-out records over the nominal model's readings `before`; `notes` tell
+    what went wrong with it.
+    """
+
+    variant: ModelVariant
+    point: np.ndarray
+    term: Term | None
+    before: Fit
+    gain: tuple[Gain, ...]
+    is_claimed: bool
+    is_offered: bool
+    traces: tuple[Trace, ...]
+    notes: tuple[str, ...]
 
 
 def _answer(isolation: Isolation) -> Diagnosis:
-    nominal, scores, level, options = isolation.nominal, isolation.scores, isolation.level, isolation.scores.options
-    study, session = nominal.study, nominal.study.session
-    best, chosen, in_set, unknown_reason = _hypotheses(isolation, options=options)
-    inadequate = is_inadequate(nominal, chosen, options=options)
-    recovered: RecoveredTerm | None = None
-    odd = ""
-    if isolation.alarm and not (inadequate or isolation.is_other_valve) and (unknown_reason or not in_set):
-        borne_out = bool(isolation.found) or is_certain(scores, level)
-        excess = beyond_noise(nominal.fit, study, options=options) > 0.0
-        odd = odd_test(nominal, options=options) if excess and not in_set else ""
-        recovered = None if odd else recover_term(nominal, scores)
-        slight = one_parameter_term(nominal, scores) if recovered is None and not odd else None
-        if recovered is slight is None and not borne_out:  # no cause and no term explains what the score tests showed
-            isolation = replace(isolation, alarm=False)
-        if recovered is not None and (entry := as_catalogue_entry(isolation, recovered)) is not isolation:
-            isolation, recovered = entry, None
-            best, chosen, in_set, unknown_reason = _hypotheses(isolation, options=options)
-        recovered = recovered or slight
-    found = isolation.found
-    if _none_stands(nominal, in_set, found, recovered, inadequate, options=options):
-        in_set, unknown_reason = [], ""
-    far = ""
-    if isolation.alarm and not in_set:
-        far = _far_off(study, recovered.point if recovered is not None else chosen.point)
-        recovered = None if far else recovered
-    errors = isolation.joint_errors
-    doubt = unknown_reason
-    if errors is not None and in_set:
-        as_well = f"errors of the instruments explain it as well ({errors.words})"
-        doubt = f"{unknown_reason}; {as_well}" if unknown_reason else as_well
-    answers = candidate_answers(nominal, found, in_set, level, doubt, options=isolation.scores.options)
-    verdict = verdict_of(isolation.alarm, in_set, doubt)
-    term: Term | None = None
-    notes = list(session.notes)
-    if any(not noise.verified for noise in study.noise.values()):
-        notes.append(
-            "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
-        )
-    reason, because, bench = "", "", tuple(one.label for one in isolation.bench)
-    if inadequate or (verdict == UNKNOWN and far):
-        verdict, reason, because = UNKNOWN, OTHER_VALVE, INADEQUATE if inadequate else f"{FAR_OFF} ({far})"
-    elif odd:
-        reason, because = RECORDS_APART, f"these records do not belong together: {odd} alone is not as the others say"
-    elif verdict == NO_DISCREPANCY and bench:
-        reason, because = BENCH, "; ".join(bench)
-    notes[:0] = [because] if because else []
-    notes += [f"the bench, not the valve: {fault}" for fault in bench if fault not in because]
-    if errors is not None and not in_set:
-        notes.append(
-            f"errors of the instruments explain {errors.explained:.0f} of the chi-square together, and none of them by "
-            f"itself; with the fewest figures: {errors.words}; a cause may act like them: repeat a record with other "
-            "instruments"
-        )
-    named = best if verdict in (CAUSE, AMBIGUOUS) else None
-    unextended = nominal.fit.variant(study.nominal)
+    conclusion = conclude(isolation)
+    isolation, level = conclusion.isolation, conclusion.isolation.level
+    nominal, options = isolation.nominal, isolation.scores.options
+    study, session, verdict = nominal.study, nominal.study.session, conclusion.verdict
+    extension = _extended(conclusion)
+    best, answer_set, bench = conclusion.best, conclusion.answer_set, isolation.bench
+    candidates = candidate_answers(nominal, isolation.found, answer_set, level, conclusion.doubt, options=options)
+    return Diagnosis(
+        title=session.title,
+        verdict=verdict,
+        causes=tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else (),
+        summary=summary_text(verdict, answer_set, extension.term, conclusion.because, conclusion.doubt),
+        location=location_text(verdict, answer_set),
+        candidates=tuple(candidates),
+        parameters=confidence_intervals(nominal, isolation.final) if conclusion.is_named else (),
+        gain=extension.gain,
+        gain_claimed=extension.is_claimed,
+        extension_offered=extension.is_offered,
+        detection_limits=detection_limits(isolation.scores, level),
+        next_test=_next_test(conclusion, extension.term),
+        term=extension.term,
+        shifts=parameter_shifts(study, extension.point),
+        noise=_noise_found(study),
+        scores=score_table(isolation.scores),
+        alarm_level=level,
+        errors=error_table(study, extension.before),
+        notes=(*_notes(conclusion), *extension.notes),
+        traces=extension.traces,
+        extended_scenario=scenario_text(session, extension.variant, options=options),
+        extended_effects=effect_files(session, extension.variant),
+        extended_variant=extension.variant,
+        reason=conclusion.reason,
+        bench=tuple(one.label for one in bench),
+        what_to_do=(*_what_to_do(conclusion, extension.term), *bench),
+    )
+
+
+def _extended(conclusion: Conclusion) -> _Extension:
+    """The model that a conclusion extends, tried on the hold-out records."""
+    isolation, recovered = conclusion.isolation, conclusion.recovered
+    nominal, study = isolation.nominal, isolation.nominal.study
+    unextended, term = nominal.fit.variant(study.nominal), None
     variant, readings, point = unextended, nominal.fit.readings, nominal.fit.point
-    if named is not None:
-        variant, readings, point = chosen.variant(study.nominal), chosen.readings, chosen.point
-        if unknown_reason and recovered is not None and _gain_of_term(recovered, found) > 0.0:
+    if conclusion.is_named:
+        fit = conclusion.fit
+        variant, readings, point = fit.variant(study.nominal), fit.readings, fit.point
+        if conclusion.unknown_reason and recovered is not None and gain_of_term(recovered, isolation.found) > 0.0:
             term = recovered.term
-    elif verdict == UNKNOWN and recovered is not None:
+    elif conclusion.verdict == UNKNOWN and recovered is not None:
         term, variant, readings, point = recovered.term, recovered.variant, recovered.readings, recovered.point
-    causes = tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else ()
-    estimates = confidence_intervals(nominal, isolation.final) if named is not None else ()
     before = nominal.fit if variant is unextended else within_tolerance(nominal)
     gain, claimed, offered, traces, failed = holdout_gain(
         nominal, before, variant, readings, options=isolation.scores.options
     )
-    notes += failed
+    notes = list(failed)
     if not offered and variant is not unextended:
         variant = before.variant(study.nominal)
         notes.append(
             "the locked records do not show that the extension helps: the scenario is that of the refitted base model"
         )
-    todo: tuple[WhatToDo, ...] = ()
-    if verdict in (CAUSE, AMBIGUOUS):
-        todo = advice_on_causes(in_set, unknown_reason, or_instruments=errors is not None)
-    elif verdict == UNKNOWN:
-        todo = advice_on_unknown(reason, odd, term)
-    next_test = None
-    if verdict == AMBIGUOUS:
-        others = [(other.label, other.fit) for other in in_set[1:]]
-        if not others and term is not None and recovered is not None:
-            others = [("none of the known causes", recovered.as_fit(study))]
-        next_test = _propose_experiment(nominal, in_set[0], others, options=options)
-    return Diagnosis(
-        title=session.title,
-        verdict=verdict,
-        causes=causes,
-        summary=summary_text(verdict, in_set, term, because, doubt),
-        location=location_text(verdict, in_set),
-        candidates=tuple(answers),
-        parameters=estimates,
-        gain=gain,
-        gain_claimed=claimed,
-        extension_offered=offered and variant is not unextended,
-        detection_limits=detection_limits(scores, level),
-        next_test=next_test,
-        term=term,
-        shifts=parameter_shifts(study, point),
-        noise=_noise_found(study),
-        scores=score_table(scores),
-        alarm_level=level,
-        errors=error_table(study, before),
-        notes=tuple(notes),
-        traces=traces,
-        extended_scenario=scenario_text(session, variant, options=isolation.scores.options),
-        extended_effects=effect_files(session, variant),
-        extended_variant=variant,
-        reason=reason,
-        bench=bench,
-        what_to_do=(*todo, *isolation.bench),
-    )
+    offered = offered and variant is not unextended
+    return _Extension(variant, point, term, before, gain, claimed, offered, traces, tuple(notes))
+
+
+def _notes(conclusion: Conclusion) -> list[str]:
+    """What to know beside the answer: of the records, the noise, the bench and its instruments."""
+    isolation, because = conclusion.isolation, conclusion.because
+    study = isolation.nominal.study
+    notes = [because] if because else []
+    notes += study.session.notes
+    if any(not noise.verified for noise in study.noise.values()):
+        notes.append(
+            "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
+        )
+    notes += [f"the bench, not the valve: {one.label}" for one in isolation.bench if one.label not in because]
+    errors = isolation.joint_errors
+    if errors is not None and not conclusion.answer_set:
+        notes.append(
+            f"errors of the instruments explain {errors.explained:.0f} of the chi-square together, and none of them by "
+            f"itself; with the fewest figures: {errors.words}; a cause may act like them: repeat a record with other "
+            "instruments"
+        )
+    return notes
+
+
+def _what_to_do(conclusion: Conclusion, term: Term | None) -> tuple[WhatToDo, ...]:
+    if conclusion.is_named:
+        errors = conclusion.isolation.joint_errors
+        return advice_on_causes(conclusion.answer_set, conclusion.unknown_reason, or_instruments=errors is not None)
+    if conclusion.verdict == UNKNOWN:
+        return advice_on_unknown(conclusion.reason, conclusion.odd_test, term)
+    return ()
+
+
+def _next_test(conclusion: Conclusion, term: Term | None) -> NextTest | None:
+    """The test that tells the answer set apart, or its one cause from the term that may stand in its place."""
+    if conclusion.verdict != AMBIGUOUS:
+        return None
+    nominal, recovered = conclusion.isolation.nominal, conclusion.recovered
+    first, *rest = conclusion.answer_set
+    others = [(other.label, other.fit) for other in rest]
+    if not others and term is not None and recovered is not None:
+        others = [("none of the known causes", recovered.as_fit(nominal.study))]
+    return _propose_experiment(nominal, first, others, options=conclusion.isolation.scores.options)
 
 
 def _oscillates(found: SelfOscillation) -> str:
@@ -257,72 +258,6 @@ def _noise_found(study: Study) -> tuple[NoiseFound, ...]:
                    order=len(n.lags), verified=n.verified, source=n.source)
         for (channel, rate), n in study.noise.items()
     )  # fmt: skip
-
-
-def _hypotheses(
-    isolation: Isolation, *, options: DiagnosisOptions
-) -> tuple[FittedHypothesis | None, Fit, list[FittedHypothesis], str]:
-    """The best hypothesis and its fit (the nominal one where there is none), the answer set, and why an unknown cause
-    may be the cause too.
-    """
-    nominal, best = isolation.nominal, isolation.found[0] if isolation.found else None
-    answer_set = [
-        *isolation.answer_set,
-        *null_hypothesis_beside(nominal, isolation.answer_set, isolation.level, options=options),
-    ]
-    return best, best.fit if best is not None else nominal.fit, answer_set, isolation.unknown_reason
-
-
-def _far_off(study: Study, point: np.ndarray) -> str:
-    """The figures that a point (p,) has off by as much as they may be, in words; "" where there are none."""
-    limit, end = study.options.prior.reach, study.options.fit.tolerance_deviations
-    far = [p.name for p, t in zip(study.nominal.parameters, point, strict=True) if abs(t) > (1.0 - 1e-6) * limit]
-    return ", ".join(f"{name} {limit / end:.0f} tolerances off" for name in far[:3])
-
-
-def verdict_of(alarm: bool, in_set: Sequence[FittedHypothesis], unknown_reason: str = "") -> str:
-    if not alarm:
-        return NO_DISCREPANCY
-    if not in_set:
-        return UNKNOWN
-    return CAUSE if len(in_set) == 1 and not unknown_reason else AMBIGUOUS
-
-
-def _none_stands(
-    nominal: NominalFit,
-    in_set: Sequence[FittedHypothesis],
-    found: Sequence[FittedHypothesis],
-    recovered: RecoveredTerm | None,
-    inadequate: bool,
-    *,
-    options: DiagnosisOptions,
-) -> bool:
-    """Whether none of an answer set stands: no fit comes near the records, or a term that nobody has listed explains
-    more.
-    """
-    return inadequate or (
-        recovered is not None and bool(in_set) and _term_explains_more(nominal, recovered, found, options=options)
-    )
-
-
-def _term_explains_more(
-    nominal: NominalFit, recovered: RecoveredTerm, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
-) -> bool:
-    """Whether a term that nobody has listed explains more than the likeliest cause, and than its law may be off."""
-    best = _least_left(found)
-    law_error = best.law_error * (nominal.fit.chi_square - best.fit.chi_square)
-    return _gain_of_term(recovered, found) > max(options.selection.answer_ratio, law_error)
-
-
-def _gain_of_term(recovered: RecoveredTerm, found: Sequence[FittedHypothesis]) -> float:
-    """What a term explains more than the likeliest cause, each for the penalty of its figures."""
-    best = _least_left(found)
-    penalty = recovered.freedom * np.log(best.fit.rows)
-    return best.least_chi_square + best.fit.occam_factor - recovered.chi_square - float(penalty)
-
-
-def _least_left(found: Sequence[FittedHypothesis]) -> FittedHypothesis:
-    return min(found, key=lambda one: one.least_chi_square + one.fit.occam_factor)
 
 
 def _propose_experiment(
