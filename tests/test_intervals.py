@@ -5,6 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.special import erf
 
 from valvesim.diagnosis.intervals import confidence_intervals
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -59,8 +61,8 @@ def test_a_figure_of_the_heat_paths_is_told_in_words():
 
 
 def test_what_another_law_would_say_of_an_amplitude_widens_its_interval_and_none_is_taken_for_the_plants():
-    def half(law_error):
-        effect = replace(CATALOGUE["magnetic_hysteresis"], law_error=law_error)
+    def half(law_error, figure_error=0.0):
+        effect = replace(CATALOGUE["magnetic_hysteresis"], law_error=law_error, figure_error=figure_error)
         member = FittedCandidate(Candidate("magnetic_hysteresis", effect=effect), 2e-4)
         shows = np.column_stack([NOISE[0], np.zeros(ROWS), perturbation(member) * np.full(ROWS, 1e8)])
         gram = GramMatrix(np.array([shows.T @ shows] * 2), np.ones(1), (ROWS,) * 2)
@@ -74,3 +76,17 @@ def test_what_another_law_would_say_of_an_amplitude_widens_its_interval_and_none
     of_the_rows = np.sqrt(half(0.0) ** 2 - least * 2e-4**2)
     assert half(0.2) == pytest.approx(np.hypot(of_the_rows, np.sqrt(0.2) * 2e-4), rel=1e-6)
     assert half(0.0) == half(least) > np.sqrt(least) * 2e-4
+    assert half(0.0, 0.3) == pytest.approx(np.hypot(of_the_rows, 0.3 * 2e-4), rel=1e-6)
+
+
+@pytest.mark.parametrize("step", [lambda r: 0.5 * (1.0 + np.tanh(4.0 * (r - 1.0))),
+                                  lambda r: 0.5 * (1.0 + erf(2.0 * np.sqrt(np.pi) * (r - 1.0)))])  # fmt: skip
+def test_a_cavitation_by_another_step_as_steep_has_figures_that_are_other_by_its_figure_error_at_most(step):
+    """The steps have the slope of r^8/(1 + r^8) at r = 1; the figures are those that fit best over what is seen."""
+    off = []
+    for low, high in ((0.9, 1.1), (0.85, 1.05), (0.95, 1.2), (0.7, 1.3)):
+        r = np.linspace(low, high, 200)
+        loss, critical = least_squares(lambda p, r=r: p[0] / (1.0 + (p[1] / r) ** 8) - step(r), [1.0, 1.0]).x
+        off += [abs(loss - 1.0), abs(critical - 1.0)]
+    assert 0.8 * CATALOGUE["flapper_cavitation"].figure_error < max(off)
+    assert max(off) < 1.1 * CATALOGUE["flapper_cavitation"].figure_error

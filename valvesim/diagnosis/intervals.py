@@ -64,7 +64,8 @@ def confidence_intervals(nominal: NominalFit, final: ScoreTest) -> tuple[Estimat
             )
             continue
         effect = candidate.effect
-        law = np.sqrt(max(effect.law_error, final.options.selection.least_law_error))  # chi-square: its root
+        least = max(effect.law_error, final.options.selection.least_law_error)
+        law = max(np.sqrt(least), effect.figure_error)  # the chi-square goes with the square of a figure
         if shape:
             declared = next(q for q in effect.parameters if q.name == shape)
             value = dict(member.shapes)[shape]

@@ -120,7 +120,8 @@ class Effect(Shown):
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
     `advice` is what to do where it is found.
-    `law_error` is the share of what the effect explains by which another law of the same thing may do better.
+    `law_error` is the share of what the effect explains by which another law of the same thing may do better, and
+    `figure_error` the share of its figures by which those of another law are other, where that is known by itself.
     `time_scale` (s) tells of what acts in the dynamics alone how soon it has done so, as `units.quantity` has it.
     """
 
@@ -140,6 +141,7 @@ class Effect(Shown):
     figure: str = ""
     plainer: str = ""
     law_error: float = 0.0
+    figure_error: float = 0.0
     time_scale: float = float("inf")
     advice: Advice | None = None
 

@@ -147,6 +147,7 @@ PILOT = (
             shape_parameter("critical_ratio", "1", "p_n/p_0 at half the loss", 20.0, (1.0, 1000.0)),
         ),
         balance=_cavitation,
+        figure_error=0.05,  # of a hyperbolic tangent or an error function as steep, over 0.85 to 1.2 of r
     ),
     Effect(
         name="entrained_air",
