@@ -454,6 +454,33 @@ def test_noise_on_an_input_at_rest_is_taken_away(session):
     assert np.ptp(values["load_pressure"]) == pytest.approx(100e5, rel=1e-2)
 
 
+def test_white_noise_on_an_input_that_moves_is_taken_away_and_told(session):
+    noise = np.random.default_rng(1).normal(size=TIME.size)
+    load = 50.0 * WAVE + 0.3 * noise
+    loaded = session("", a=columns(**{CURRENT: 5.0 * WAVE + 0.02 * noise, "load_pressure [bar]": load}))
+    values = loaded.records[0].values
+    assert np.std(values["current"] - 5e-3 * WAVE) < 0.7 * 0.02e-3
+    assert np.std(values["load_pressure"] - 50e5 * WAVE) < 0.7 * 0.3e5
+    told = [note for note in loaded.notes if "white noise" in note]
+    assert [note.split(" has ")[0] for note in told] == ["a: current", "a: load_pressure"]
+
+
+def test_an_excitation_that_is_noise_itself_stays(session):
+    noise = 2.0 * np.random.default_rng(1).normal(size=TIME.size)
+    loaded = session("", a=columns(**{CURRENT: noise}))
+    assert loaded.records[0].values["current"] == pytest.approx(1e-3 * noise)
+    assert not any("white noise" in note for note in loaded.notes)
+
+
+def test_readings_of_repeats_that_differ_by_more_than_noise_are_told(session):
+    repeats = listed("a", "b", repeats="sine")
+    alike = session(repeats, a=columns(1), b=columns(2))
+    assert not any("repeat one test" in note for note in alike.notes)
+    other = columns(2)
+    apart = session(repeats, a=columns(1), b=other | {SPOOL: 1.05 * other[SPOOL]})
+    assert any("a and b repeat one test, but spool_position differs by 0.0" in note for note in apart.notes)
+
+
 def test_a_load_a_little_beyond_the_supply_is_held_at_it(session):
     loaded = session("", a=columns(**{"load_pressure [bar]": 212.0 * WAVE}))
     record = loaded.records[0]

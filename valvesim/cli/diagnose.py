@@ -118,8 +118,8 @@ def _print_diagnosis(found: Any) -> None:
         ranked = ", ".join(f"{c.label} {c.probability:.0%}" for c in found.candidates[:4])
         screen.print(escape(f"candidates: {ranked}"))
     if (test := found.next_test) is not None:
-        power = f"tells {' from '.join(test.separates)} apart with {test.power:.0%}"
-        power = f"hardly {power}, and no other does" if test.uninformative else power
+        power = f"tells {' from '.join(test.separates)} with a probability of {test.power:.0%}"
+        power += ", and no other test does better" if test.uninformative else ""
         screen.print(escape(f"next test, {test.duration:g} s: {test.description}; {power}"))
     elif found.no_test:
         screen.print(found.no_test)

@@ -11,7 +11,7 @@ import numpy as np
 from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import OUTPUTS, PART_TEMPERATURES, UNITS, Record, Sensor, value_text
-from valvesim.measurement.quality import grid_step
+from valvesim.measurement.quality import grid_step, noise_of
 from valvesim.units import DISPLAY, quantities
 from valvesim.valve.fluid import COMPUTED_RANGE, KELVIN
 from valvesim.valve.parameters import Valve
@@ -126,6 +126,30 @@ def check_replicates(records: Sequence[Record], valve: Valve, *, options: Identi
                 raise InputError(
                     f"{pair} inputs differ: {name} by {value_text(off, UNITS[name])} rms, more than "
                     f"{options.audit.replicate_mismatch:.0%} of {value_text(span, UNITS[name])}"
+                )
+
+
+def note_disagreement(records: Sequence[Record], notes: list[str], *, options: IdentificationOptions) -> None:
+    """Say which readings of repeats differ by more than noise: an instrument that wandered, a spool that stuck once.
+
+    What repeats do not share counts as noise of their channel, so that it would hide whatever is smaller.
+    """
+    first: dict[str, Record] = {}
+    for record in records:
+        if record.repeats is None or (other := first.setdefault(record.repeats, record)) is record:
+            continue
+        for name in (name for name in record.outputs if name in other.outputs):
+            both = record.usable[name] & other.usable[name]
+            apart = record.values[name][both] - other.values[name][both]
+            if len(apart) < options.audit.least_samples:
+                continue
+            off, scatter = float(np.sqrt(np.mean(apart**2))), noise_of(apart)
+            if off > options.audit.replicate_disagreement * scatter > 0.0:
+                unit = UNITS[name]
+                notes.append(
+                    f"{other.name} and {record.name} repeat one test, but {name} differs by {value_text(off, unit)} "
+                    f"(rms), where neighbouring readings scatter by {value_text(scatter, unit)}: it counts as noise, "
+                    "and hides what is smaller"
                 )
 
 
