@@ -497,6 +497,20 @@ def test_a_stuck_channel_is_left_out_with_a_note(session):
     assert "b: load_flow is stuck at 1.5 L/min while the current moves, and is left out" in loaded.notes
 
 
+def test_a_channel_that_dies_within_a_record_is_left_out_from_there(session):
+    dead = columns()
+    dead[SPOOL] = np.where(TIME < 0.15, dead[SPOOL], dead[SPOOL][150])
+    loaded = session("", a=dead)
+    assert loaded.records[0].usable["spool_position"].tolist() == [True] * 150 + [False] * 50
+    told = "a, line 152: spool_position stands at one reading for 50 samples while the current moves; they are left out"
+    assert told in loaded.notes
+
+
+def test_a_coarse_channel_that_stands_still_stays(session):
+    coarse = columns(**{SPOOL: 0.2 * np.round(2.0 * WAVE)})
+    assert session("", a=coarse).records[0].usable["spool_position"].all()
+
+
 def test_a_record_whose_channels_are_all_stuck_is_left_out(session):
     stuck = columns(**{SPOOL: 0.0 * TIME})
     loaded = session("", a=columns(), b=stuck)

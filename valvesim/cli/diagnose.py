@@ -108,7 +108,8 @@ def _print_diagnosis(found: Any) -> None:
     for e in found.parameters:
         unit, factor = unit_of(e.unit, e.value, e.name)
         value, low, high = (f"{figure * factor:.4g}" for figure in (e.value, e.low, e.high))
-        screen.print(escape(f"  {e.cause}: {e.name} = {with_unit(value, unit)} (95 %: {low} to {high})"))
+        known = "held fixed" if e.low == e.high else f"95 %: {low} to {high}"
+        screen.print(escape(f"  {e.cause}: {e.name} = {with_unit(value, unit)} ({known})"))
     if found.term is not None:
         term = f"{found.term.port} as a function of {found.term.variable}".replace("_", " ")
         formula = f": {found.term.formula}" if found.term.formula else ""
@@ -131,3 +132,5 @@ def _print_diagnosis(found: Any) -> None:
     for g in found.gain:
         told = "" if g.claimed else ", not claimed"
         screen.print(escape(f"gain on {g.record}: error {g.before:.3g} -> {g.after:.3g} (noise {g.floor:.3g}){told}"))
+    for note in found.notes:
+        screen.print(escape(f"note: {note}"))

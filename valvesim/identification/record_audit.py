@@ -210,8 +210,15 @@ def usable_record(
                          f"{record.command} moves, and is left out")  # fmt: skip
             continue
         saturated = _saturated(record, sensors[name])
-        good = record.usable[name] & ~saturated
+        frozen = _frozen(record, name, options=options) & ~saturated
+        good = record.usable[name] & ~saturated & ~frozen
         left_out = " and is left out" if np.mean(good) < 0.5 * record.shares.get(name, 1.0) else ""
+        if frozen.any():
+            begin = int(np.argmax(frozen))
+            notes.append(
+                f"{record.name}, {record.place(begin)}: {name} stands at one reading for {np.count_nonzero(frozen)} "
+                f"samples while the {record.command} moves; they are left out"
+            )
         if saturated.any():
             notes.append(f"{record.name}: {name} is saturated in {np.mean(saturated):.2%} of the samples{left_out}")
         elif left_out:
@@ -222,6 +229,27 @@ def usable_record(
         notes.append(f"{record.name}: has no output channel left and is left out")
         return None
     return replace(record, usable=usable)
+
+
+def _frozen(record: Record, channel: str, *, options: IdentificationOptions) -> np.ndarray:
+    """Where a channel with noise stands at one reading while the command goes on: a cable that came off, a logger that
+    holds its last reading. A spool that sticks keeps the noise of its sensor.
+    """
+    values, command = record.values[channel], record.values[record.command]
+    equal = np.diff(values) == 0.0
+    frozen = np.zeros(len(values), dtype=bool)
+    for a, b in np.flatnonzero(np.diff(equal.astype(int), prepend=0, append=0)).reshape(-1, 2):
+        moves = np.ptp(command[a : b + 1]) > options.audit.flat_reach * np.ptp(command)
+        frozen[a : b + 1] = b + 1 - a >= options.audit.frozen_samples and moves
+    beside = ~(frozen[1:] & frozen[:-1])
+    coarse = np.mean(equal[beside]) > options.audit.frozen_chance if beside.any() else True
+    return frozen & (not coarse and _has_noise(values[~frozen & record.usable[channel]]))
+
+
+def _has_noise(values: np.ndarray) -> bool:
+    """Whether neighbouring readings scatter: second differences of noise go to and fro, those of a motion do not."""
+    bend = np.diff(values, 2)
+    return len(bend) > 1 and float(np.sum(bend[1:] * bend[:-1])) < -0.33 * float(np.sum(bend**2))  # noise: -2/3
 
 
 def _saturated(record: Record, sensor: Sensor) -> np.ndarray:
