@@ -29,6 +29,7 @@ class AuditOptions:
         3.0, "1", "times their white noise by which the readings of replicates differ where it is told", JUDGEMENT
     )
     least_motion: float = option(1e-3, "1", "share of an input's scale: a smaller span is at rest", JUDGEMENT)
+    most_command: float = option(2.0, "1", "rated commands: a larger one is refused", "coils take little more")
     noise_motion: float = option(
         5e-3, "1", "share of an input's scale: white noise of smaller rms is a sensor's at rest", JUDGEMENT
     )

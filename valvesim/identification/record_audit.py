@@ -37,14 +37,16 @@ def is_at_rest(values: np.ndarray, scale: float, *, options: IdentificationOptio
     return bool(white and np.std(values) <= options.audit.noise_motion * scale)
 
 
-def check_command(path: Path, record: Record, valve: Valve, notes: list[str]) -> None:
+def check_command(
+    path: Path, record: Record, valve: Valve, notes: list[str], *, options: IdentificationOptions
+) -> None:
     command, rated = record.values[record.command], input_scale(record.command, valve)
     unit, factor = DISPLAY.get(UNITS[record.command], (UNITS[record.command], 1.0))
     k = int(np.argmax(np.abs(command)))
     told = f"{record.command} of {command[k] * factor:.4g} {unit}"
     limit = f"the rated {rated * factor:.4g} {unit}"
-    if abs(command[k]) > 2.0 * rated:
-        raise _at_sample(f"{told} is beyond twice {limit}", record, k, path)
+    if abs(command[k]) > options.audit.most_command * rated:
+        raise _at_sample(f"{told} is beyond {options.audit.most_command:g} times {limit}", record, k, path)
     if abs(command[k]) > rated * (1 + 1e-9):
         notes.append(f"{record.name}: {told} is beyond {limit}; spool and flapper may reach their stops")
 

@@ -299,7 +299,7 @@ def _read_record(
                 told = value_text(noise, UNITS[column])
                 notes.append(f"{name}: {column} has white noise of {told} (standard deviation); it is taken away, as "
                              "the instrument's and not the valve's")  # fmt: skip
-    check_command(path, record, session.valve, notes)
+    check_command(path, record, session.valve, notes, options=options)
     check_conditions(path, record, session.valve, notes, options=options)
     return record
 
