@@ -14,7 +14,14 @@ from hypothesis import strategies as st
 import valvesim as vs
 from valvesim.diagnosis import apart, bench_faults, detection
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import BenchFault, BenchHypothesis, _likeliest, _shift_words, _waves_apart
+from valvesim.diagnosis.bench_faults import (
+    BenchFault,
+    BenchHypothesis,
+    _clock_words,
+    _likeliest,
+    _shift_words,
+    _waves_apart,
+)
 from valvesim.diagnosis.conclusion import figures_at_limit
 from valvesim.diagnosis.detection import _is_stretched, is_other_valve
 from valvesim.diagnosis.holdout_gain import _change_interval
@@ -755,3 +762,7 @@ def test_a_valve_far_from_the_stated_one_is_told_without_a_search(tmp_path, monk
     found = vs.diagnose(tmp_path)
     assert (found.verdict, found.reason) == ("unknown", OTHER_VALVE) and not found.extension_offered
     assert "tolerances off" in found.summary and not found.gain_claimed
+
+
+def test_clocks_that_run_far_apart_are_told_without_powers_of_ten():
+    assert _clock_words(np.array([0.0, -1.26e-3])).endswith("by up to 1260 ppm")

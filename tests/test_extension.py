@@ -141,13 +141,14 @@ def test_temperatures_and_pressures_over_time_come_back(tmp_path):
     assert scenario.thermal == meant.thermal and evaluate(scenario.return_pressure, 0.0) == pytest.approx(3e5)
 
 
-def test_what_the_audit_changed_is_written_as_points(tmp_path):
+def test_what_the_audit_changed_is_written_beside(tmp_path):
     load = 205.0 * np.sin(20.0 * TIME)
     session = write(tmp_path, supply_pressure__bar=203.0, load_pressure__bar=load)
     assert any("held at it" in note for note in session.notes)  # clipped: the file is not what is used
     scenario = reread(session, ModelVariant(session.valve), tmp_path)
     assert_same_inputs(scenario, record_scenario(session, session.records[0]))
-    assert "times =" in scenario_text(session, ModelVariant(session.valve), options=DIAGNOSIS)
+    text = scenario_text(session, ModelVariant(session.valve), options=DIAGNOSIS)
+    assert 'load = {table = {file = "inputs.csv", column = "load_pressure"}}' in text
 
 
 def test_a_record_without_a_file_is_written_as_points(tmp_path):

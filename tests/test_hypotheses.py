@@ -10,7 +10,8 @@ from test_prediction import UNIVERSE, bench_of, nominal_variant, small_session
 
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.candidates import Candidate, candidates_of
-from valvesim.identification.instrument_errors import clock_rates
+from valvesim.identification.input_waves import wave_parameters
+from valvesim.identification.instrument_errors import clock_rates, instrument_errors
 from valvesim.identification.jacobian import (
     candidate_sensitivities,
     is_simulated,
@@ -614,3 +615,13 @@ def test_more_of_an_error_that_the_session_states_is_seen_beside_it():
 def test_variants_that_do_not_differ_answer_with_nothing(linear):
     for columns in linear.linear_difference([nominal_variant(), nominal_variant()]).values():
         assert columns.shape[1] == 2 and not columns.any()
+
+
+def test_errors_of_the_bench_have_names_that_people_read():
+    session = small_session()
+    names = [p.name for p in instrument_errors(session, options=OPTIONS)]
+    names += [p.name for p in wave_parameters(session.training, "supply_pressure", 90.0, 1e5)]
+    first = session.training[0].name
+    assert {f"shift@{first}:supply_pressure", f"shift@{first}:supply_pressure:growing"} <= set(names)
+    assert {f"wave@{first}:supply_pressure:90 Hz:cosine", f"wave@{first}:supply_pressure:90 Hz:sine"} <= set(names)
+    assert len(set(names)) == len(names)

@@ -16,13 +16,21 @@ from valvesim.io import read_toml
 from valvesim.measurement.recording import read_recording
 from valvesim.planning.bench import AddedSensor
 from valvesim.planning.options import DEFAULT_PLANNING
-from valvesim.planning.outlook import CandidateScores, cause_groups, level_of, outlook, parameter_outlooks
+from valvesim.planning.outlook import (
+    CandidateScores,
+    ParameterOutlook,
+    cause_groups,
+    level_of,
+    outlook,
+    parameter_outlooks,
+)
 from valvesim.planning.plan import plan_tests
 from valvesim.planning.plan_toml import load_plan, read_plan
 from valvesim.planning.selection import Chooser, Goal, SensorAdvice, _cheapest
 from valvesim.planning.sensitivities import planned_sensitivities
 from valvesim.planning.session_folder import write_session_folder
 from valvesim.planning.structure import StructuralModel, isolability, overdetermined, structural_model
+from valvesim.reports.plan import parameter_row
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import THERMAL_NODES
@@ -276,7 +284,10 @@ def test_with_thermometers_at_the_parts_no_figure_of_their_heat_paths_is_left_op
         ({"tests": [{"name": "a"}]}, "tests.1: a test needs a duration and a command"),
         ({"tests": [{"name": "a", "duration": "1 ms", "command": {"current": "1 mA"}}]}, "tests.1.duration: 1 sampl"),
         ({"tests": [{"name": "a", "duration": "1 s", "command": {"voltage": "1 V"}}]}, "tests.1.command: give command"),
+        ({"tests": [{"name": "a", "duration": "1 s", "command": {"current": "-21 mA"}}]},
+         "tests.1.command.current: 21 mA is beyond 2 times the rated 10 mA"),
         ({"aim": {"causes": ["friction"]}}, "aim.causes: unknown cause 'friction'"),
+        ({"aim": {"causes": ["nozzle_erosion"], "sizes": {"spool_lap": "1 um"}}}, "aim.sizes.spool_lap: is not among"),
         ({"aim": {"sizes": {"spool_lap": "0 mm"}}}, "aim.sizes.spool_lap: '0 mm' is where the effect vanishes"),
         ({"aim": {"sizes": {"spool_lap": "1 N"}}}, "aim.sizes.spool_lap: 'N' has the wrong dimension"),
         ({"aim": {"parameters": {"null_gp": "1 %"}}}, "aim.parameters: unknown valve parameter 'null_gp'"),
@@ -322,3 +333,9 @@ def test_the_cheapest_sensors_together_are_found():
     assert added.channels == ("b", "c") and added.cost == 4.5 and len(added.reached) == 3
     assert _cheapest(sensors[:2], [brings((one,)) for one in sensors[:2]], brings).channels == ("b",)
     assert _cheapest([], [], brings) is None
+
+
+def test_figures_of_a_plan_are_written_in_units_that_people_use():
+    mmf = ParameterOutlook(name="polarization_mmf", unit="A", nominal=2980.0, prior=29.8, posterior=26.2,
+                           verdict="combination", partners=())  # fmt: skip
+    assert parameter_row(mmf)[1:4] == ("2980 A", "29.8 A", "26.2 A")

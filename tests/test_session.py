@@ -314,8 +314,8 @@ def test_two_files_with_one_effect_are_refused(session, tmp_path):
         ({SPOOL: np.full(len(TIME), np.nan)}, ": column 'spool_position' has no reading at all"),
         ({CURRENT: np.where((TIME > TIME[8]) & (TIME < TIME[20]), np.nan, WAVE)},
          ", line 11: no reading of current for 11 samples; an input may miss at most 10 in a row"),
-        ({CURRENT: 21.0 * WAVE}, ", line 27: current of 21 mA is beyond twice the rated 10 mA"),
-        ({CURRENT: None, "voltage [V]": 13.0 * WAVE}, "voltage of 13 V is beyond twice the rated 6 V"),
+        ({CURRENT: 21.0 * WAVE}, ", line 27: current of 21 mA is beyond 2 times the rated 10 mA"),
+        ({CURRENT: None, "voltage [V]": 13.0 * WAVE}, "voltage of 13 V is beyond 2 times the rated 6 V"),
         ({"oil_temperature [degC]": 20.0 + 2000.0 * TIME}, "oil_temperature of 402 °C is outside [-100 °C, 400 °C]"),
         ({"supply_pressure [bar]": 210.0 - 2000.0 * TIME}, "supply_pressure of 0 bar is outside"),
         ({"return_pressure [bar]": 0.0 * TIME - 1.0},
@@ -454,6 +454,33 @@ def test_noise_on_an_input_at_rest_is_taken_away(session):
     assert np.ptp(values["load_pressure"]) == pytest.approx(100e5, rel=1e-2)
 
 
+def test_white_noise_on_an_input_that_moves_is_taken_away_and_told(session):
+    noise = np.random.default_rng(1).normal(size=TIME.size)
+    load = 50.0 * WAVE + 0.3 * noise
+    loaded = session("", a=columns(**{CURRENT: 5.0 * WAVE + 0.02 * noise, "load_pressure [bar]": load}))
+    values = loaded.records[0].values
+    assert np.std(values["current"] - 5e-3 * WAVE) < 0.7 * 0.02e-3
+    assert np.std(values["load_pressure"] - 50e5 * WAVE) < 0.7 * 0.3e5
+    told = [note for note in loaded.notes if "white noise" in note]
+    assert [note.split(" has ")[0] for note in told] == ["a: current", "a: load_pressure"]
+
+
+def test_an_excitation_that_is_noise_itself_stays(session):
+    noise = 2.0 * np.random.default_rng(1).normal(size=TIME.size)
+    loaded = session("", a=columns(**{CURRENT: noise}))
+    assert loaded.records[0].values["current"] == pytest.approx(1e-3 * noise)
+    assert not any("white noise" in note for note in loaded.notes)
+
+
+def test_readings_of_repeats_that_differ_by_more_than_noise_are_told(session):
+    repeats = listed("a", "b", repeats="sine")
+    alike = session(repeats, a=columns(1), b=columns(2))
+    assert not any("repeat one test" in note for note in alike.notes)
+    other = columns(2)
+    apart = session(repeats, a=columns(1), b=other | {SPOOL: 1.05 * other[SPOOL]})
+    assert any("a and b repeat one test, but spool_position differs by 0.0" in note for note in apart.notes)
+
+
 def test_a_load_a_little_beyond_the_supply_is_held_at_it(session):
     loaded = session("", a=columns(**{"load_pressure [bar]": 212.0 * WAVE}))
     record = loaded.records[0]
@@ -468,6 +495,20 @@ def test_a_stuck_channel_is_left_out_with_a_note(session):
     assert loaded.records[0].outputs == ("spool_position", "load_flow")
     assert loaded.records[1].outputs == ("spool_position",)
     assert "b: load_flow is stuck at 1.5 L/min while the current moves, and is left out" in loaded.notes
+
+
+def test_a_channel_that_dies_within_a_record_is_left_out_from_there(session):
+    dead = columns()
+    dead[SPOOL] = np.where(TIME < 0.15, dead[SPOOL], dead[SPOOL][150])
+    loaded = session("", a=dead)
+    assert loaded.records[0].usable["spool_position"].tolist() == [True] * 150 + [False] * 50
+    told = "a, line 152: spool_position stands at one reading for 50 samples while the current moves; they are left out"
+    assert told in loaded.notes
+
+
+def test_a_coarse_channel_that_stands_still_stays(session):
+    coarse = columns(**{SPOOL: 0.2 * np.round(2.0 * WAVE)})
+    assert session("", a=coarse).records[0].usable["spool_position"].all()
 
 
 def test_a_record_whose_channels_are_all_stuck_is_left_out(session):

@@ -108,7 +108,8 @@ def _print_diagnosis(found: Any) -> None:
     for e in found.parameters:
         unit, factor = unit_of(e.unit, e.value, e.name)
         value, low, high = (f"{figure * factor:.4g}" for figure in (e.value, e.low, e.high))
-        screen.print(escape(f"  {e.cause}: {e.name} = {with_unit(value, unit)} (95 %: {low} to {high})"))
+        known = "held fixed" if e.low == e.high else f"95 %: {low} to {high}"
+        screen.print(escape(f"  {e.cause}: {e.name} = {with_unit(value, unit)} ({known})"))
     if found.term is not None:
         term = f"{found.term.port} as a function of {found.term.variable}".replace("_", " ")
         formula = f": {found.term.formula}" if found.term.formula else ""
@@ -118,8 +119,8 @@ def _print_diagnosis(found: Any) -> None:
         ranked = ", ".join(f"{c.label} {c.probability:.0%}" for c in found.candidates[:4])
         screen.print(escape(f"candidates: {ranked}"))
     if (test := found.next_test) is not None:
-        power = f"tells {' from '.join(test.separates)} apart with {test.power:.0%}"
-        power = f"hardly {power}, and no other does" if test.uninformative else power
+        power = f"tells {' from '.join(test.separates)} with a probability of {test.power:.0%}"
+        power += ", and no other test does better" if test.uninformative else ""
         screen.print(escape(f"next test, {test.duration:g} s: {test.description}; {power}"))
     elif found.no_test:
         screen.print(found.no_test)
@@ -131,3 +132,5 @@ def _print_diagnosis(found: Any) -> None:
     for g in found.gain:
         told = "" if g.claimed else ", not claimed"
         screen.print(escape(f"gain on {g.record}: error {g.before:.3g} -> {g.after:.3g} (noise {g.floor:.3g}){told}"))
+    for note in found.notes:
+        screen.print(escape(f"note: {note}"))

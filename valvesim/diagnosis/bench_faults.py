@@ -447,7 +447,7 @@ def _shift_words(column: str, growing: bool) -> Callable[[np.ndarray], str]:
 
 
 def _clock_words(values: np.ndarray) -> str:
-    return f"clocks of the channels run apart by up to {np.abs(values).max() * 1e6:.3g} ppm"
+    return f"clocks of the channels run apart by up to {float(f'{np.abs(values).max() * 1e6:.3g}'):g} ppm"
 
 
 def _drift_words(parameter: NuisanceParameter, session: Session) -> Callable[[np.ndarray], str]:

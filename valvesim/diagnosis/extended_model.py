@@ -63,12 +63,12 @@ def effect_files(session: Session, variant: ModelVariant) -> dict[str, str]:
     """The files that the scenario of a variant needs beside it: name -> text.
 
     `EFFECT_FILE` where a term was recovered, and `INPUT_FILE` where the inputs do not stand in a plain CSV of the
-    record.
+    record as they were used.
     """
     terms = [active for active in variant.effects if _recovered(session, active.effect)]
     texts = {EFFECT_FILE: effect_file(*terms)} if terms else {}
     record = session.training[0]
-    if columns := _unreadable_inputs(record):
+    if columns := _inputs_beside(record):
         values = [record.time, *(record.values[name] for name in columns)]
         headings = (f"{name} [{UNITS[name]}]" for name in ("time", *columns))
         texts[INPUT_FILE] = csv_text(headings, zip(*(map(repr, one.tolist()) for one in values), strict=True))
@@ -155,27 +155,23 @@ def _files_of_inputs(record: Record, scenario: Scenario) -> dict[str, dict[str, 
         if (start := _start_in_file(record, column, command.values)) is not None:
             file = str(record.path.absolute())  # type: ignore[union-attr]
             files[key] = {"file": file, "column": column, "start": exact_text(start, "s")}
-        elif column in _unreadable_inputs(record):
+        elif column in _inputs_beside(record):
             files[key] = {"file": INPUT_FILE, "column": column}
     return files
 
 
-def _unreadable_inputs(record: Record) -> list[str]:
-    """The inputs of a record that move from sample to sample, where its own file is no plain CSV that a scenario reads.
+def _inputs_beside(record: Record) -> list[str]:
+    """The inputs of a record that move from sample to sample and do not stand as they were used in its own file.
 
-    Temperatures are followed by few straight lines.
+    That is no plain CSV that a scenario reads, or they were cleaned. Temperatures are followed by few straight lines.
     """
     moving = [name for name in record.inputs if not name.endswith("_temperature") and np.ptp(record.values[name]) > 0.0]
     if record.path is None:
         return []
-    try:
-        read_columns(Path(record.path), {name: UNITS[name] for name in ("time", *moving)})
-    except InputError:
-        return moving
-    return []
+    return [name for name in moving if _start_in_file(record, name, record.values[name]) is None]
 
 
-def _start_in_file(record: Record, column: str, values: Sequence[float]) -> float | None:
+def _start_in_file(record: Record, column: str, values: Sequence[float] | np.ndarray) -> float | None:
     """The time of the record's file at which the record starts; None where the file's column is not what is used."""
     if record.path is None or len(values) != len(record.time):
         return None

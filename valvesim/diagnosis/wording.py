@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term
@@ -58,7 +59,8 @@ def cause_words(one: FittedHypothesis) -> str:
 def _words(c: Candidate) -> str:
     if c.parameter is not None and c.parameter.of_network:
         return f"{OTHERWISE} ({heat_words(c.parameter.name.removeprefix(NETWORK))})"
-    return c.label.replace("parameter:", "the figure of ").replace("@", " of ").replace("_", " ")
+    words = (("parameter:", "the figure of "), ("@", " of "), ("_", " "), ("[", ", "), ("]", ""), ("=", " "))
+    return reduce(lambda text, word: text.replace(*word), words, c.label)
 
 
 def location_text(verdict: str, in_set: Sequence[FittedHypothesis]) -> str:

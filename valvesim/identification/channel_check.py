@@ -79,7 +79,7 @@ def _by_slopes(slopes: dict[str, dict[str, tuple[float, float]]], *, options: Ch
         elif len(along) == len(own):
             b = float(np.median(list(along.values())))
             if not 1.0 / options.factor < b < options.factor:
-                words.append(f"{name} reads {b:.3g} times what the stated valve does: its unit?")
+                words.append(f"{name} reads {float(f'{b:.3g}'):g} times what the stated valve does: its unit?")
     if len(turned) == len(slopes) > 1:
         swapped = "are they swapped, or is it " if set(turned) == set(NOZZLES) else ""
         return [f"{_listed(turned)} go the other way than the stated valve: {swapped}the sign of the command?"]

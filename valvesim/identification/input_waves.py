@@ -46,11 +46,11 @@ def wave_parameters(
     """The two components (cosine, sine) of a wave of `frequency` Hz on an input, in each record."""
     return tuple(
         NuisanceParameter(
-            f"wave@{record.name}:{column}:{frequency:.4g}:{phase:.3g}", UNITS[column], 0.0, size,
+            f"wave@{record.name}:{column}:{frequency:.4g} Hz:{component}", UNITS[column], 0.0, size,
             (-4.0 * size, 4.0 * size), input=Wave(record.name, column, frequency, phase),
         )
         for record in records
-        for phase in (0.0, 0.5 * np.pi)
+        for component, phase in (("cosine", 0.0), ("sine", 0.5 * np.pi))
     )  # fmt: skip
 
 

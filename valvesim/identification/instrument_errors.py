@@ -51,8 +51,8 @@ def input_shifts(
         "supply_pressure": options.instrument.supply_pressure * float(session.valve.supply_pressure),
     }[column]
     return tuple(
-        NuisanceParameter(f"shift@{record.name}:{column}:{growing}", SHIFTED[column], 0.0, size,
-                          (-4.0 * size, 4.0 * size), input=InputShift(record.name, column, growing))
+        NuisanceParameter(f"shift@{record.name}:{column}{':growing' if growing else ''}", SHIFTED[column], 0.0,
+                          size, (-4.0 * size, 4.0 * size), input=InputShift(record.name, column, growing))
         for record in (session.training if records is None else records)
     )  # fmt: skip
 

@@ -25,13 +25,21 @@ class AuditOptions:
     replicate_mismatch: float = option(
         0.05, "1", "share of the input's span: rms difference of inputs between replicates", JUDGEMENT
     )
+    replicate_disagreement: float = option(
+        3.0, "1", "times their white noise by which the readings of replicates differ where it is told", JUDGEMENT
+    )
     least_motion: float = option(1e-3, "1", "share of an input's scale: a smaller span is at rest", JUDGEMENT)
+    most_command: float = option(2.0, "1", "rated commands: a larger one is refused", "coils take little more")
     noise_motion: float = option(
         5e-3, "1", "share of an input's scale: white noise of smaller rms is a sensor's at rest", JUDGEMENT
     )
     flat_samples: int = option(10, "1", "equal readings in a row at the extreme that make a flat top", JUDGEMENT)
     top_samples: int = option(3, "1", "equal readings in a row at the extreme that a step may leave there", JUDGEMENT)
     few_tops: int = option(4, "1", "readings at the extreme, and none next to it, that are saturated", JUDGEMENT)
+    frozen_samples: int = option(20, "1", "equal readings in a row that are those of a dead channel", "never by noise")
+    frozen_chance: float = option(
+        0.2, "1", "share of equal neighbours elsewhere: a channel with more is coarse and may stand still", JUDGEMENT
+    )
     flat_reach: float = option(
         0.05, "1", "share of the output's span that the command must ask for beyond a flat top", JUDGEMENT
     )
@@ -154,6 +162,22 @@ class InputOptions:
     half_ratio: float = option(
         3.0, "1", "times what the intervals beside differ from half of it", "filtered steps have less"
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputNoiseOptions:
+    """How white noise of an instrument is taken from the command and the pressures that were measured with it.
+
+    What is more than `AuditOptions.noise_motion` is no noise but an excitation, and stays.
+    """
+
+    least: float = option(
+        5e-5, "1", "share of an input's scale: less noise than this is left on it",
+        "measured: at ten times as much the armature of a healthy valve was possibly too light",
+    )  # fmt: skip
+    spectrum: int = option(256, "1", "samples of each spectrum that tells the noise", JUDGEMENT)
+    stretch: int = option(32, "1", "samples of the stretches whose spectra are asked; a record has more", JUDGEMENT)
+    threshold: float = option(3.0, "1", "noise deviations below which a coefficient is noise", "0.3 % by chance")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -429,6 +453,7 @@ class IdentificationOptions:
     audit: AuditOptions = AuditOptions()
     predictor: PredictorOptions = PredictorOptions()
     input: InputOptions = InputOptions()
+    input_noise: InputNoiseOptions = InputNoiseOptions()
     wave: WaveOptions = WaveOptions()
     instrument: InstrumentOptions = InstrumentOptions()
     prior: PriorOptions = PriorOptions()

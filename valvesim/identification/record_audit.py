@@ -11,7 +11,7 @@ import numpy as np
 from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import OUTPUTS, PART_TEMPERATURES, UNITS, Record, Sensor, value_text
-from valvesim.measurement.quality import grid_step
+from valvesim.measurement.quality import grid_step, noise_of
 from valvesim.units import DISPLAY, quantities
 from valvesim.valve.fluid import COMPUTED_RANGE, KELVIN
 from valvesim.valve.parameters import Valve
@@ -37,14 +37,16 @@ def is_at_rest(values: np.ndarray, scale: float, *, options: IdentificationOptio
     return bool(white and np.std(values) <= options.audit.noise_motion * scale)
 
 
-def check_command(path: Path, record: Record, valve: Valve, notes: list[str]) -> None:
+def check_command(
+    path: Path, record: Record, valve: Valve, notes: list[str], *, options: IdentificationOptions
+) -> None:
     command, rated = record.values[record.command], input_scale(record.command, valve)
     unit, factor = DISPLAY.get(UNITS[record.command], (UNITS[record.command], 1.0))
     k = int(np.argmax(np.abs(command)))
     told = f"{record.command} of {command[k] * factor:.4g} {unit}"
     limit = f"the rated {rated * factor:.4g} {unit}"
-    if abs(command[k]) > 2.0 * rated:
-        raise _at_sample(f"{told} is beyond twice {limit}", record, k, path)
+    if abs(command[k]) > options.audit.most_command * rated:
+        raise _at_sample(f"{told} is beyond {options.audit.most_command:g} times {limit}", record, k, path)
     if abs(command[k]) > rated * (1 + 1e-9):
         notes.append(f"{record.name}: {told} is beyond {limit}; spool and flapper may reach their stops")
 
@@ -129,6 +131,30 @@ def check_replicates(records: Sequence[Record], valve: Valve, *, options: Identi
                 )
 
 
+def note_disagreement(records: Sequence[Record], notes: list[str], *, options: IdentificationOptions) -> None:
+    """Say which readings of repeats differ by more than noise: an instrument that wandered, a spool that stuck once.
+
+    What repeats do not share counts as noise of their channel, so that it would hide whatever is smaller.
+    """
+    first: dict[str, Record] = {}
+    for record in records:
+        if record.repeats is None or (other := first.setdefault(record.repeats, record)) is record:
+            continue
+        for name in (name for name in record.outputs if name in other.outputs):
+            both = record.usable[name] & other.usable[name]
+            apart = record.values[name][both] - other.values[name][both]
+            if len(apart) < options.audit.least_samples:
+                continue
+            off, scatter = float(np.sqrt(np.mean(apart**2))), noise_of(apart)
+            if off > options.audit.replicate_disagreement * scatter > 0.0:
+                unit = UNITS[name]
+                notes.append(
+                    f"{other.name} and {record.name} repeat one test, but {name} differs by {value_text(off, unit)} "
+                    f"(rms), where neighbouring readings scatter by {value_text(scatter, unit)}: it counts as noise, "
+                    "and hides what is smaller"
+                )
+
+
 def audited_sensors(
     stated: dict[str, Sensor], records: Sequence[Record], notes: list[str], *, options: IdentificationOptions
 ) -> dict[str, Sensor]:
@@ -186,8 +212,15 @@ def usable_record(
                          f"{record.command} moves, and is left out")  # fmt: skip
             continue
         saturated = _saturated(record, sensors[name])
-        good = record.usable[name] & ~saturated
+        frozen = _frozen(record, name, options=options) & ~saturated
+        good = record.usable[name] & ~saturated & ~frozen
         left_out = " and is left out" if np.mean(good) < 0.5 * record.shares.get(name, 1.0) else ""
+        if frozen.any():
+            begin = int(np.argmax(frozen))
+            notes.append(
+                f"{record.name}, {record.place(begin)}: {name} stands at one reading for {np.count_nonzero(frozen)} "
+                f"samples while the {record.command} moves; they are left out"
+            )
         if saturated.any():
             notes.append(f"{record.name}: {name} is saturated in {np.mean(saturated):.2%} of the samples{left_out}")
         elif left_out:
@@ -198,6 +231,27 @@ def usable_record(
         notes.append(f"{record.name}: has no output channel left and is left out")
         return None
     return replace(record, usable=usable)
+
+
+def _frozen(record: Record, channel: str, *, options: IdentificationOptions) -> np.ndarray:
+    """Where a channel with noise stands at one reading while the command goes on: a cable that came off, a logger that
+    holds its last reading. A spool that sticks keeps the noise of its sensor.
+    """
+    values, command = record.values[channel], record.values[record.command]
+    equal = np.diff(values) == 0.0
+    frozen = np.zeros(len(values), dtype=bool)
+    for a, b in np.flatnonzero(np.diff(equal.astype(int), prepend=0, append=0)).reshape(-1, 2):
+        moves = np.ptp(command[a : b + 1]) > options.audit.flat_reach * np.ptp(command)
+        frozen[a : b + 1] = b + 1 - a >= options.audit.frozen_samples and moves
+    beside = ~(frozen[1:] & frozen[:-1])
+    coarse = np.mean(equal[beside]) > options.audit.frozen_chance if beside.any() else True
+    return frozen & (not coarse and _has_noise(values[~frozen & record.usable[channel]]))
+
+
+def _has_noise(values: np.ndarray) -> bool:
+    """Whether neighbouring readings scatter: second differences of noise go to and fro, those of a motion do not."""
+    bend = np.diff(values, 2)
+    return len(bend) > 1 and float(np.sum(bend[1:] * bend[:-1])) < -0.33 * float(np.sum(bend**2))  # noise: -2/3
 
 
 def _saturated(record: Record, sensor: Sensor) -> np.ndarray:

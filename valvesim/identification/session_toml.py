@@ -19,6 +19,7 @@ import numpy as np
 from valvesim.errors import InputError, nearest, unknown_name
 from valvesim.identification.bad_samples import measured_samples
 from valvesim.identification.holdout import hold_out
+from valvesim.identification.input_noise import input_noise, without_noise
 from valvesim.identification.options import DEFAULT_IDENTIFICATION, IdentificationOptions
 from valvesim.identification.record_audit import (
     audited_sensors,
@@ -28,9 +29,10 @@ from valvesim.identification.record_audit import (
     check_replicates,
     input_scale,
     is_at_rest,
+    note_disagreement,
     usable_record,
 )
-from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session
+from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session, value_text
 from valvesim.io import check_known, check_printable, check_tables, located, read_toml
 from valvesim.measurement.columns_table import NOTHING_STATED, Statements, statements_of, statements_of_record
 from valvesim.measurement.formats import LISTED
@@ -105,6 +107,7 @@ def _load(
     records = [
         usable for record in records if (usable := usable_record(record, sensors, notes, options=options)) is not None
     ]
+    note_disagreement(records, notes, options=options)
     if not any(record.moves() for record in records):
         raise InputError(
             f"no record is left that moves and has a usable output channel: {'; '.join(notes)}", file=folder
@@ -286,9 +289,17 @@ def _read_record(
     usable = {channel: good & read_at[channel] if channel in read_at else good for channel, good in usable.items()}
     record = Record(name, time, values, usable, entry.role, entry.repeats, path, recording.line_of, shares)
     for column in record.inputs:
-        if is_at_rest(values[column], input_scale(column, session.valve), options=options):
+        scale = input_scale(column, session.valve)
+        if is_at_rest(values[column], scale, options=options):
             values[column] = np.full(len(time), np.mean(values[column]))
-    check_command(path, record, session.valve, notes)
+        elif not column.endswith("_temperature"):  # these are smoothed where they drive the model
+            noise = input_noise(values[column], options=options.input_noise)
+            if options.input_noise.least * scale < noise < options.audit.noise_motion * scale:
+                values[column] = without_noise(values[column], noise, options=options.input_noise)
+                told = value_text(noise, UNITS[column])
+                notes.append(f"{name}: {column} has white noise of {told} (standard deviation); it is taken away, as "
+                             "the instrument's and not the valve's")  # fmt: skip
+    check_command(path, record, session.valve, notes, options=options)
     check_conditions(path, record, session.valve, notes, options=options)
     return record
 

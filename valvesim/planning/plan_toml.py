@@ -32,7 +32,8 @@ import numpy as np
 
 from valvesim.diagnosis.experiments import Experiment, library
 from valvesim.errors import InputError, unknown_name
-from valvesim.identification.session import OUTPUTS, Record, Sensor, Session
+from valvesim.identification.options import DEFAULT_IDENTIFICATION
+from valvesim.identification.session import OUTPUTS, Record, Sensor, Session, value_text
 from valvesim.identification.session_toml import session_settings, stated_sensors
 from valvesim.inputs import evaluate
 from valvesim.io import check_known, check_printable, check_tables, located, read_toml
@@ -180,6 +181,11 @@ def _own_tests(
         shape = read_command(
             command[drive.command_name], drive.command_unit, key, column=drive.command_name, folder=folder
         )
+        share = evaluate(shape, time) / rated
+        most, limit = float(np.max(np.abs(share))), DEFAULT_IDENTIFICATION.audit.most_command  # as of records
+        if most > limit:
+            told, one = (value_text(value, drive.command_unit) for value in (most * rated, rated))
+            raise InputError(f"{told} is beyond {limit:g} times the rated {one}", key=key)
         oil = read_command(given.get("oil_temperature", "20 degC"), "degC", f"{where}.oil_temperature",
                            column="oil_temperature", folder=folder)  # fmt: skip
         supply = parse(given["supply_pressure"], "Pa", f"{where}.supply_pressure") if "supply_pressure" in given \
@@ -187,7 +193,7 @@ def _own_tests(
         load = parse(given["load_pressure"], "Pa", f"{where}.load_pressure") if "load_pressure" in given else 0.0
         if abs(load) > supply:
             raise InputError("is beyond the supply pressure", key=f"{where}.load_pressure")
-        found.append(Experiment(given["name"], time, evaluate(shape, time) / rated, evaluate(oil, time), supply, load))
+        found.append(Experiment(given["name"], time, share, evaluate(oil, time), supply, load))
     return found
 
 
@@ -202,6 +208,8 @@ def _aim(given: dict[str, Any], session: Session) -> Aim:
     for name, text in given.get("sizes", {}).items():
         if _effect_name(name) not in known:
             raise unknown_name("cause", name, known, "aim.sizes")
+        if causes and _effect_name(name) not in map(_effect_name, causes):
+            raise InputError(f"is not among aim.causes ({', '.join(causes)})", key=f"aim.sizes.{name}")
         sizes[name] = _size(known[_effect_name(name)], text, f"aim.sizes.{name}")
     isolate = given.get("isolate", True)
     if not isinstance(isolate, bool):

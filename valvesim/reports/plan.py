@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from valvesim.reports.diagnosis.words import unit_of, with_unit
 from valvesim.reports.html_page import Bullets, Picture, Section, Table, Terms, Text, section, write_html
 from valvesim.reports.plotting import COLOURS, Figure, label_decades, png, styled, write_bytes
 from valvesim.reports.title_block import TitleBlock
-from valvesim.units import DISPLAY, symbol
 
 if TYPE_CHECKING:
     from valvesim.planning.outlook import CauseOutlook, Outlook, ParameterOutlook
@@ -98,7 +98,8 @@ def cause_row(one: CauseOutlook) -> tuple[str, ...]:
 def parameter_row(one: ParameterOutlook) -> tuple[str, ...]:
     """A parameter with its deviations before and after."""
     how = PARAMETER_VERDICTS[one.verdict] + (f": {', '.join(one.partners)}" if one.partners else "")
-    figures = (_amount(value, one.unit) for value in (one.nominal, one.prior, one.posterior))
+    size = max(abs(one.nominal), one.prior)
+    figures = (_amount(value, one.unit, size) for value in (one.nominal, one.prior, one.posterior))
     return one.name, *figures, how
 
 
@@ -131,9 +132,10 @@ def missed_words(plan: Plan) -> list[str]:
     return words
 
 
-def _amount(value: float, unit: str) -> str:
-    shown, factor = DISPLAY.get(unit, (unit, 1.0))
-    return f"{value * factor:.3g} {symbol(shown)}" if shown != "1" else f"{value:.3g}"
+def _amount(value: float, unit: str, size: float | None = None) -> str:
+    """A figure to three digits, in the unit that people use for that size [its own]."""
+    shown, factor = unit_of(unit, value if size is None else size)
+    return with_unit(f"{float(f'{value * factor:.3g}'):g}", shown)
 
 
 @styled
