@@ -12,7 +12,7 @@ from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.refits import alike_hypotheses, fit_starts, plainer_hypotheses, reduced_hypotheses, restarted
 from valvesim.diagnosis.score_test import ScoreTest, search_size
 from valvesim.diagnosis.second_cause import at_full_weight, with_other_pairs, with_second_cause
-from valvesim.diagnosis.starts import likeliest_starts, start_points, typical_starts
+from valvesim.diagnosis.starts import is_of_one_effect, likeliest_starts, start_points, typical_starts
 from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
@@ -70,6 +70,20 @@ def test_a_pair_of_which_one_would_have_the_sign_that_it_cannot_have_is_no_start
     assert labels(start_points(scores({BIAS: -3.0, FRICTION: 2.0}), frozenset()))[-1] == (
         "sensor_bias@load_flow + spool_coulomb_friction"
     )
+
+
+def test_the_same_lag_of_all_sensors_is_a_start_of_one_effect_and_no_pair_besides():
+    spool, flow = (Candidate("sensor_lag", CATALOGUE["sensor_lag"].on(c)) for c in ("spool_position", "load_flow"))
+    found = start_points(scores({spool: 1.5, AIR: 1.0, flow: 1.5}), frozenset())
+    assert labels(found).count("sensor_lag@load_flow~0.001 s + sensor_lag@spool_position~0.001 s") == 1
+    common = next(start for start in found if len(start) == 2 and is_of_one_effect(start))
+    own = 1.5 * search_size(spool, options=OPTIONS)
+    assert [member.above_neutral for member in common] == pytest.approx([own, own])
+    assert not any(map(is_of_one_effect, start_points(scores({spool: 1.5, flow: -1.5, AIR: 3.0}), frozenset())[1:]))
+    pair = hypothesis(900.0, spool, flow)
+    pair = replace(pair, fit=replace(pair.fit, occam_factor=20.0))
+    assert pair.occam_factor == 10.0 and pair.prior_penalty == hypothesis(900.0, spool).prior_penalty
+    assert hypothesis(900.0, spool, AIR).prior_penalty == 2.0 * pair.prior_penalty
 
 
 def test_both_sides_of_one_effect_are_no_pair():

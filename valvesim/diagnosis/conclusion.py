@@ -176,8 +176,8 @@ def gain_of_term(recovered: RecoveredTerm, found: Sequence[FittedHypothesis]) ->
     """What a term explains more than the likeliest cause, each for the penalty of its figures."""
     best = _least_left(found)
     penalty = recovered.freedom * np.log(best.fit.rows)
-    return best.least_chi_square + best.fit.occam_factor - recovered.chi_square - float(penalty)
+    return best.least_chi_square + best.occam_factor - recovered.chi_square - float(penalty)
 
 
 def _least_left(found: Sequence[FittedHypothesis]) -> FittedHypothesis:
-    return min(found, key=lambda one: one.least_chi_square + one.fit.occam_factor)
+    return min(found, key=lambda one: one.least_chi_square + one.occam_factor)

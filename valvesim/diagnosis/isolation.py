@@ -63,7 +63,7 @@ from valvesim.diagnosis.second_cause import (
     with_singles_from_prior,
     without_corrections_of_laws,
 )
-from valvesim.diagnosis.starts import start_points
+from valvesim.diagnosis.starts import is_of_one_effect, start_points
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import continue_from, evaluated_beside
@@ -347,11 +347,11 @@ def _first_hypotheses(
         point = begun[0].fit.point  # what the bench did, and the valve, are known beside it
         laws = {candidate.plainest for candidate in begun[0].candidates}  # alike ones follow from its figures
     while starts := start_points(scores, failed):
-        first, pairs = starts[0][0].candidate, [start for start in starts if len(start) > 1]
+        first, pairs = starts[0][0].candidate, [start for start in starts if not is_of_one_effect(start)]
         likeliest = first.label
         alone = [
             start for start in starts
-            if len(start) == 1
+            if is_of_one_effect(start)
             and start[0].candidate.label not in labels and start[0].candidate.plainest not in laws
         ]  # fmt: skip
         found = [*begun, *fit_starts(nominal, alone, point, progress, others=begun, options=scores.options)]

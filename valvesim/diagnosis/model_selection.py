@@ -38,15 +38,24 @@ class FittedHypothesis:
     @property
     def prior_penalty(self) -> float:
         """Twice the log prior odds against these candidates."""
-        return sum(
-            2.0 * np.log(10.0) + _rarity_penalty(candidate, options=self.options) for candidate in self.candidates
-        )
+        return sum(2.0 * np.log(10.0) + _rarity_penalty(c, options=self.options) for c in self._independent)
+
+    @property
+    def occam_factor(self) -> float:
+        """That of the fit; the sensors of one recorder have one figure between them that makes them late."""
+        one = len(self._independent) == 1
+        return self.fit.occam_factor / len(self.candidates) if one else self.fit.occam_factor
+
+    @property
+    def _independent(self) -> tuple[Candidate, ...]:
+        """The candidates but those that another one makes likely: what makes sensors late, their recorder may."""
+        return tuple({c.name if c.makes_sensor_late else c.label: c for c in self.candidates}.values())
 
     @property
     def evidence(self) -> float:
         """Minus twice the log evidence, up to a constant (Laplace's approximation; MacKay 1992)."""
         strength = sum((e.above_neutral / (5.0 * e.candidate.typical)) ** 2 for e in self.fit.fitted)
-        return float(self.least_chi_square + self.fit.occam_factor + self.prior_penalty + strength)
+        return float(self.least_chi_square + self.occam_factor + self.prior_penalty + strength)
 
     def tempered(self, temperature: float) -> float:
         """The same tempered: differences of chi-square over a temperature, prior odds not, see `temperature_of`."""

@@ -15,13 +15,22 @@ from valvesim.identification.projection import ProjectedScores
 
 
 def start_points(scores: ScoreTest, failed: Set[str]) -> list[tuple[FittedCandidate, ...]]:
-    """Where to start refits: the best single candidates, and the best pairs where two explain much more than one.
+    """Where to start refits: the best single candidates, the same lag or delay of all sensors, and the best pairs where
+    two explain much more than one.
 
     Families that have `failed` are left out.
     """
     fall = np.where([c.label in failed for c in scores.candidates], 0.0, scores.z() ** 2)
     singles = single_starts(scores, fall, scores.options.isolation.single_share)
-    return [*singles, *_pair_starts(scores, fall, failed)] if singles else []
+    if not singles:
+        return []
+    common = _common_starts(scores, fall, failed)
+    pairs = [one for one in _pair_starts(scores, fall, failed) if _labels(one) not in map(_labels, common)]
+    return [*singles, *common, *pairs]
+
+
+def _labels(start: Sequence[FittedCandidate]) -> list[str]:
+    return sorted(member.candidate.label for member in start)
 
 
 def single_starts(scores: ScoreTest, fall: np.ndarray, share: float) -> list[tuple[FittedCandidate, ...]]:
@@ -39,6 +48,27 @@ def best_of_labels(scores: ScoreTest, value: np.ndarray, least: float) -> list[i
         if value[k] > 0.0 and value[k] >= least:
             best.setdefault(scores.candidates[k].label, k)
     return list(best.values())
+
+
+def _common_starts(scores: ScoreTest, fall: np.ndarray, failed: Set[str]) -> list[tuple[FittedCandidate, ...]]:
+    """The same lag, and the same delay, of the sensors of all channels, as a recorder's filters make it: those whose
+    reduction of the chi-square is near the largest of one candidate, by the fall (q,).
+    """
+    starts, projected = [], scores.projected
+    late = [k for k, c in enumerate(scores.candidates) if c.makes_sensor_late and c.label not in failed]
+    for name in dict.fromkeys(scores.candidates[k].name for k in late):
+        of = list({scores.candidates[k].label: k for k in late if scores.candidates[k].name == name}.values())
+        together = 1.0 / scores.sizes[of]
+        score, overlap = together @ projected.score[of], together @ projected.overlap[np.ix_(of, of)] @ together
+        if len(of) > 1 and score > 0.0 and score**2 >= scores.options.isolation.single_share * fall.max() * overlap:
+            starts.append(tuple(at_amplitude(scores, k, score / overlap * each)
+                                for k, each in zip(of, together, strict=True)))  # fmt: skip
+    return starts
+
+
+def is_of_one_effect(start: Sequence[FittedCandidate]) -> bool:
+    """Whether a start is of one effect: a single candidate, or the same fault of several sensors."""
+    return len({member.candidate.name for member in start}) == 1
 
 
 def _pair_starts(scores: ScoreTest, fall: np.ndarray, failed: Set[str]) -> list[tuple[FittedCandidate, ...]]:

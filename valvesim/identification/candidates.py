@@ -67,6 +67,11 @@ class Candidate:
         """The name of the plainer effect that it is without its own feature, or its own."""
         return (self.effect.plainer if self.effect is not None else "") or self.name
 
+    @property
+    def makes_sensor_late(self) -> bool:
+        """Whether it is a lag or a delay of a sensor: a recorder's filters give all of its channels the same."""
+        return self.effect is not None and self.effect.reading is not None and self.unit == "s"
+
     def excludes(self, other: Candidate) -> bool:
         """True for another shape or side of the same effect, whose name may stand in a model only once, and for another
         law of the same thing: of effects that are one plainer effect without their own features, one acts.
