@@ -25,7 +25,13 @@ from valvesim.identification.between_samples import (
 )
 from valvesim.identification.input_choice import HELD_NAME, edge_time, input_choices
 from valvesim.identification.linearised_record import linearise_record
-from valvesim.identification.nominal_fit import _at_nominal, _plain_choice, fit_nominal, under_other_inputs
+from valvesim.identification.nominal_fit import (
+    _at_nominal,
+    _plain_choice,
+    fit_nominal,
+    under_other_inputs,
+    with_input_choice,
+)
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session_toml import load_session
@@ -211,6 +217,22 @@ def test_readings_tell_how_the_command_went_and_when_it_jumped_and_a_healthy_val
     true = (np.flatnonzero(np.abs(np.diff(run.command)) > 5e-4) + 1) / (1e3 * FINE)
     found = [1e-3 * (edge.after + 0.5) + amount for edge, amount in edges.items() if edge.record == run.name]
     np.testing.assert_allclose(found, true, atol=1e-4)
+
+
+def test_after_jumps_that_are_too_many_to_be_fitted_noise_counts_as_larger(stepped):
+    _, session = stepped
+    few = replace(OPTIONS, input=replace(OPTIONS.input, most_edges=1))
+    every, one = (
+        with_input_choice(prepared, input_choices(session, options=prepared.options)[-1])
+        for prepared in (prepare_session(session, options=options) for options in (OPTIONS, few))
+    )
+    record = next(r for r in session.training if len(command_jumps(r.values[r.command], options=OPTIONS)) > 2)
+    first, second, *_ = command_jumps(record.values[record.command], options=OPTIONS)
+    own, wider = (prepared.spread[record.name, record.outputs[0]] for prepared in (every, one))
+    np.testing.assert_allclose(wider[: second + 1], own[: second + 1])
+    assert np.max(wider[second + 1 : second + 5]) > 2.0 * np.max(own) > 0.0
+    assert any("more jumps are too many to fit" in note for note in one.session.notes)
+    assert not any("too many" in note for note in every.session.notes) and first < second
 
 
 def test_a_command_that_goes_straight_is_left_as_it_is(tmp_path):

@@ -55,14 +55,13 @@ def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[
     records = [record for record in fast if record.moves(record.command)]
     if not records:
         return (STRAIGHT,)
-    jumps = {r.name: edges_of(r.name, r.command, r.values[r.command], options=options) for r in records}
     corners = {r.name: command_corners(r.values[r.command], options=options).tolist() for r in records}
     smooth = tuple((Smooth(r.name, r.command, tuple(corners[r.name])), 1.0) for r in records)
     edges = tuple(
         edge_time(record, edge)
         for record in records
         if record.role == "train"
-        for edge in jumps[record.name][: options.input.most_edges]
+        for edge in _jumps_of(record, options=options)[: options.input.most_edges]
     )
     choices = [
         STRAIGHT,
@@ -75,6 +74,11 @@ def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[
             InputChoice("joined smoothly, with edges at fitted times", smooth, edges),
         ]
     return tuple(choices)
+
+
+def _jumps_of(record: Record, *, options: IdentificationOptions) -> Sequence[EdgeTime]:
+    """The jumps of a record's command as edges."""
+    return edges_of(record.name, record.command, record.values[record.command], options=options)
 
 
 def edge_time(record: Record, edge: EdgeTime) -> NuisanceParameter:
@@ -237,24 +241,42 @@ def added_columns(
 def input_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]:
     """What a reading hangs on the way of the commands between their samples, by record and channel, (n,) in SI.
 
-    A share of what straight lines would read less, or more: so far any way may be wrong.
+    A share of what straight lines would read less, or more: so far any way may be wrong. Edges beyond those that are
+    fitted may be anywhere in their intervals.
     """
     nominal = prepared.nominal
     variant = nominal.at(np.zeros(len(nominal.parameters)))
     edges = tuple(each for each in variant.deviations if isinstance(each[0], EdgeTime))
+    early, late = (_edges_left(prepared, by) if edges else () for by in (-0.5, 0.5))
+    variants = [variant, replace(variant, deviations=edges)]
+    if early:
+        variants += [replace(variant, deviations=(*variant.deviations, *each)) for each in (early, late)]
     try:
-        own, straight = (predict_readings(prepared, one) for one in (variant, replace(variant, deviations=edges)))
+        read = [predict_readings(prepared, one) for one in variants]
     except (SolveError, InputError):
         return {}
-    share = prepared.options.input.spread
-    return {
-        (predictor.record.name, name): share * np.abs(read[name] - line[name])
-        for predictor, read, line in zip(prepared.predictors, own, straight, strict=True)
-        for name in read
-    }
+    share, spread = prepared.options.input.spread, {}
+    for k, predictor in enumerate(prepared.predictors):
+        for name in predictor.record.outputs:
+            own, straight, *ends = (one[k][name] for one in read)
+            deviation = share * np.abs(own - straight)
+            if ends:
+                deviation = np.hypot(deviation, np.abs(ends[1] - ends[0]) / np.sqrt(12.0))  # evenly in between
+            spread[predictor.record.name, name] = deviation
+    return spread
 
 
-def input_notes(session: Session, choice: InputChoice) -> list[str]:
+def _edges_left(prepared: PreparedSession, by: float) -> Deviations:
+    """The edges of training records that are too many to be fitted, all off by so many steps of their records."""
+    records = [predictor.record for predictor in prepared.predictors]
+    return tuple(
+        (edge, by / record.rate)
+        for record in records if record.moves(record.command)
+        for edge in _jumps_of(record, options=prepared.options)[prepared.options.input.most_edges :]
+    )  # fmt: skip
+
+
+def input_notes(session: Session, choice: InputChoice, *, options: IdentificationOptions) -> list[str]:
     """What was taken of the commands between their samples, in words."""
     notes = [f"the command's samples were taken as {choice.name}: the readings fit better so than by straight lines"]
     for record in session.training:
@@ -266,4 +288,7 @@ def input_notes(session: Session, choice: InputChoice) -> list[str]:
                 f"{record.name}: the {record.command} jumps up to {value_text(most, UNITS[record.command])} within one "
                 f"sample, {len(edges)} times; when, was fitted from the readings"
             )
+        more = len(_jumps_of(record, options=options)) - options.input.most_edges
+        if edges and more > 0:
+            notes.append(f"{record.name}: {more} more jumps are too many to fit; noise counts as larger after them")
     return notes

@@ -235,7 +235,8 @@ def with_input_choice(prepared: Prepared, choice: InputChoice) -> Prepared:
     if choice.name == STRAIGHT.name:
         return prepared
     nominal = prepared.nominal.extended(choice.parameters, choice.deviations)
-    found = with_records(prepared, (), input_notes(prepared.session, choice)).with_nominal(nominal)
+    notes = input_notes(prepared.session, choice, options=prepared.options)
+    found = with_records(prepared, (), notes).with_nominal(nominal)
     return replace(found, spread=input_spread(found))
 
 
@@ -250,7 +251,7 @@ def _without_choice(study: Study) -> tuple[Study, InputChoice]:
         for choice in input_choices(study.session, options=study.options)
         if choice.deviations == model.variant.deviations and {p.name for p in choice.parameters} == edges
     )
-    taken = () if now.name == STRAIGHT.name else input_notes(study.session, now)
+    taken = () if now.name == STRAIGHT.name else input_notes(study.session, now, options=study.options)
     session = replace(study.session, notes=tuple(note for note in study.session.notes if note not in taken))
     return replace(study, nominal=plain, session=session, spread={}), now
 
