@@ -32,12 +32,19 @@ class FittedHypothesis:
     @property
     def least_chi_square(self) -> float:
         """The chi-square less what the fit still predicts to gain."""
-        most = 2.0 * self.options.identification.fit.hypothesis_ftol
-        return self.fit.chi_square - min(self.fit.predicted_reduction, most)
+        return self._predicted(0.0)
 
     def gain_beyond(self, alone: FittedHypothesis) -> float:
-        """The chi-square that this explains beyond one of its own causes `alone`, whose fit may have stopped short."""
-        return alone.fit.chi_square - alone.fit.predicted_reduction - self.least_chi_square
+        """The chi-square that this explains beyond some of its own causes `alone`, whose fit may have stopped short: of
+        either as little is left as its fit predicts, of this by no more than of that.
+        """
+        predicted = alone.fit.predicted_reduction
+        return alone.fit.chi_square - predicted - self._predicted(predicted)
+
+    def _predicted(self, least: float) -> float:
+        """The chi-square less what the fit still predicts to gain, up to `least` or more."""
+        most = max(2.0 * self.options.identification.fit.hypothesis_ftol, least)
+        return self.fit.chi_square - min(self.fit.predicted_reduction, most)
 
     @property
     def prior_penalty(self) -> float:
