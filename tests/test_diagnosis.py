@@ -27,7 +27,7 @@ from valvesim.diagnosis.model_selection import (
     ranked,
 )
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
-from valvesim.diagnosis.refits import _from_best_point, _pairs_from_members, _restarted_within_tolerance, fit_starts
+from valvesim.diagnosis.refits import _from_best_point, _restarted_within_tolerance, fit_starts, pairs_from_members
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
     CAUSE,
@@ -476,9 +476,9 @@ def test_a_pair_that_ends_above_one_of_its_own_two_is_fitted_on_from_that_one(mo
 
     monkeypatch.setattr(refits, "continue_fit", continue_fit)
     lap, air, pair = explained(100.0, "spool_lap"), explained(200.0, "entrained_air"), ("spool_lap", "entrained_air")
-    (again,) = _pairs_from_members(None, [lap, air, explained(150.0, *pair)], options=DIAGNOSIS)
+    (again,) = pairs_from_members(None, [lap, air, explained(150.0, *pair)], options=DIAGNOSIS)
     assert asked == [(100.0, [("spool_lap", 1.0), ("entrained_air", 0.0)])] and again.fit.chi_square == 80.0
-    assert _pairs_from_members(None, [lap, air, explained(90.0, *pair)], options=DIAGNOSIS) == []
+    assert pairs_from_members(None, [lap, air, explained(90.0, *pair)], options=DIAGNOSIS) == []
 
 
 def stretched(chi_square, most, *names):

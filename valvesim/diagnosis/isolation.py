@@ -276,7 +276,8 @@ def judged(isolation: Isolation) -> Isolation:
     if left > bearable:  # where even the best leaves so much, none of them is the answer
         return isolation
     whole = plainest <= options.isolation.unexplained_share
-    answer_set = answer_set_of(nominal, found, whole, isolation.level, options=options)
+    second = final.level(options.detection.second_false_alarm)
+    answer_set = answer_set_of(nominal, found, whole, second, options=options)
     reason = unknown_reason_of(answer_set[0], min(left, plainest))
     if not reason and len(found[0].candidates) == 1 and all(found[0].is_within(one) for one in answer_set):
         rivals = [f"the {term.label}" for term in rival_terms(nominal, final)[:2]]

@@ -32,13 +32,24 @@ class FittedHypothesis:
     @property
     def least_chi_square(self) -> float:
         """The chi-square less what the fit still predicts to gain."""
-        most = 2.0 * self.options.identification.fit.hypothesis_ftol
+        return self._predicted(0.0)
+
+    def gain_beyond(self, alone: FittedHypothesis) -> float:
+        """The chi-square that this explains beyond some of its own causes `alone`, whose fit may have stopped short: of
+        either as little is left as its fit predicts, of this by no more than of that.
+        """
+        predicted = alone.fit.predicted_reduction
+        return alone.fit.chi_square - predicted - self._predicted(predicted)
+
+    def _predicted(self, least: float) -> float:
+        """The chi-square less what the fit still predicts to gain, up to `least` or more."""
+        most = max(2.0 * self.options.identification.fit.hypothesis_ftol, least)
         return self.fit.chi_square - min(self.fit.predicted_reduction, most)
 
     @property
     def prior_penalty(self) -> float:
         """Twice the log prior odds against these candidates."""
-        return sum(2.0 * np.log(10.0) + _rarity_penalty(c, options=self.options) for c in self._independent)
+        return sum(2.0 * np.log(10.0) + rarity_penalty(c, options=self.options) for c in self._independent)
 
     @property
     def occam_factor(self) -> float:
@@ -82,7 +93,7 @@ class FittedHypothesis:
         return len(self.candidates) == len(other.candidates) and self.is_within(other)
 
 
-def _rarity_penalty(candidate: Candidate, *, options: DiagnosisOptions) -> float:
+def rarity_penalty(candidate: Candidate, *, options: DiagnosisOptions) -> float:
     """Twice the log prior odds against what is rarer than an effect of the catalogue."""
     if candidate.parameter is not None:
         of_material = candidate.parameter.of_material
@@ -121,14 +132,18 @@ def with_minimum_gain(
     return [one for one in found if nominal.fit.chi_square - one.fit.chi_square > least]
 
 
+def _explained(nominal: NominalFit, best: FittedHypothesis) -> float:
+    """The chi-square that the best explains: a fall beyond the noise itself tells how inadequate the nominal fit was,
+    not how much that is.
+    """
+    return min(nominal.fit.chi_square - best.fit.chi_square, best.fit.rows)
+
+
 def answer_set_width(nominal: NominalFit, best: FittedHypothesis, more: float = 0.0) -> float:
     """The difference of evidence up to which another hypothesis explains the data nearly as well as the best does.
-
-    A fall beyond the noise itself tells how inadequate the nominal fit was, not how much the best explains. `more`
-    is what it would explain besides in further records.
+    `more` is what the best would explain besides in further records.
     """
-    fall = min(nominal.fit.chi_square - best.fit.chi_square, best.fit.rows) + more
-    return asked_difference(fall, best.law_error, options=best.options.selection)
+    return asked_difference(_explained(nominal, best) + more, best.law_error, options=best.options.selection)
 
 
 def temperature_of(nominal: NominalFit, best: FittedHypothesis) -> float:
@@ -158,31 +173,46 @@ def answer_set_of(
     options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
     """The best, and those that explain the data nearly as well; `whole` tells that the best leaves nothing over, and
-    `level` is the alarm level that a second cause must pass to stand beside the best alone.
+    `level` is the z that a second cause must pass to stand beside the best alone. However small it is beside
+    what is typical does not count then: an amplitude's prior is too wide to tell a small one from none.
     """
     if not found:
         return []
     best, width, temperature = found[0], answer_set_width(nominal, found[0]), temperature_of(nominal, found[0])
     most = len(best.candidates)  # how wide a prior is does not tell two apart that fit alike
-    near = [
-        one
-        for one in found
-        if one.tempered(temperature) - best.tempered(temperature) < width
-        or (len(one.candidates) <= most and one.least_chi_square - best.least_chi_square < width)
-        or (
-            len(one.candidates) < most
-            and one.is_within(best)
-            and one.least_chi_square - best.least_chi_square < options.selection.second_gain
+    second = least_gain_of_second(nominal, best, level)
+
+    def least_gain(alone: FittedHypothesis) -> float:
+        """Of a second cause beside one: where one passes, those that explain nearly as much stand with it."""
+        gain = max((one.gain_beyond(alone) for one in found if alone.is_within(one)), default=0.0)
+        return min(second, gain - options.selection.answer_ratio) if gain > second else second
+
+    def is_near(one: FittedHypothesis) -> bool:
+        if one.tempered(temperature) - best.tempered(temperature) < width:
+            return True
+        if len(one.candidates) > most:
+            return best.is_within(one) and one.gain_beyond(best) > least_gain(best)
+        behind = one.least_chi_square - best.least_chi_square
+        return behind < width or (
+            len(one.candidates) < most and one.is_within(best) and behind < options.selection.second_gain
         )
-    ]
-    fall = nominal.fit.chi_square - best.fit.chi_square
-    more = max(level**2, options.detection.doubtful_share * fall) if whole else -np.inf
+
+    near = [one for one in found if is_near(one)]
     # what a better one says already, and something more besides, is no rival of it, unless there must be something more
     return [
         one
         for k, one in enumerate(near)
-        if not any(b.is_within(one) and b.least_chi_square - one.least_chi_square < more for b in near[:k])
+        if not whole or not any(b.is_within(one) and one.gain_beyond(b) < least_gain(b) for b in near[:k])
     ]
+
+
+def least_gain_of_second(nominal: NominalFit, best: FittedHypothesis, level: float) -> float:
+    """The chi-square that a second cause must explain beside the best to be told: more than passes a `level` of z by
+    chance, and than what the best's law may err by shows of another cause.
+    """
+    options = best.options
+    share = max(options.selection.least_law_error, min(best.law_error, options.detection.doubtful_share))
+    return max(level**2, share * _explained(nominal, best))
 
 
 def odds_against_noise(nominal: NominalFit, best: FittedHypothesis, level: float) -> float:

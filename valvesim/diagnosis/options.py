@@ -32,6 +32,12 @@ class DetectionOptions:
         "probability of an alarm of the candidates where nothing is hidden",
         "with `term_false_alarm` below 0.01",
     )
+    second_false_alarm: float = option(
+        0.02,
+        "1",
+        "probability that a second cause is told as possible where there is but one",
+        "it is rarer than a first, and stands in an answer set of 20 to 1",
+    )
     term_false_alarm: float = option(
         0.002, "1", "probability of an alarm of the free terms where nothing is hidden", JUDGEMENT
     )

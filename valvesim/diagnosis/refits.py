@@ -26,7 +26,7 @@ def restarted(
     """
     if not found:
         return []
-    more = _pairs_from_members(nominal, found, options=options)
+    more = pairs_from_members(nominal, found, options=options)
     least = min((one.fit for one in (*found, *more)), key=lambda fit: fit.chi_square)
     more += _from_best_point(nominal, [*found, *more], least, options=options)
     near = is_adequate(least, options=options.identification)
@@ -46,7 +46,7 @@ def restarted(
     return more
 
 
-def _pairs_from_members(
+def pairs_from_members(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
     """Pairs that have ended above one of their own two fitted again from it: two can explain no less than one."""
@@ -208,9 +208,7 @@ def _in_best_amount(
     return min(tried, key=lambda pair: pair[0], default=(0.0, start))[1]
 
 
-def _without(
-    labels: Set[str], starts: Sequence[tuple[FittedCandidate, ...]]
-) -> list[tuple[FittedCandidate, ...]]:
+def _without(labels: Set[str], starts: Sequence[tuple[FittedCandidate, ...]]) -> list[tuple[FittedCandidate, ...]]:
     """The starts of other hypotheses than those of some labels."""
     return [start for start in starts if " + ".join(one.candidate.label for one in start) not in labels]
 

@@ -7,9 +7,22 @@ from collections.abc import Sequence, Set
 import numpy as np
 
 from valvesim.diagnosis.detection import bearable_beside_bench, beyond_noise
-from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_of, distinct, with_minimum_gain
+from valvesim.diagnosis.model_selection import (
+    FittedHypothesis,
+    answer_set_of,
+    distinct,
+    least_gain_of_second,
+    rarity_penalty,
+    with_minimum_gain,
+)
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.refits import comes_near, fit_starts, reduced_hypotheses
+from valvesim.diagnosis.refits import (
+    comes_near,
+    fit_starts,
+    pairs_from_members,
+    reduced_hypotheses,
+    refined_hypotheses,
+)
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts, typical_starts
 from valvesim.identification.fit import FittedCandidate, is_adequate, rescored
@@ -25,20 +38,21 @@ def with_second_cause(
     A third is not looked for: what two leave over tells that one of them is not it, rather than of three at once.
     """
     while len(final.fit.fitted) < final.options.isolation.most_causes:
-        z, level = final.z(), final.level(final.options.detection.false_alarm)
+        z, level = final.z(), final.level(final.options.detection.second_false_alarm)
         best = found[0]
-        share = final.options.detection.doubtful_share
-        if beyond_noise(final.fit, nominal.study, options=final.options) > 0.0:
-            share = 0.0
-        share = max(share, best.law_error)  # what another law of it does better is no second cause
-        bearable = max(share * (nominal.fit.chi_square - best.fit.chi_square), bearable_beside_bench(final))
-        if z.max(initial=0.0) ** 2 < max(level**2, bearable):
+        least = max(least_gain_of_second(nominal, best, level), bearable_beside_bench(final))
+        if beyond_noise(final.fit, nominal.study, options=final.options) > 0.0:  # another law of it may do better
+            least = max(least, best.law_error * (nominal.fit.chi_square - best.fit.chi_square))
+        if z.max(initial=0.0) ** 2 < least:
             break
-        near = best_of_labels(final, z, final.options.isolation.second_share * z.max())[
+        promised = z**2 - [rarity_penalty(candidate, options=final.options) for candidate in final.candidates]
+        near = best_of_labels(final, promised, final.options.isolation.second_share**2 * promised.max())[
             : final.options.isolation.seconds
         ]
         starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in near]
         more = fit_starts(nominal, starts, best.fit.point, others=found, options=final.options)
+        more += pairs_from_members(nominal, [best, *more], options=final.options)
+        more = refined_hypotheses(nominal, more, options=final.options)  # as the first has been
         merged = distinct([*found, *more], options=final.options)
         if merged[0] is best:  # what a second one explains is too little to be sure of, but may be there
             found = merged
