@@ -314,6 +314,14 @@ def test_the_largest_value_counts_only_what_happens_until_the_end(command, bound
     assert largest(command, END) == pytest.approx(bound, abs=1e-12)
 
 
+@pytest.mark.parametrize("shape", [(4, 3), (4, 8), (5,), (1, 0)])
+def test_pieces_of_another_width_are_refused_wherever_they_are_asked_for(shape):
+    """Commands of one's own had three columns once."""
+    own = Piecewise(np.zeros(shape))
+    for ask in (lambda: evaluate(own, [0.0, 1.0]), lambda: extremes(own, END), lambda: merge([Constant(), own], END)):
+        assert "each is a row of 5 numbers" in refusal(ask)
+
+
 @given(mixtures)
 def test_extremes_are_bounds_that_are_reached(several):
     command = Sum(tuple(several))

@@ -170,6 +170,7 @@ def fitted(monkeypatch):
     monkeypatch.setattr(refits, "fit_starts", fits)
     monkeypatch.setattr(refits, "evaluate_fit", evaluated)
     monkeypatch.setattr(second_cause, "fit_starts", fits)
+    monkeypatch.setattr(second_cause, "refined_hypotheses", lambda nominal, found, options: list(found))
     monkeypatch.setattr(second_cause, "score_test", lambda nominal, fit, **_: scores({BIAS: 0.0}, fit))
     return SimpleNamespace(ends=ends, begun=begun)
 

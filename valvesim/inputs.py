@@ -146,12 +146,25 @@ class Command(Protocol):
     def pieces(self, end: float) -> np.ndarray: ...
 
 
+def pieces_of(command: Command, end: float) -> np.ndarray:
+    """The rows of a command's pieces. Raises InputError for rows of another width, as a command of one's own may give.
+    """
+    rows = command.pieces(end)
+    if rows.ndim != 2 or rows.shape[1] < PIECE_WIDTH or (rows.shape[1] - PIECE_WIDTH) % WAVE_WIDTH:
+        raise InputError(
+            f"pieces of shape {rows.shape}; each is a row of {PIECE_WIDTH} numbers (start, offset, slope, square, "
+            f"cube) and {WAVE_WIDTH} for each wave, see `inputs.lines`",
+            key=type(command).__name__.lower(),
+        )
+    return rows
+
+
 def evaluate(command: Command, times) -> np.ndarray:
     """Values at `times` (s, any shape); at a jump, the value after it."""
     t = np.asarray(times, dtype=float)
     if isinstance(command, Sum):
         return np.sum([evaluate(term, t) for term in command.terms], axis=0)
-    rows = command.pieces(float(np.max(t, initial=0.0)))
+    rows = pieces_of(command, float(np.max(t, initial=0.0)))
     which = pieces_at(rows, t)
     piece, point, values = which.ravel(), t.ravel(), np.empty(t.size)
     if rows.shape[1] == PIECE_WIDTH:
@@ -182,7 +195,7 @@ def extremes(command: Command, end: float) -> Extremes:
     one (or several of one frequency), and nearly always where they differ; after `MOST_BOUNDED` intervals the bound
     that stands is given, which is safe but may be wide.
     """
-    rows = command.pieces(end)
+    rows = pieces_of(command, end)
     first, stop = np.maximum(rows[:, 0], 0.0), np.append(rows[1:, 0], np.inf)
     ruling = (first < stop) & (first <= end)
     rows, begin, until = rows[ruling], first[ruling], np.minimum(stop, end)[ruling]
@@ -611,7 +624,7 @@ def merge(commands: Sequence[Command], end: float) -> tuple[np.ndarray, Interval
     """
     pieces: list[np.ndarray] = []
     for command in commands:
-        pieces.append(command.pieces(end))
+        pieces.append(pieces_of(command, end))
         if sum(map(len, pieces)) > 2 * MOST_PIECES:
             raise InputError(f"the commands have more than {2 * MOST_PIECES} pieces together", key="sum")
     starts = np.unique(np.concatenate([p[:, 0] for p in pieces]))
