@@ -147,6 +147,15 @@ class _Reading:
         return bool(self.header), numbers / len(self.kinds), numbers, float(sum(clean)) / max(len(clean), 1)
 
 
+def _as_stated(stated: Dialect) -> str:
+    """How a file was to be read, in words, where that was stated."""
+    separators = {separator: name for name, separator in SEPARATORS.items()}
+    told = [f"separator {separators[stated.separator]}"] if stated.separator is not None else []
+    told += [f"decimal {stated.decimal!r}"] if stated.decimal is not None else []
+    told += [f"header in line {stated.header_line}"] if stated.header_line is not None else []
+    return f" with the stated {', '.join(told)}" if told else ""
+
+
 def layout_of(path: Path, text: str, encoding: str, stated: Dialect) -> Layout:
     """The layout of a file by the `text` of its beginning. Raises InputError where there is none, or more than one."""
     every = enumerate(text.split("\n" if "\n" in text else "\r"), start=1)
@@ -162,7 +171,7 @@ def layout_of(path: Path, text: str, encoding: str, stated: Dialect) -> Layout:
         and (reading := _reading(lines, separator, decimal, stated.header_line)) is not None
     ]
     if not readings:
-        raise InputError(f"holds no data ({expected})", file=path)
+        raise InputError(f"holds no data{_as_stated(stated)} ({expected})", file=path)
     if any(one.separator != " " and one.header and one.rank[1] == 1.0 for one in readings):
         readings = [one for one in readings if one.separator != " "]
     readings.sort(key=lambda reading: reading.rank, reverse=True)
