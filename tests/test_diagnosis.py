@@ -642,7 +642,6 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
         return replace(pair.fit, fitted=start, chi_square=chi_square) if chi_square is not None else None
 
     monkeypatch.setattr(refits, "fit_starts", each_alone)
-    monkeypatch.setattr(refits, "comes_near", lambda *_, **__: True)
     monkeypatch.setattr(second_cause, "reductions_from_prior", falls)
     monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
     monkeypatch.setattr(

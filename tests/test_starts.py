@@ -293,9 +293,9 @@ def test_of_a_pair_that_one_explains_as_well_the_one_is_left(fitted):
     assert found[0] is pair and {one.label for one in found[1:]} == {"spool_lap", "entrained_air"}
     assert reduced_hypotheses(NOMINAL, [], options=DIAGNOSIS) == []
     fitted.begun.clear()
-    fitted.ends["entrained_air"] = 1e6  # without the other it does not come near the records
+    fitted.ends["entrained_air"] = 1e6  # it begins far off, and is fitted: a hysteresis so stood at 48207 of 16801
     reduced_hypotheses(NOMINAL, [pair], options=DIAGNOSIS)
-    assert fitted.begun == ["spool_lap"]
+    assert sorted(fitted.begun) == ["entrained_air", "spool_lap"]
 
 
 def test_causes_that_cannot_be_simulated_are_none(monkeypatch):

@@ -297,13 +297,11 @@ def reduced_hypotheses(
 ) -> list[FittedHypothesis]:
     """The found with the best's candidates one fewer each time that this is better still.
 
-    Where the best comes near the records and does not without one of them, that one is needed.
+    Each is fitted, however far off it begins: figures of the valve may have moved to make room for what is left out.
     """
     while found and len(found[0].candidates) > 1:
         best = found[0].fit
         starts = [tuple(member for member in best.fitted if member is not left_out) for left_out in best.fitted]
-        if is_adequate(best, options=options.identification):
-            starts = [start for start in starts if comes_near(nominal, best, start, options=options)]
         fewer = fit_starts(nominal, starts, best.point, others=found, options=options)
         merged = distinct([*found, *fewer], options=options)
         if merged[0] is found[0]:
