@@ -127,9 +127,17 @@ def with_minimum_gain(
     *,
     options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
-    """Those that explain enough to be hypotheses at all: more than chance, and than what may be `of_bench`."""
-    least = options.selection.minimum_gain * level**2 + of_bench
-    return [one for one in found if nominal.fit.chi_square - one.fit.chi_square > least]
+    """Those that explain enough to be hypotheses at all: more than chance, and in the readings more than what may be
+    `of_bench`. A figure that is beyond its tolerance without them is out of the bench's reach.
+    """
+    least = options.selection.minimum_gain * level**2
+
+    def gain(one: FittedHypothesis) -> float:
+        whole = nominal.fit.chi_square - one.fit.chi_square
+        of_readings = whole - (nominal.fit.point @ nominal.fit.point - one.fit.point @ one.fit.point)
+        return float(whole - min(of_bench, max(of_readings, 0.0)))
+
+    return [one for one in found if gain(one) > least]
 
 
 def _explained(nominal: NominalFit, best: FittedHypothesis) -> float:
