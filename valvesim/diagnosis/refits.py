@@ -281,9 +281,8 @@ def refined_hypotheses(
     near, better = list[FittedHypothesis](), list[FittedHypothesis]()
     for one in best:
         least = min((other.evidence for other in better), default=np.inf)
-        if one.evidence < least + options.isolation.refined_gain and is_adequate(
-            one.fit, options=options.identification
-        ):
+        promised = one.evidence - one.fit.predicted_reduction  # it may have stopped far short of that
+        if promised < least + options.isolation.refined_gain and is_adequate(one.fit, options=options.identification):
             near.append(one)
             better.append(FittedHypothesis(refined(nominal.study, one.fit), options=options))
     for fit in [one.fit for one in better]:
