@@ -681,7 +681,7 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
     old, new = explained(900.0, "entrained_air"), explained(100.0, "spool_lap")
     scores, nominal = (
         SimpleNamespace(options=DIAGNOSIS, z=lambda: np.zeros(2)),
-        SimpleNamespace(fit=SimpleNamespace(chi_square=1000.0)),
+        SimpleNamespace(fit=SimpleNamespace(chi_square=1000.0, point=new.fit.point)),
     )
     chi_squares, tried = {"entrained_air": None, "spool_lap": 100.0}, []
 

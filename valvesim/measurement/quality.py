@@ -14,7 +14,7 @@ FINEST_GRID = 1e-4  # share of a channel's span: a finer grid is the writing of 
 FLAT = 10  # equal readings in a row at an extreme that make a flat top
 CROWD = 5.0  # times as many readings at an extreme as at the level beside it; the crest of a rounded sine has 2.4
 RAMP = 0.9  # share of moves by one level of the grid that are a ramp's
-ROUNDING = 1e-12  # share of a channel's largest reading: less scatter is that of arithmetic
+ARITHMETIC = 1e-12  # share of a channel's largest reading: less scatter is that of arithmetic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ def _quality(recording: Recording, name: str) -> ChannelQuality:
         longest_gap=float(max(np.max(gaps) - every, 0) * (recording.time[1] - recording.time[0])),
         low=float(np.min(own)) if len(own) else np.nan,
         high=float(np.max(own)) if len(own) else np.nan,
-        noise=0.0 if noise <= ROUNDING * np.max(np.abs(own), initial=0.0) else noise,
+        noise=0.0 if noise <= ARITHMETIC * np.max(np.abs(own), initial=0.0) else noise,
         resolution=step,
         saturated=saturated_share(own),
     )
