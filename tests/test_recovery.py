@@ -355,6 +355,15 @@ def test_a_formula_is_found_by_its_shape(true, text):
     assert best.F @ best.coefficients == pytest.approx(values, abs=0.05 * np.abs(values).max())
 
 
+@pytest.mark.parametrize("told", [0, 1])
+def test_records_that_tell_fewer_figures_than_a_formula_has_give_it_none(told):
+    """A real valve's sweeps told nothing of a term in one direction, and that ended in an error of the algebra."""
+    values, W = 1e7 * KNOTS**2, np.zeros((len(KNOTS), len(KNOTS)))
+    W[:told, :told] = 1e6 * np.eye(told)
+    found = _fitted_formulas(problem(), values, W, 12.0)
+    assert all(formula.F.shape[1] <= told for formula in found)
+
+
 def test_what_the_base_could_make_up_is_not_held_against_a_formula():
     u = KNOTS / KNOTS[-1]
     values = 2.0 * u**2 + 0.5 * u  # the slope is uncertain by far more than itself

@@ -260,6 +260,9 @@ class MissingTermOptions:
         (0.02, 0.1, 0.5), "1", "widths of the turning of plain terms' paths, in the variable's scale", JUDGEMENT
     )
     formula_error: float = option(0.1, "1", "relative error up to which a formula is offered", JUDGEMENT)
+    formula_condition: float = option(
+        1e12, "1", "condition of a formula's normal equations from which records do not tell its figures", "rounding"
+    )
     formulas: int = option(2, "1", "formulas that are fitted", JUDGEMENT)
     pure_share: float = option(
         0.04, "1", "share of what the term explains that a formula of one shape may leave", "no model is the plant"

@@ -97,6 +97,8 @@ def _fitted_formulas(problem: TermProblem, values: np.ndarray, W: np.ndarray, pr
         if np.linalg.cond(F / scale) > 1e6:
             return None
         normal = (F / scale).T @ W @ (F / scale)
+        if np.linalg.cond(normal) > problem.options.missing_term.formula_condition:
+            return None
         a = np.linalg.solve(normal, (F / scale).T @ W @ values) / scale
         left = values - F @ a
         free_parameters = len(a) + (shape.free_parameters is not None)
@@ -147,7 +149,9 @@ def with_formula(problem: TermProblem, solution: TermEstimate, gained: float) ->
     push = gradient[at] - H[np.ix_(at, rest)] @ back[:, 0]
     asked = state.values + np.linalg.pinv(W, rcond=1e-9, hermitian=True) @ push
     formulas = _fitted_formulas(problem, asked, W, max(12.0, problem.options.missing_term.mixed_share * gained))
-    pure = next(formula for formula in formulas if formula.pure)
+    pure = next((formula for formula in formulas if formula.pure), None)
+    if pure is None:
+        return None
     for formula in dict.fromkeys((pure, *formulas[: problem.options.missing_term.formulas])):
         values = formula.F @ formula.coefficients
         others = back[:, 0] - back[:, 1:] @ (values - state.values)
