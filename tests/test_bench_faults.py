@@ -36,7 +36,7 @@ from valvesim.identification.input_waves import (
     MODULATED,
     _powers,
     fitted_waves,
-    linear_gain,
+    linear_reductions,
     outstanding_frequencies,
     tuned_waves,
     wave_parameters,
@@ -551,7 +551,8 @@ def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
 
     def gain(residual, S):
         fit = SimpleNamespace(point=np.zeros(3), residual=residual)
-        return [linear_gain(J, fit, S, cause[:, :k]) for k in (0, 1)]
+        predicted = linear_reductions(J, fit, np.column_stack([cause, S]))
+        return [predicted.gain(range(1, 1 + S.shape[1]), range(k)) for k in (0, 1)]
 
     assert min(gain(wave @ [0.5, 0.5] + noise, wave)) > DIAGNOSIS.bench.minimum_gain
     like_the_cause = cause + 0.02 * wave[:, :1]
@@ -574,10 +575,8 @@ def test_what_the_bench_does_that_explains_an_alarm_as_well_as_a_cause_takes_its
     monkeypatch.setattr(bench_faults, "_known_faults", lambda study: [BenchFault((p,), str, None) for p in drifts])
     monkeypatch.setattr(bench_faults, "added_jacobian_of", lambda study, linearised, added: np.array([[1.0, 2.0]]))
     monkeypatch.setattr(bench_faults, "_likeliest_causes", lambda study, scores, options: np.ones((1, 1)))
-    monkeypatch.setattr(
-        bench_faults, "linear_gain",
-        lambda J, fit, S, causes: gains[S.shape[1], causes.shape[1]] - 5.0 * (S.shape[1] == 1 and S[0, 0] == 2.0),
-    )  # fmt: skip
+    predicted = SimpleNamespace(gain=lambda own, beside: gains[len(own), len(beside)] - 5.0 * (own == [2]))
+    monkeypatch.setattr(bench_faults, "linear_reductions", lambda J, fit, more: predicted)
     study = SimpleNamespace(nominal=SimpleNamespace(parameters=[]), stack=lambda columns: np.empty((1, 0)))
     scores = SimpleNamespace(
         columns=(), own_columns=(), linearised=(), own=(), fit=SimpleNamespace(chi_square=1050.0, rows=1000.0),

@@ -18,6 +18,8 @@ from valvesim.units import quantities
 from valvesim.valve.coefficients import PART_NAMES, ROUTES, PartTemperatures
 from valvesim.valve.equations import NOMINAL
 from valvesim.valve.equilibrium import (
+    _bracketed_root,
+    balances_at_rest,
     follow_branch,
     nearest_root,
     nozzle_pressures,
@@ -245,6 +247,29 @@ def test_batch_of_valves_is_each_alone():
     alone = static_solution(Valve(spring_tube_stiffness=11.0), current=CURRENTS[1])
     assert rest.spool_position.shape == (8, 3)
     assert rest.spool_position[1, 2] == pytest.approx(float(alone.spool_position), rel=1e-12)
+
+
+def test_every_valve_of_a_large_batch_is_at_rest():
+    """One whose torque vanished to the last bit was moved on while others had not settled: one of some 5000."""
+    rng = np.random.default_rng(1)
+    drawn = {
+        name: getattr(valve, name) * rng.uniform(0.95, 1.05, 30_000) for name in ("spring_tube_stiffness", "nozzle_arm")
+    }
+    current = rng.uniform(-8e-3, 8e-3, 30_000)
+    rest = static_solution(Valve(**drawn), current=current)
+    c = Valve(**drawn).at(PartTemperatures.uniform(20.0))
+    torque, _ = balances_at_rest(
+        rest.armature_angle, current, rest.nozzle_pressure_1, rest.nozzle_pressure_2, c, *PRESSURES
+    )
+    assert np.max(np.abs(torque)) < 1e-12 * valve.spring_tube_stiffness
+
+
+def test_a_root_met_to_the_last_bit_stays_while_others_are_sought():
+    def torque(angle):
+        return np.array([0.5 - angle[0], np.cbrt(0.3 - angle[1])])
+
+    low, high = np.zeros(2), np.ones(2)
+    assert _bracketed_root(torque, low, torque(low), high, torque(high), np.ones(2)) == pytest.approx([0.5, 0.3])
 
 
 def test_batch_over_a_figure_outside_the_polynomial_has_real_roots_for_each():

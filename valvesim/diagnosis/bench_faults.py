@@ -32,7 +32,7 @@ from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidat
 from valvesim.identification.hypothesis_fit import continue_fit, continue_from, fit_from_prior, fit_hypothesis
 from valvesim.identification.input_waves import (
     fitted_waves,
-    linear_gain,
+    linear_reductions,
     outstanding_frequencies,
     tuned_waves,
     wave_columns,
@@ -355,22 +355,23 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
     fit, study = scores.fit, nominal.study
     J = study.stack(scores.columns)
     added = [p for each in hypotheses for p in each]
-    columns = dict(zip((p.name for p in added), added_jacobian_of(study, scores.linearised, added).T, strict=True))
     causes = np.column_stack([study.stack(scores.own_columns), _likeliest_causes(study, scores, options=options)])
-    fitted = len(scores.own)
+    fitted, most = len(scores.own), causes.shape[1]
+    place = {p.name: most + k for k, p in enumerate(added)}
+    predicted = linear_reductions(J, fit, np.column_stack([causes, added_jacobian_of(study, scores.linearised, added)]))
 
     def beside(parameters: tuple[NuisanceParameter, ...], most_causes: int) -> BenchHypothesis:
-        S = np.column_stack([columns[p.name] for p in parameters])
-        by = (linear_gain(J, fit, S, causes[:, :k]) for k in range(fitted, most_causes + 1))
+        own = [place[p.name] for p in parameters]
+        by = (predicted.gain(own, range(k)) for k in range(fitted, most_causes + 1))
         return BenchHypothesis(parameters, min(by) - len(parameters))
 
     shows = float(np.max(scores.z(), initial=0.0)) ** 2
-    best = max((beside(each, causes.shape[1]) for each in hypotheses), key=lambda one: one.gain)
+    best = max((beside(each, most) for each in hypotheses), key=lambda one: one.gain)
     if best.gain > max(options.bench.minimum_gain, options.bench.gain_share * max(shows, fit.chi_square - fit.rows)):
         return best
     if shows <= scores.level(options.detection.false_alarm) ** 2:
         return None
-    errors = [f.parameters for f in _known_faults(study) if all(p.name in columns for p in f.parameters)]
+    errors = [f.parameters for f in _known_faults(study) if all(p.name in place for p in f.parameters)]
     if all(beside(each, fitted).gain <= shows - options.selection.answer_ratio for each in errors):
         return None
     return next(beside(each, fitted) for each in hypotheses if errors[0][0].name in [p.name for p in each])

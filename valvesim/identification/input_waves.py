@@ -7,7 +7,7 @@ the spectrum of what a fit leaves; amplitude and phase are nuisance parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -102,15 +102,11 @@ def tuned_waves(
         own = [at[p.name] for p in wave]
         others = np.delete(np.arange(len(parameters)), own)
         without = replace(fit, point=fit.point[others], residual=fit.residual + J[:, own] @ point[own])
-        below, here, above = (
-            linear_reduction(
-                J[:, others],
-                without,
-                np.column_stack([free, added_columns(study, linearised, model, _detuned(wave, by))]),
-                free.shape[1],
-            )
-            for by in (-step, 0.0, step)
-        )
+        detuned = [added_columns(study, linearised, model, _detuned(wave, by)) for by in (-step, 0.0, step)]
+        predicted = linear_reductions(J[:, others], without, np.column_stack([free, *detuned]))
+        first, size = free.shape[1], len(wave)
+        places = (range(first + k * size, first + (k + 1) * size) for k in range(3))
+        below, here, above = (predicted.reduction(each, range(first)) for each in places)
         bend = 2.0 * here - below - above
         if bend <= 0.0:  # no parabola with an end: the wave is none
             continue
@@ -235,28 +231,44 @@ def dominant_wave(
         return ()
     together = [p for wave in waves for p in wave]
     added = added_columns(study, linearised, study.nominal.extended(together), together)
-    parts = np.split(added, np.cumsum([len(wave) for wave in waves])[:-1], axis=1)
-    before = linear_reduction(J, fit, J[:, :0])
-    gains = [linear_reduction(J, fit, part) - before for part in parts]
+    predicted, ends = linear_reductions(J, fit, added), np.cumsum([len(wave) for wave in waves])
+    before = predicted.reduction()
+    gains = [predicted.reduction(range(end - len(wave), end)) - before for wave, end in zip(waves, ends, strict=True)]
     best, left = int(np.argmax(gains)), fit.chi_square - fit.rows - before
     return waves[best] if gains[best] > max(options.wave.minimum_gain, options.wave.dominant_share * left) else ()
 
 
-def linear_reduction(J: np.ndarray, fit: Fit, added: np.ndarray, without_prior: int = 0) -> float:
-    """The reduction of the penalised chi-square that the linearised equations predict with `added` columns (rows, k).
+@dataclass(frozen=True, eq=False)
+class LinearReductions:
+    """What the linearised equations of a fit predict with columns more: its normal equations with all of them, made
+    once.
 
-    Each has a prior of one deviation, but for the first few `without_prior`.
+    `H` (p + k, p + k) is the product of p own and k more columns, without priors; `gradient` (p + k,) that with what is
+    left, with the priors of its own.
     """
-    A, p = np.column_stack([J, added]), J.shape[1]
-    prior = np.ones(A.shape[1])
-    prior[p : p + without_prior] = 0.0
+
+    H: np.ndarray
+    gradient: np.ndarray
+    p: int
+
+    def reduction(self, more: Sequence[int] = (), free: Sequence[int] = ()) -> float:
+        """The reduction of the penalised chi-square with some more columns, by their places from zero on; each with a
+        prior of one deviation, but those that are `free`.
+        """
+        at = np.array([*range(self.p), *(self.p + k for k in (*free, *more))])
+        prior = np.ones(len(at))
+        prior[self.p : self.p + len(free)] = 0.0
+        gradient = self.gradient[at]
+        return float(gradient @ inverse_of(self.H[np.ix_(at, at)] + np.diag(prior)) @ gradient)
+
+    def gain(self, more: Sequence[int], beside: Sequence[int] = ()) -> float:
+        """The reduction of the chi-square by some more columns beyond that by those `beside`, which are free."""
+        return self.reduction(more, beside) - self.reduction(free=beside)
+
+
+def linear_reductions(J: np.ndarray, fit: Fit, more: np.ndarray) -> LinearReductions:
+    """Those of a fit with a whitened Jacobian (rows, p), by `more` columns (rows, k)."""
+    A, p = np.column_stack([J, more]), J.shape[1]
     gradient = A.T @ fit.residual
     gradient[:p] -= fit.point
-    return float(gradient @ inverse_of(A.T @ A + np.diag(prior)) @ gradient)
-
-
-def linear_gain(J: np.ndarray, fit: Fit, S: np.ndarray, beside: np.ndarray | None = None) -> float:
-    """The reduction of the chi-square by columns S (rows, k), with their priors, beyond that by those `beside`."""
-    beside = J[:, :0] if beside is None else beside
-    together = linear_reduction(J, fit, np.column_stack([beside, S]), beside.shape[1])
-    return together - linear_reduction(J, fit, beside, beside.shape[1])
+    return LinearReductions(A.T @ A, gradient, p)

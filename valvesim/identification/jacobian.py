@@ -102,11 +102,9 @@ def _sensor_slope(linear: LinearisedRecord, parameter: NuisanceParameter, channe
     """
     assert parameter.sensor is not None  # noqa: S101 - the caller has chosen those with a sensor
     sensor, step, name = parameter.sensor, 0.1 * parameter.deviation, parameter.sensor.amplitude.name
-    at_valve = {channel: linear.trajectory.at_valve[channel]}
 
     def read(by: float) -> np.ndarray:
-        moved = linear.variant.with_effect(sensor(**{name: by}))
-        return linear.predictor.apply_sensors(at_valve, linear.trajectory, moved)[channel]
+        return linear.read_beside(sensor(**{name: by}))
 
     if isinstance(sensor, ToleratedTimeError):
         return (read(step) - read(-step)) / (2.0 * step)

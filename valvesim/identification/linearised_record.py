@@ -14,6 +14,7 @@ from valvesim.identification.predictor import (
     ModelVariant,
     RecordPredictor,
     Trajectory,
+    apply_reading,
     batch_of,
     coefficient_course,
 )
@@ -37,6 +38,7 @@ from valvesim.valve.valve_model import ValveModel
 class LinearisedRecord:
     """A record linearised about the trajectory of one variant: its readings, and the tangent equations.
 
+    `seen` (n_f,) is what the sensors read on the fine grid, `readings` (n_samples,) the same at the samples.
     `model` has the effects of the variant alone, in the order of the trajectory's. Along the trajectory and its
     coefficients' `course` stand the `values` (targets, n) of `compiled`, and its derivatives `partials` (entries, n).
     """
@@ -46,6 +48,7 @@ class LinearisedRecord:
     trajectory: Trajectory
     tangent: TangentLinear
     model: ValveModel
+    seen: dict[str, np.ndarray]
     readings: dict[str, np.ndarray]
     compiled: CompiledDerivatives
     course: CoefficientCourse
@@ -58,8 +61,14 @@ class LinearisedRecord:
 
     def simulated_difference(self, variant: ModelVariant) -> dict[str, np.ndarray]:
         """Readings of a variant less those of this one, (n_samples,) by channel, by simulation."""
-        read = self.predictor.readings(self.predictor.run(variant), variant)
+        read = self.predictor.readings(self.predictor.run(variant, self.trajectory), variant)
         return {name: read[name] - own for name, own in self.readings.items()}
+
+    def read_beside(self, error: ActiveEffect) -> np.ndarray:
+        """The reading (n_samples,) of the channel that a further error of its sensor is of, with it."""
+        channel = str(error.effect.channel)
+        seen = Reading(self.predictor.fine_times, self.seen[channel], self.trajectory.oil)
+        return self.predictor.at_samples(apply_reading(error, seen))
 
     def linear_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
         """The same for several variants by the linearised equations, (n_samples, k): to first order in what they add
@@ -276,7 +285,9 @@ def linearise_record(
     values = compiled.values(trajectory.states, predictor.inputs, course)
     partials = compiled.derivatives(trajectory.states, predictor.inputs, course)
     tangent = linearise_along(predictor, trajectory, own, compiled, partials)
-    readings = predictor.readings(trajectory, variant)
+    columns = trajectory.at_valve.items()
+    seen = {name: predictor.apply_sensor(name, column, trajectory, variant) for name, column in columns}
+    readings = {name: predictor.at_samples(column) for name, column in seen.items()}
     return LinearisedRecord(
-        predictor, variant, trajectory, tangent, model, readings, compiled, course, values, partials
+        predictor, variant, trajectory, tangent, model, seen, readings, compiled, course, values, partials
     )

@@ -28,7 +28,7 @@ from valvesim.identification.session import OUTPUTS, Record, Session
 from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate, integrate_together
 from valvesim.simulation.scenario import Scenario
-from valvesim.simulation.start import state_at_rest
+from valvesim.simulation.start import settled_from, state_at_rest
 from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
 from valvesim.solver.partial_derivatives import CoefficientCourse, compile_derivatives
@@ -180,12 +180,12 @@ class RecordPredictor:
         names = {effect.name for effect in self.universe}
         return self.scenario.model.with_effects(self.universe if all(e.name in names for e in own) else own)
 
-    def run(self, variant: ModelVariant) -> Trajectory:
-        """The trajectory of a variant from rest. Raises InputError for impossible dimensions, SolveError where it
-        fails.
+    def run(self, variant: ModelVariant, near: Trajectory | None = None) -> Trajectory:
+        """The trajectory of a variant from rest, from where one `near` it rests if that is known. Raises InputError for
+        impossible dimensions, SolveError where it fails.
         """
         posed = self.posed(variant)
-        return posed.trajectory(posed.at_rest())
+        return posed.trajectory(posed.at_rest() if near is None else posed.at_rest_near(near))
 
     def posed(self, variant: ModelVariant) -> PosedRun:
         """The run of a variant, posed. Raises InputError for impossible dimensions."""
@@ -345,11 +345,15 @@ class RecordPredictor:
         self, values: dict[str, np.ndarray], trajectory: Trajectory, variant: ModelVariant
     ) -> dict[str, np.ndarray]:
         """Channels on either grid, (n,) or columns (n, k), as their sensors give them at the samples."""
-        every = {True: self.oversampling * self.sensor_oversampling, False: self.oversampling}
-        applied = {name: self._apply_sensor(name, column, trajectory, variant) for name, column in values.items()}
-        return {name: column[:: every[len(column) == len(self.fine_times)]] for name, column in applied.items()}
+        applied = {name: self.apply_sensor(name, column, trajectory, variant) for name, column in values.items()}
+        return {name: self.at_samples(column) for name, column in applied.items()}
 
-    def _apply_sensor(self, name: str, column: np.ndarray, trajectory: Trajectory, variant: ModelVariant) -> np.ndarray:
+    def at_samples(self, column: np.ndarray) -> np.ndarray:
+        """A column on either grid, (n,) or columns (n, k), at the samples."""
+        fine = len(column) == len(self.fine_times)
+        return column[:: self.oversampling * (self.sensor_oversampling if fine else 1)]
+
+    def apply_sensor(self, name: str, column: np.ndarray, trajectory: Trajectory, variant: ModelVariant) -> np.ndarray:
         """A channel on either grid as its sensor gives it there."""
         fine = len(column) == len(self.fine_times)
         times, oil = (
@@ -359,7 +363,7 @@ class RecordPredictor:
         if self.lags.get(name, 0.0) > 0.0:
             acting.append(sensor_lag(name, self.lags[name]))
         for active in acting:
-            column = _apply_reading(active, times, column, oil)
+            column = apply_reading(active, Reading(times, column, oil))
         return column
 
     def curvatures(self, trajectory: Trajectory, variant: ModelVariant) -> dict[str, np.ndarray]:
@@ -373,7 +377,7 @@ class RecordPredictor:
         for name, column in trajectory.at_valve.items():
             bend = np.zeros(len(column))
             if step > 1:
-                bend[1:-1] = np.abs(np.diff(self._apply_sensor(name, column, trajectory, variant), 2)) / 2.0
+                bend[1:-1] = np.abs(np.diff(self.apply_sensor(name, column, trajectory, variant), 2)) / 2.0
             curvatures[name] = maximum_filter1d(bend, 2 * self.options.predictor.curvature_reach + 1)[::step]
         return curvatures
 
@@ -395,6 +399,14 @@ class PosedRun:
         """The scaled states (n_x,) that it starts from."""
         first = self.under.first_inputs
         return state_at_rest(self.compiled, first, self.knots[:1], held=self.off, where=self.under.where)[0]
+
+    def at_rest_near(self, trajectory: Trajectory) -> np.ndarray:
+        """The same states, by Newton's method from those that a trajectory near it starts from, where that ends."""
+        if trajectory.model == self.compiled.model:
+            first, near = self.under.first_inputs, trajectory.fine[0] / self.compiled.scale
+            with suppress(SolveError):  # it is looked for from zero current then
+                return settled_from(self.compiled, near, first, self.knots[0], held=self.off)
+        return self.at_rest()
 
     def trajectory(self, initial: np.ndarray) -> Trajectory:
         """The trajectory from scaled states (n_x,) at rest."""
@@ -426,12 +438,13 @@ def coefficient_course(path: TemperaturePath, knots: np.ndarray, times: np.ndarr
     return CoefficientCourse(knots, *brackets(times, path.times))
 
 
-def _apply_reading(active: ActiveEffect, times: np.ndarray, columns: np.ndarray, oil: np.ndarray) -> np.ndarray:
+def apply_reading(active: ActiveEffect, seen: Reading) -> np.ndarray:
+    """What a sensor with an effect reads of one channel (n,), or of columns (n, k) of it."""
     reading = active.effect.reading
     assert reading is not None  # noqa: S101 - the caller has chosen effects with one
-    if columns.ndim == 1 or active.effect.reads_columns:
-        return reading(Reading(times, columns, oil), active.values)
-    return np.column_stack([reading(Reading(times, column, oil), active.values) for column in columns.T])
+    if seen.values.ndim == 1 or active.effect.reads_columns:
+        return reading(seen, active.values)
+    return np.column_stack([reading(seen._replace(values=column), active.values) for column in seen.values.T])
 
 
 def is_quasi_static(record: Record, *, options: IdentificationOptions) -> bool:

@@ -27,15 +27,24 @@ def state_at_rest(
     y = np.ascontiguousarray(y / compiled.scale)
     if not any(effect.balance for effect in model.effects):
         return y
-    own = np.array(np.broadcast_to(inputs, (len(flat), inputs.shape[-1])), order="C")
+    own = np.broadcast_to(inputs, (len(flat), inputs.shape[-1]))
     for k in range(len(y)):
         member = f"member {first_member + k}: " if first_member or len(y) > 1 else ""
-        y[k] = settle(
-            functools.partial(_into, compiled.derivative, own[k], flat[k]),
-            functools.partial(_into, compiled.jacobian, own[k], flat[k]),
-            y[k], model.state_channels, where=where + member, held=held,
-        )  # fmt: skip
+        y[k] = settled_from(compiled, y[k], own[k], flat[k], held=held, where=where + member)
     return y
+
+
+def settled_from(
+    compiled: CompiledModel, y: np.ndarray, inputs: np.ndarray, flat: np.ndarray, *, held: np.ndarray | None = None,
+    where: str = "",
+) -> np.ndarray:  # fmt: skip
+    """The scaled states at rest (n,) near others `y` of one valve, by Newton's method; otherwise as `state_at_rest`."""
+    own = np.array(inputs, order="C")
+    return settle(
+        functools.partial(_into, compiled.derivative, own, flat),
+        functools.partial(_into, compiled.jacobian, own, flat),
+        y, compiled.model.state_channels, where=where, held=held,
+    )  # fmt: skip
 
 
 def _into(compiled: Any, u: np.ndarray, flat: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:

@@ -44,8 +44,13 @@ def channel(slope, d, direct, out):
     out[0] = direct + slope @ d
 
 
+def accumulate(slope, change, g):
+    """Add slope times a row of changes (lanes,) to a row g (lanes,)."""
+    g[:] = g + slope * change
+
+
 def printed(s: int) -> list[str]:
-    """The lines of `product`, `advance` and `channel` for s states."""
+    """The lines of `product`, `advance`, `channel` and `accumulate` for s states."""
     every = range(s)
     lines = ["def product(X, Y, out, diagonal):"]
     for i in every:
@@ -58,6 +63,7 @@ def printed(s: int) -> list[str]:
         lines.append(f"    out[{i}] = {' + '.join(steps)}")
     lines.append("def channel(slope, d, direct, out):")
     lines.append(f"    out[0] = direct[0] + {' + '.join(f'slope[{i}] * d[{i}]' for i in every)}")
+    lines += ["def accumulate(slope, change, g):", "    g[0] = g[0] + slope * change[0]"]
     return lines
 
 
@@ -157,8 +163,7 @@ def read_responses(
         for b in range(entries_at.shape[0] - 1):
             for e in range(entries_at[b], entries_at[b + 1]):
                 slope, i, q = factors[e] * partials[entries[e], at], rows[e], columns[e]
-                for v in range(lanes):
-                    g[b, i, v] += slope * change[q, v]
+                accumulate(slope, change[q], g[b, i])
         for j in range(forced_from.shape[0]):
             row = forced_at[j] + at - forced_from[j]
             if forced_at[j] <= row < forced_at[j + 1]:

@@ -352,6 +352,7 @@ def _bracketed_root(torque, a, f_a, b, f_b, gap) -> np.ndarray:
     Raises SolveError where the bracket does not close to 1e-12 of the gap.
     """
     best = np.where(np.abs(f_a) <= np.abs(f_b), a, b)
+    done = np.zeros(np.shape(best), dtype=bool)  # what has settled stays while others go on
     for turn in range(120):
         with np.errstate(divide="ignore", invalid="ignore"):
             x = (a * f_b - b * f_a) / (f_b - f_a)
@@ -366,12 +367,14 @@ def _bracketed_root(torque, a, f_a, b, f_b, gap) -> np.ndarray:
         weight = np.where(np.isfinite(weight) & (weight > 0.0), weight, 0.5)
         a, f_a = np.where(swap, b, a), np.where(swap, f_b, f_a * weight)
         settled = (np.abs(x - b) <= 1e-15 * gap) & (turn > 0) | (f_x == 0.0) | (np.abs(a - x) <= 1e-15 * gap)
-        b, f_b, best = x, f_x, x
-        if np.all(settled):
+        b, f_b, best = x, f_x, np.where(done, best, x)
+        done |= settled
+        if np.all(done):
             return best
-    if np.all(np.abs(a - b) <= 1e-12 * gap):
+    apart = np.where(done, 0.0, np.abs(a - b) / gap)
+    if np.all(apart <= 1e-12):
         return best
-    at = int(np.argmax(np.abs(a - b) / gap))
+    at = int(np.argmax(apart))
     raise SolveError(
         f"static solution: the angle does not settle ({_state(best, f_b, at, 'torque left over', 'N*m')}); change the "
         "current or valve.transition_pressure a little"
