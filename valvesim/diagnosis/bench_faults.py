@@ -185,7 +185,9 @@ def _explains_more(fit: Fit, other: Fit, *, options: DiagnosisOptions) -> bool:
     return fit.chi_square - fit.rows < share * (other.chi_square - other.rows)
 
 
-def with_inputs_of_cause(nominal: NominalFit, cause: Fit, *, options: DiagnosisOptions) -> tuple[NominalFit, Fit] | None:
+def with_inputs_of_cause(
+    nominal: NominalFit, cause: Fit, *, options: DiagnosisOptions
+) -> tuple[NominalFit, Fit] | None:
     """The nominal fit under another way of its commands by which a cause explains far more, and the fit of that; None
     where no sensor is later or earlier beside it than it may be, or no other way does so.
 
@@ -252,8 +254,8 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
 
 
 def _best_way(ways: Sequence[NominalFit], fit: Fit, few: int, least: float) -> tuple[NominalFit, Fit] | None:
-    """The way of the commands by which the causes of a fit, fitted a little from within tolerance, leave far less beyond
-    the noise than `least` and than by those before it; None where there is none.
+    """The way of the commands by which the causes of a fit, fitted a little from within tolerance, leave far less
+    beyond the noise than `least` and than by those before it; None where there is none.
     """
     best = None
     for way in ways:
