@@ -299,6 +299,41 @@ def test_the_way_of_the_commands_by_which_a_cause_explains_far_more_is_taken(mon
 
 
 @pytest.mark.parametrize(
+    "late, left, best",
+    [
+        (True, (3e3, 1e3), 2),
+        (True, (1e3, None), 1),
+        (True, (4.98e3, 4.98e3), None),  # by less than chance
+        (False, (1e3, 1e3), None),  # no sensor is later than it may be
+    ],
+)
+def test_the_ways_of_the_commands_are_run_again_beside_the_best_cause_from_its_figures(monkeypatch, late, left, best):
+    rows = 1e4
+    study = SimpleNamespace(options=IDENTIFICATION, weights={}, unweighted=lambda: study)
+    cause = SimpleNamespace(chi_square=rows + 5e3, rows=rows, point=None, fitted=())
+    ways = [SimpleNamespace(study=study, fit=SimpleNamespace(point=k), way=k) for k in range(3)]
+    fits = [None if more is None else SimpleNamespace(chi_square=rows + more, rows=rows, way=k + 1)
+            for k, more in enumerate(left)]  # fmt: skip
+
+    def under_other(nominal, beside):
+        assert (nominal, beside) == (ways[0], cause)
+        return ways[1:]
+
+    for name, stub in {
+        "has_implausible_delays": lambda study, point: late,
+        "under_other_inputs": under_other,
+        "fit_from_prior": lambda other, start, few: fits[other.way - 1],
+        "replace": lambda study, **_: study,
+        "rescored": lambda study, fit: fit,
+        "has_uncertain_inputs": lambda study: True,
+        "fit_nominal_near": lambda study, point, *, full_weight: (point, full_weight),
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    found = bench_faults.with_inputs_of_cause(ways[0], cause, options=DIAGNOSIS)
+    assert found == (None if best is None else ((best, False), fits[best - 1]))
+
+
+@pytest.mark.parametrize(
     "at, left, beside, other",
     [
         ((10.0, -10.0, 10.0, 3.0, 40.0), 3e3, 1e6, True),

@@ -23,7 +23,7 @@ from valvesim.identification.between_samples import (
     deviating_command,
     piecewise_command,
 )
-from valvesim.identification.input_choice import HELD_NAME, edge_time, input_choices
+from valvesim.identification.input_choice import HELD_NAME, are_delays, edge_time, input_choices
 from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.nominal_fit import (
     _at_nominal,
@@ -273,6 +273,10 @@ def test_a_fit_is_looked_at_under_each_other_way_of_its_commands_with_edges_wher
     for other, edges in zip(others, (False, True, True), strict=True):
         assert (len(other.fit.point) > p) is edges
         assert np.all(np.abs(other.fit.point) <= OPTIONS.fit.tolerance_deviations)
+    beside = replace(nominal.fit, point=np.full(p, -0.5))  # of causes: its figures, and no sensor is late
+    delays = are_delays(nominal.study.nominal)
+    for other in under_other_inputs(nominal, beside):
+        assert np.array_equal(other.fit.point[:p], np.where(delays, 0.0, -0.5)) and delays.any()
 
 
 def test_commands_of_records_too_slow_to_show_the_valve_s_motion_go_straight(stepped):

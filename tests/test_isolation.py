@@ -158,6 +158,7 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "_first_hypotheses", first)
     again = {id(base): better}
+    monkeypatch.setattr(isolation, "with_inputs_of_cause", lambda nominal, cause, options: None)
     monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: again.get(id(nominal)))
     monkeypatch.setattr(isolation, "restarted", lambda nominal, found, likeliest, options: [])
     monkeypatch.setattr(isolation, "refined_hypotheses", lambda nominal, found, options: found)
@@ -166,6 +167,33 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
     )
     assert searched == [(base, base), (better, better)] and ended.nominal is better
     assert ended.alarm and not ended.found and not ended.answer_set  # 10 are no gain at a level of 4
+
+
+def test_where_the_best_cause_asks_for_another_way_of_the_commands_causes_are_sought_under_that(monkeypatch):
+    base, other, asked = nominal(9000.0), nominal(8000.0), []
+    stribeck, air = hypothesis(5000.0, "spool_stribeck_friction"), hypothesis(6000.0, "entrained_air")
+    again = hypothesis(4900.0, "spool_stribeck_friction")
+
+    def first(nominal, scores, known, beside, progress):
+        asked.append((nominal, scores.nominal, list(beside)))
+        return [air, stribeck], "entrained_air"
+
+    def under(nominal, cause, *, options):
+        assert cause is stribeck.fit
+        return (other, again.fit) if nominal is base else None
+
+    def ended(nominal, found, *, options):
+        raise StopIteration
+
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
+    monkeypatch.setattr(isolation, "_first_hypotheses", first)
+    monkeypatch.setattr(isolation, "without_corrections_of_laws", lambda nominal, found, options: found)
+    monkeypatch.setattr(isolation, "with_inputs_of_cause", under)
+    monkeypatch.setattr(isolation, "_better_nominal", ended)
+    with pytest.raises(StopIteration):
+        isolation._isolated(base, score_test_of(base, base.fit), lambda *_: None, (), (), options=DIAGNOSIS)
+    assert asked == [(base, base, []), (other, other, [again.fit])]
 
 
 @pytest.mark.parametrize("joins", [True, False])
@@ -189,6 +217,7 @@ def test_what_the_bench_did_that_a_cause_leaves_joins_before_a_second_cause_is_s
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "_first_hypotheses", first)
+    monkeypatch.setattr(isolation, "with_inputs_of_cause", lambda nominal, cause, options: None)
     monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: None)
     monkeypatch.setattr(isolation, "bearable_beside_bench", lambda scores: 0.0)
     monkeypatch.setattr(isolation, "_verified", verified)

@@ -323,6 +323,10 @@ def test_entries_of_the_catalogue_that_act_where_a_term_does_are_fitted_from_whe
     acts = {effect.name: effect.location for effect in CATALOGUE.values()}
     assert len(begun) == len(set(begun)) and {"spool_coulomb_friction", "spool_silting"} <= set(begun)
     assert {acts[name] for name in begun} <= {"spool force balance", "supply pressure, in every balance"}
+    erring = SimpleNamespace(law_error=0.2, fit=replace(nominal.fit, chi_square=found.chi_square + 1.0))
+    explained = nominal.fit.chi_square - found.chi_square
+    assert explained > 10.0  # so that a fifth of it is more than the one by which the entry leaves less
+    assert term_entry.as_catalogue_entry(replace(before, answer_set=[erring]), found).found == []
     monkeypatch.setattr(term_entry, "fit_hypothesis", lambda nominal, start, point: None)
     assert term_entry.as_catalogue_entry(before, found) is before
 

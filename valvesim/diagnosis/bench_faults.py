@@ -185,6 +185,25 @@ def _explains_more(fit: Fit, other: Fit, *, options: DiagnosisOptions) -> bool:
     return fit.chi_square - fit.rows < share * (other.chi_square - other.rows)
 
 
+def with_inputs_of_cause(
+    nominal: NominalFit, cause: Fit, *, options: DiagnosisOptions
+) -> tuple[NominalFit, Fit] | None:
+    """The nominal fit under another way of its commands by which a cause explains far more, and the fit of that; None
+    where no sensor is later or earlier beside it than it may be, or no other way does so.
+
+    The ways may have been judged beside another law, which leaves more than they differ by.
+    """
+    if not has_implausible_delays(nominal.study, cause.point):
+        return None
+    ways, few = under_other_inputs(nominal, cause), options.isolation.near_linearisations
+    best = _best_way(ways, cause, few, _excess(nominal.study, cause))
+    if best is None:
+        return None
+    at, fit = best
+    fully = _is_at_full_weight(nominal.study, at.study)
+    return fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=fully), fit
+
+
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:
     """The nominal fit with what the bench did by what a cause leaves: a second cause would be sought for it. None where
     the bench explains none of that.
@@ -231,16 +250,31 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
     """A nominal fit and a fit of causes beside it, or both under another way of the commands by which this explains
     far more from within tolerance: linear answers do not tell where a fit has gone astray under a wrong one.
     """
-    best, least, options = (nominal, fit), np.inf, nominal.study.options.input
-    for other in (nominal, *under_other_inputs(nominal)):
-        tried = fit_from_prior(other, fit.fitted, few)
-        if tried is None:
-            continue
-        plain = rescored(replace(other.study, spread={}), tried)
-        excess = plain.chi_square - plain.rows
-        if excess + max(options.minimum_gain, options.gain_share * excess) < least:
-            best, least = (other, tried), excess
+    return _best_way((nominal, *under_other_inputs(nominal)), fit, few, np.inf) or (nominal, fit)
+
+
+def _best_way(ways: Sequence[NominalFit], fit: Fit, few: int, least: float) -> tuple[NominalFit, Fit] | None:
+    """The way of the commands by which the causes of a fit, fitted a little from within tolerance, leave far less
+    beyond the noise than `least` and than by those before it; None where there is none.
+    """
+    best = None
+    for way in ways:
+        tried = fit_from_prior(way, fit.fitted, few)
+        if tried is not None and _leaves_far_less(way.study, tried, least):
+            best, least = (way, tried), _excess(way.study, tried)
     return best
+
+
+def _leaves_far_less(study: Study, fit: Fit, least: float) -> bool:
+    """Whether a fit leaves far less beyond the noise than the `least` by another way of the commands."""
+    options, excess = study.options.input, _excess(study, fit)
+    return excess + max(options.minimum_gain, options.gain_share * excess) < least
+
+
+def _excess(study: Study, fit: Fit) -> float:
+    """The chi-square that a fit leaves beyond the noise, without what its way of the commands may be wrong by."""
+    plain = rescored(replace(study, spread={}), fit)
+    return plain.chi_square - plain.rows
 
 
 def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:

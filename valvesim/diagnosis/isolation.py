@@ -19,6 +19,7 @@ from valvesim.diagnosis.bench_faults import (
     with_bench_faults,
     with_fault_left,
     with_faults_beside_cause,
+    with_inputs_of_cause,
     without_instrument_errors,
 )
 from valvesim.diagnosis.detection import (
@@ -214,6 +215,12 @@ def _isolated(
             nominal, scores, known, beside, lambda share: progress("refitting", 0.15 + 0.6 * share)
         )
         found = without_corrections_of_laws(nominal, found, options=options)
+        best = distinct(found, options=options)[:1]
+        under = with_inputs_of_cause(nominal, best[0].fit, options=options) if best and not known and again else None
+        if under is not None:
+            nominal, beside = under[0], [under[1]]
+            scores = score_test(nominal, nominal.fit, options=options)
+            continue
         better = _better_nominal(nominal, found, options=options) if again else None
         if better is None:
             break

@@ -19,7 +19,9 @@ from valvesim.valve.additive_term import term_effect
 
 
 def as_catalogue_entry(isolation: Isolation, recovered: RecoveredTerm) -> Isolation:
-    """The isolation with the entries that explain what a recovered term does, for less freedom; else as it was."""
+    """The isolation with the entries that explain what a recovered term does, for less freedom; else as it was. What
+    the law of a likeliest cause may err by is no other entry's doing.
+    """
     nominal, options = isolation.nominal, isolation.scores.options
     limits = nominal.study.nominal.limits
     fits = [
@@ -28,6 +30,10 @@ def as_catalogue_entry(isolation: Isolation, recovered: RecoveredTerm) -> Isolat
     ]
     gained = nominal.fit.chi_square - recovered.chi_square
     most = recovered.chi_square + max(options.selection.answer_ratio, options.selection.answer_share * gained)
+    if isolation.answer_set:
+        likeliest = isolation.answer_set[0]
+        may_err = likeliest.law_error * (nominal.fit.chi_square - likeliest.fit.chi_square)
+        most = min(most, likeliest.fit.chi_square - may_err) if may_err > 0.0 else most
     entries = [
         FittedHypothesis(fit, options=options)
         for fit in fits

@@ -376,12 +376,14 @@ def with_inputs_beside(nominal: NominalFit, beside: NominalFit) -> NominalFit:
     return nominal if better.name == now.name else _near_under(without, better, nominal, _point_by_name(nominal))
 
 
-def under_other_inputs(nominal: NominalFit) -> list[NominalFit]:
+def under_other_inputs(nominal: NominalFit, beside: Fit | None = None) -> list[NominalFit]:
     """A nominal fit within tolerance, not fitted again, under each other way of its commands: with edges where they
-    jump.
+    jump. Where there is a fit of causes `beside` it, its figures are the ones of that, and no sensor is late.
     """
     without, now = _without_choice(nominal.study)
     near, found = _clipped_by_name(nominal), []
+    if beside is not None:
+        near = _clipped_by_name(replace(nominal, fit=beside)) | _delays_at_nominal(nominal.study)
     choices = input_choices(without.session, options=without.options)
     jump = any(choice.parameters for choice in choices)
     for choice in choices:
