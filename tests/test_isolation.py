@@ -285,7 +285,7 @@ def test_what_the_plainer_of_two_leaves_that_fit_alike_is_looked_at_too(monkeypa
 def test_plain_terms_are_held_against_a_cause_that_all_of_an_answer_name(monkeypatch, other, asked):
     base, best, beside = nominal(9000.0), hypothesis(4900.0, "spool_lap"), hypothesis(4895.0, *other.split(" + "))
     monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: 0.0)
-    monkeypatch.setattr(isolation, "ranked", lambda nominal, found: list(found))
+    monkeypatch.setattr(isolation, "ranked", lambda nominal, found, level=0.0: list(found))
     monkeypatch.setattr(isolation, "answer_set_of", lambda *_, **__: [best, beside])
     monkeypatch.setattr(isolation, "rival_terms", lambda nominal, final: [SimpleNamespace(label="pilot flow")])
     scores, final = score_test_of(base, base.fit), score_test_of(base, best.fit)

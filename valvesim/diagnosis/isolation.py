@@ -86,7 +86,7 @@ class Isolation:
     if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
     in words, and what to do about it; `is_other_valve` whether these are records of another valve than the stated one,
     so that no cause was sought; `joint_errors` errors of the instruments that explain it together, instead of causes or
-    as well as those of the answer set.
+    as well as those of the answer set; `second_level` the z that a second cause had to pass.
     """
 
     nominal: NominalFit
@@ -100,6 +100,7 @@ class Isolation:
     bench: tuple[WhatToDo, ...] = ()
     is_other_valve: bool = False
     joint_errors: JointErrors | None = None
+    second_level: float = np.inf
 
 
 def isolate(
@@ -268,19 +269,21 @@ def judged(isolation: Isolation) -> Isolation:
     """An isolation with its hypotheses ranked, and their answer set: empty where even the best leaves too much."""
     nominal, final, found, options = isolation.nominal, isolation.final, isolation.found, isolation.scores.options
     left, bearable = unexplained_share(nominal, final), max(options.detection.doubtful_share, found[0].law_error)
-    found, plainest = ranked(nominal, found), left
+    second = final.level(options.detection.second_false_alarm)
+    lone = ranked(nominal, found)[0]  # a second cause may stand beside it, or before it
+    found, plainest = ranked(nominal, found, second), left
     if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
         final = score_test(nominal, found[0].fit, options=options)
         plainest = unexplained_share(nominal, final)
-    isolation = replace(isolation, final=final, found=found)
+    isolation = replace(isolation, final=final, found=found, second_level=second)
     if left > bearable:  # where even the best leaves so much, none of them is the answer
         return isolation
     whole = plainest <= options.isolation.unexplained_share
-    second = final.level(options.detection.second_false_alarm)
     answer_set = answer_set_of(nominal, found, whole, second, options=options)
     reason = unknown_reason_of(answer_set[0], min(left, plainest))
-    if not reason and len(found[0].candidates) == 1 and all(found[0].is_within(one) for one in answer_set):
-        rivals = [f"the {term.label}" for term in rival_terms(nominal, final)[:2]]
+    if not reason and len(lone.candidates) == 1 and all(map(lone.is_within, answer_set)):
+        own = final if lone.fit is final.fit else score_test(nominal, lone.fit, options=options)
+        rivals = [f"the {term.label}" for term in rival_terms(nominal, own)[:2]]
         reason = f"a plain term does as well, {' or '.join(rivals)}" if rivals else ""
     return replace(isolation, answer_set=answer_set, unknown_reason=reason)
 
