@@ -125,6 +125,8 @@ def isolate(
     errors = None if isolation.answer_set else joint_instrument_errors(isolation.scores, options=options)
     if errors is not None and not isolation.alarm:
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
+    elif (other := _with_second_like_errors(isolation, progress, options=options)) is not None:
+        isolation, errors = other
     return replace(isolation, bench=told_faults(isolation.final, options=options), joint_errors=errors)
 
 
@@ -147,6 +149,42 @@ def _or_causes_like_errors(
     best = other.answer_set[0]
     evidence = best.evidence + rescored(study, best.fit).chi_square - best.fit.chi_square
     return other if evidence + nuisance_occam_factor(other.scores) < most else isolation
+
+
+def _with_second_like_errors(
+    isolation: Isolation, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> tuple[Isolation, JointErrors] | None:
+    """An isolation beside one cause without errors of the instruments, none of which is told by itself, and these
+    errors, where a second cause is likelier than they are: it may act like several of them. None where there is none.
+    """
+    nominal, level = isolation.nominal, isolation.second_level
+    if not isolation.answer_set or len(isolation.found[0].candidates) > 1:
+        return None
+    errors = joint_instrument_errors(isolation.final, level**2, options=options)
+    if errors is None:
+        return None
+    best, study = isolation.found[0], nominal.study
+    most = errors.evidence + best.evidence - best.fit.chi_square - options.selection.answer_ratio
+    plain = without_instrument_errors(nominal)
+    names = [p.name for p in study.nominal.parameters]
+    kept = [names.index(p.name) for p in plain.study.nominal.parameters]
+    alone = replace(options, bench=replace(options.bench, most_faults=0))
+    scores = score_test(plain, plain.fit, options=alone)
+
+    def evidence(one: FittedHypothesis) -> float:
+        """That of a hypothesis without errors, with the nuisance parameters' Occam factor, weighted as with them."""
+        return one.evidence + rescored(study, one.fit).chi_square - one.fit.chi_square + nuisance_occam_factor(scores)
+
+    known = [replace(one.fit, point=one.fit.point[kept]) for one in isolation.answer_set]
+    one = fit_starts(plain, [best.fit.fitted], known[0].point, options=alone)[:1]
+    shows = [float(np.max(score_test(plain, each.fit, options=alone).z(), initial=0.0)) for each in one]
+    if not one or shows[0] < level or evidence(one[0]) - shows[0] ** 2 > most:
+        return None
+    other = _isolated(plain, scores, progress, known, [], options=alone)
+    likeliest = min(other.answer_set, key=evidence, default=None)
+    if likeliest is None or len(likeliest.candidates) == 1 or evidence(likeliest) > most:
+        return None
+    return other, errors
 
 
 def _with_bench(
