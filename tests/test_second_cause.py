@@ -103,11 +103,11 @@ PRIOR = 2.0 * np.log(10.0)
 @pytest.mark.parametrize(
     "first, explained, least",
     [("spool_lap", 300.0, LEVEL**2), ("spool_lap", 2800.0, LEVEL**2), ("magnetic_hysteresis", 60.0, LEVEL**2),
-     ("magnetic_hysteresis", 300.0, 60.0)],
+     ("magnetic_hysteresis", 300.0, 60.0), ("spool_lap", 1e5, 50.0)],
 )  # fmt: skip
 def test_a_pair_goes_before_its_first_where_the_second_is_likelier_than_chance(first, explained, least, gain, likelier):
-    """4 % of what a coil's resistance explained were more than an eddy current of z 6.2 did (130009). What the law of a
-    hysteresis may err by is no second cause (960058).
+    """4 % of what a coil's resistance explained were more than an eddy current of z 6.2 did (130009). What the law of
+    the first may err by is no second cause, a hysteresis' (960058) or that of a friction of d' 1000 (960047).
     """
     alone = hypothesis(5000.0, first)
     pair = hypothesis(5000.0 - least - gain, first, "entrained_air", occam_factor=60.0)

@@ -203,7 +203,8 @@ def odds_of_second(nominal: NominalFit, pair: FittedHypothesis, alone: FittedHyp
     what the law of the first may err by, no shape is fitted and its prior odds are even, the two are as likely. Each
     shape more takes up one of the chi-square by chance. How wide the prior of a second amplitude is does not count.
     """
-    may_err = alone.law_error * (nominal.fit.chi_square - alone.fit.chi_square)
+    law_error = max(alone.law_error, alone.options.selection.least_law_error)
+    may_err = law_error * (nominal.fit.chi_square - alone.fit.chi_square)
     shapes = sum(len(one.fit.layout) * sign - len(one.candidates) * sign for one, sign in ((pair, 1), (alone, -1)))
     rarer = pair.prior_penalty - alone.prior_penalty
     return pair.gain_beyond(alone) - max(least_gain_of_second(nominal, alone, level), may_err) - shapes - rarer
