@@ -122,8 +122,7 @@ def test_a_pair_goes_before_its_first_where_the_second_is_likelier_than_chance(f
     chances = {answer.label: answer.probability for answer in answers}
     odds = odds_of_second(nominal, pair, alone, LEVEL)
     assert odds == pytest.approx(gain - PRIOR)
-    if likelier:
-        assert 2.0 * np.log(chances[pair.label] / chances[alone.label]) == pytest.approx(odds)
+    assert 2.0 * np.log(chances[pair.label] / chances[alone.label]) == pytest.approx(odds)
 
 
 def test_a_pair_goes_before_its_first_by_no_more_than_the_odds_of_an_answer_set():

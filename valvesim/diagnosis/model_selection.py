@@ -179,22 +179,21 @@ def ranked(nominal: NominalFit, found: Sequence[FittedHypothesis], level: float 
 def tempered_deviances(nominal: NominalFit, found: Sequence[FittedHypothesis], level: float) -> list[float]:
     """Minus twice the log probability of each of the found, times the temperature of the best, up to a constant.
 
-    A pair that the temperature puts behind one of its causes alone goes before it where it is likelier than all single
-    ones that would stand before it (`odds_of_second`), by the odds of an answer set at most.
+    A pair that the temperature puts behind the likeliest single cause, if that is one of its own, stands to it by its
+    odds (`odds_of_second`): before it where it is likelier than all single ones that would stand before it, by the odds
+    of an answer set at most.
     """
     temperature = temperature_of(nominal, found[0])
     values = [one.tempered(temperature) for one in found]
     single = sorted((k for k, one in enumerate(found) if len(one.candidates) == 1), key=values.__getitem__)
-    likelier = dict[int, float]()
+    odds = dict[int, float]()
     for k, pair in enumerate(found):
         before = [found[j] for j in single if values[j] < values[k]]
         if len(pair.candidates) > 1 and before and before[0].is_within(pair):
-            likelier[k] = min(odds_of_second(nominal, pair, one, level) for one in before)
-    most = max(likelier.values(), default=0.0)
-    for k, odds in likelier.items():
-        if odds > 0.0:
-            first = min(most, found[0].options.selection.answer_ratio) - (most - odds)
-            values[k] = values[single[0]] - temperature * first
+            odds[k] = min(odds_of_second(nominal, pair, one, level) for one in before)
+    above = max(max(odds.values(), default=0.0) - found[0].options.selection.answer_ratio, 0.0)
+    for k, own in odds.items():
+        values[k] = min(values[k], values[single[0]] - temperature * (own - above))
     return values
 
 
