@@ -149,6 +149,17 @@ def test_how_wide_the_prior_of_a_second_amplitude_is_does_not_count_but_its_shap
     assert ranked(nominal, by_evidence, LEVEL) == [narrow, wide, alone]
 
 
+def test_of_two_seconds_the_likelier_goes_first_whether_or_not_the_temperature_has_put_it_behind_the_first():
+    """A chamber's volume had gone before air in the oil, which explains 54 more (130029)."""
+    alone = hypothesis(5000.0, "spool_lap")
+    air = hypothesis(4924.0, "spool_lap", "entrained_air", occam_factor=20.0)
+    other = hypothesis(4974.0, "spool_lap", "spool_coulomb_friction", occam_factor=4.0)
+    nominal = leaving(6700.0)
+    by_evidence = sorted([alone, air, other], key=lambda one: one.evidence)
+    assert [one for one in ranked(nominal, by_evidence) if one is not other] == [air, alone]
+    assert ranked(nominal, by_evidence, LEVEL) == [air, alone, other]
+
+
 def test_a_pair_goes_not_before_another_cause_that_does_as_well_alone():
     alone = hypothesis(5000.0, "spool_lap")
     pair = hypothesis(4970.0, "spool_lap", "entrained_air", occam_factor=40.0)

@@ -179,18 +179,18 @@ def ranked(nominal: NominalFit, found: Sequence[FittedHypothesis], level: float 
 def tempered_deviances(nominal: NominalFit, found: Sequence[FittedHypothesis], level: float) -> list[float]:
     """Minus twice the log probability of each of the found, times the temperature of the best, up to a constant.
 
-    A pair that the temperature puts behind the likeliest single cause, if that is one of its own, stands to it by its
-    odds (`odds_of_second`): before it where it is likelier than all single ones that would stand before it, by the odds
-    of an answer set at most.
+    A pair that has the likeliest single cause stands to it by its odds (`odds_of_second`), where the temperature puts
+    it further behind: before it where it is likelier than all single ones that would stand before it, the likeliest of
+    them by the odds of an answer set at most, the others by so much less.
     """
     temperature = temperature_of(nominal, found[0])
     values = [one.tempered(temperature) for one in found]
     single = sorted((k for k, one in enumerate(found) if len(one.candidates) == 1), key=values.__getitem__)
     odds = dict[int, float]()
     for k, pair in enumerate(found):
-        before = [found[j] for j in single if values[j] < values[k]]
-        if len(pair.candidates) > 1 and before and before[0].is_within(pair):
-            odds[k] = min(odds_of_second(nominal, pair, one, level) for one in before)
+        if len(pair.candidates) > 1 and single and found[single[0]].is_within(pair):
+            before = [single[0], *(j for j in single[1:] if values[j] < values[k])]
+            odds[k] = min(odds_of_second(nominal, pair, found[j], level) for j in before)
     above = max(max(odds.values(), default=0.0) - found[0].options.selection.answer_ratio, 0.0)
     for k, own in odds.items():
         values[k] = min(values[k], values[single[0]] - temperature * (own - above))
