@@ -314,7 +314,7 @@ def test_what_the_plainer_of_two_leaves_that_fit_alike_is_looked_at_too(monkeypa
 def test_plain_terms_are_held_against_a_cause_that_all_of_an_answer_name(monkeypatch, other, asked):
     base, best, beside = nominal(9000.0), hypothesis(4900.0, "spool_lap"), hypothesis(4895.0, *other.split(" + "))
     monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: 0.0)
-    monkeypatch.setattr(isolation, "ranked", lambda nominal, found: list(found))
+    monkeypatch.setattr(isolation, "ranked", lambda nominal, found, level=0.0: list(found))
     monkeypatch.setattr(isolation, "answer_set_of", lambda *_, **__: [best, beside])
     monkeypatch.setattr(isolation, "rival_terms", lambda nominal, final: [SimpleNamespace(label="pilot flow")])
     scores, final = score_test_of(base, base.fit), score_test_of(base, best.fit)
@@ -358,6 +358,51 @@ def test_causes_are_sought_without_errors_of_instruments_that_explain_only_toget
     found = isolation.isolate(base, lambda stage, share: None, options=DIAGNOSIS)
     assert found.alarm == causes and found.joint_errors is together
     assert sought == [(base, DIAGNOSIS.bench.most_faults), (plain, 0)][:searches]
+
+
+@pytest.mark.parametrize(
+    "together, shows, left, taken",
+    [
+        (None, 9.0, 4840.0, False),  # they explain no more than chance, or one of them is told
+        (JointErrors(100.0, (), 5080.0), 3.0, 4840.0, False),  # no second cause shows without them
+        (JointErrors(100.0, (), 5080.0), 9.0, 4900.0, False),  # one is found, and they are as likely
+        (JointErrors(100.0, (), 5080.0), 9.0, 4840.0, True),
+    ],
+)
+def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together, shows, left, taken):
+    """Oil that was off by some tenths of a kelvin in four records had taken a cavitation up (130015, 130026)."""
+    base, plain = nominal(9000.0), nominal(9100.0)
+    alone, pair = hypothesis(4900.0, "spool_lap"), hypothesis(left, "spool_lap", "flapper_cavitation")
+    scores = score_test_of(base, base.fit)
+    beside_errors = isolation.Isolation(base, scores, None, [alone], [alone], "", True, 4.0, second_level=3.5)
+    without = isolation.Isolation(plain, scores, None, [pair, alone], [pair, alone], "", True, 4.0)
+    seen = []
+
+    def isolated(at, scores, progress, known, beside, *, options):
+        seen.append((at, [fit.fitted for fit in known], options.bench.most_faults))
+        return beside_errors if at is base else without
+
+    def score_test(nominal, fit, *, options):
+        scores = score_test_of(nominal, fit)
+        scores.z = lambda: np.array([shows])
+        return scores
+
+    for name, stub in {
+        "score_test": score_test,
+        "detect": lambda scores: (False, 4.0),
+        "told_faults": lambda scores, options: (),
+        "_isolated": isolated,
+        "joint_instrument_errors": lambda final, least, *, options: together,
+        "without_instrument_errors": lambda nominal: plain,
+        "fit_starts": lambda nominal, starts, point, *, options: [hypothesis(4990.0, "spool_lap")],
+        "nuisance_occam_factor": lambda scores: 120.0,
+        "rescored": lambda study, fit: fit,
+    }.items():
+        monkeypatch.setattr(isolation, name, stub)
+    found = isolation.isolate(base, lambda stage, share: None, options=DIAGNOSIS)
+    assert found.found == (without.found if taken else beside_errors.found)
+    assert found.joint_errors is (together if taken else None)
+    assert seen[1:] == ([(plain, [alone.fit.fitted], 0)] if together is not None and shows > 3.5 else [])
 
 
 def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_others(monkeypatch):

@@ -7,7 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from valvesim.channels import SIGNAL_CHANNELS, STATE_CHANNELS
-from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, odds_against_noise, temperature_of
+from valvesim.diagnosis.model_selection import (
+    FittedHypothesis,
+    answer_set_width,
+    odds_against_noise,
+    temperature_of,
+    tempered_deviances,
+)
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.power import detected_amplitude
 from valvesim.diagnosis.result import CandidateAnswer, DetectionLimit, Score, Shift
@@ -25,17 +31,19 @@ def candidate_answers(
     in_set: Sequence[FittedHypothesis],
     level: float,
     unknown_reason: str = "",
+    second_level: float = np.inf,
     *,
     options: DiagnosisOptions,
 ) -> list[CandidateAnswer]:
     """All hypotheses with their probabilities, likeliest first; beside them what is in no catalogue, and chance.
 
-    `unknown_reason` tells why what is in no catalogue belongs to the answer set, if it does.
+    `unknown_reason` tells why what is in no catalogue belongs to the answer set, if it does; `second_level` is the z
+    that a second cause must pass.
     """
     if not found:
         return []
     width, temperature = answer_set_width(nominal, found[0]), temperature_of(nominal, found[0])
-    known = [one.tempered(temperature) for one in found]
+    known = tempered_deviances(nominal, found, second_level)
     unknown = known[0] + (options.selection.unknown_penalty * temperature if in_set else -2.0 * width)
     if unknown_reason:
         unknown = known[0] + 2.0 * temperature

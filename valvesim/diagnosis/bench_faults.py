@@ -350,15 +350,18 @@ class JointErrors:
         return ", ".join(self.fewest) or "a little of each"
 
 
-def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> JointErrors | None:
-    """Errors of the instruments by a fit without candidates; None where one of them is told by itself, or where they
-    explain no more than chance. A cause may act like several at once.
+def joint_instrument_errors(
+    scores: ScoreTest, least_gain: float | None = None, *, options: DiagnosisOptions
+) -> JointErrors | None:
+    """Errors of the instruments by a fit; None where one of them is told by itself, or where they explain no more than
+    chance and `least_gain` (`minimum_gain` where that is not given). A cause may act like several at once.
     """
+    least_gain = options.bench.minimum_gain if least_gain is None else least_gain
     study = scores.study
     at = {p.name: k for k, p in enumerate(study.nominal.parameters)}
     errors = _error_names(study) & set(at)
     together = wald_statistic(scores, [at[name] for name in errors])
-    if together <= options.bench.minimum_gain + len(errors) or _faults_told(scores, options=options):
+    if not errors or together <= least_gain + len(errors) or _faults_told(scores, options=options):
         return None
     faults = [fault for fault in _known_faults(study) if errors.issuperset(p.name for p in fault.parameters)]
     kept = {k: [at[p.name] for p in fault.parameters] for k, fault in enumerate(faults)}

@@ -85,7 +85,8 @@ def conclude(isolation: Isolation) -> Conclusion:
         recovered = None if far else recovered
     doubts = [unknown_reason] if unknown_reason else []
     if isolation.joint_errors is not None and answer_set:
-        doubts.append(f"errors of the instruments explain it as well ({isolation.joint_errors.words})")
+        what = "it" if len(answer_set[0].candidates) == 1 else "a part of it"
+        doubts.append(f"errors of the instruments explain {what} as well ({isolation.joint_errors.words})")
     doubt = "; ".join(doubts)
     verdict, reason, because = verdict_of(isolation.alarm, answer_set, doubt), "", ""
     if inadequate or (verdict == UNKNOWN and far):

@@ -109,7 +109,10 @@ def _answer(isolation: Isolation) -> Diagnosis:
     study, session, verdict = nominal.study, nominal.study.session, conclusion.verdict
     extension = _extended(conclusion)
     best, answer_set, bench = conclusion.best, conclusion.answer_set, isolation.bench
-    candidates = candidate_answers(nominal, isolation.found, answer_set, level, conclusion.doubt, options=options)
+    second = isolation.second_level
+    candidates = candidate_answers(
+        nominal, isolation.found, answer_set, level, conclusion.doubt, second, options=options
+    )
     return Diagnosis(
         title=session.title,
         verdict=verdict,

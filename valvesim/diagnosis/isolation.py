@@ -87,7 +87,7 @@ class Isolation:
     if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
     in words, and what to do about it; `is_other_valve` whether these are records of another valve than the stated one,
     so that no cause was sought; `joint_errors` errors of the instruments that explain it together, instead of causes or
-    as well as those of the answer set.
+    as well as those of the answer set; `second_level` the z that a second cause had to pass.
     """
 
     nominal: NominalFit
@@ -101,6 +101,7 @@ class Isolation:
     bench: tuple[WhatToDo, ...] = ()
     is_other_valve: bool = False
     joint_errors: JointErrors | None = None
+    second_level: float = np.inf
 
 
 def isolate(
@@ -125,6 +126,8 @@ def isolate(
     errors = None if isolation.answer_set else joint_instrument_errors(isolation.scores, options=options)
     if errors is not None and not isolation.alarm:
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
+    elif (other := _with_second_like_errors(isolation, progress, options=options)) is not None:
+        isolation, errors = other
     return replace(isolation, bench=told_faults(isolation.final, options=options), joint_errors=errors)
 
 
@@ -147,6 +150,42 @@ def _or_causes_like_errors(
     best = other.answer_set[0]
     evidence = best.evidence + rescored(study, best.fit).chi_square - best.fit.chi_square
     return other if evidence + nuisance_occam_factor(other.scores) < most else isolation
+
+
+def _with_second_like_errors(
+    isolation: Isolation, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> tuple[Isolation, JointErrors] | None:
+    """An isolation beside one cause without errors of the instruments, none of which is told by itself, and these
+    errors, where a second cause is likelier than they are: it may act like several of them. None where there is none.
+    """
+    nominal, level = isolation.nominal, isolation.second_level
+    if not isolation.answer_set or len(isolation.found[0].candidates) > 1:
+        return None
+    errors = joint_instrument_errors(isolation.final, level**2, options=options)
+    if errors is None:
+        return None
+    best, study = isolation.found[0], nominal.study
+    most = errors.evidence + best.evidence - best.fit.chi_square - options.selection.answer_ratio
+    plain = without_instrument_errors(nominal)
+    names = [p.name for p in study.nominal.parameters]
+    kept = [names.index(p.name) for p in plain.study.nominal.parameters]
+    alone = replace(options, bench=replace(options.bench, most_faults=0))
+    scores = score_test(plain, plain.fit, options=alone)
+
+    def evidence(one: FittedHypothesis) -> float:
+        """That of a hypothesis without errors, with the nuisance parameters' Occam factor, weighted as with them."""
+        return one.evidence + rescored(study, one.fit).chi_square - one.fit.chi_square + nuisance_occam_factor(scores)
+
+    known = [replace(one.fit, point=one.fit.point[kept]) for one in isolation.answer_set]
+    one = fit_starts(plain, [best.fit.fitted], known[0].point, options=alone)[:1]
+    shows = [float(np.max(score_test(plain, each.fit, options=alone).z(), initial=0.0)) for each in one]
+    if not one or shows[0] < level or evidence(one[0]) - shows[0] ** 2 > most:
+        return None
+    other = _isolated(plain, scores, progress, known, [], options=alone)
+    likeliest = min(other.answer_set, key=evidence, default=None)
+    if likeliest is None or len(likeliest.candidates) == 1 or evidence(likeliest) > most:
+        return None
+    return other, errors
 
 
 def _with_bench(
@@ -275,19 +314,21 @@ def judged(isolation: Isolation) -> Isolation:
     """An isolation with its hypotheses ranked, and their answer set: empty where even the best leaves too much."""
     nominal, final, found, options = isolation.nominal, isolation.final, isolation.found, isolation.scores.options
     left, bearable = unexplained_share(nominal, final), max(options.detection.doubtful_share, found[0].law_error)
-    found, plainest = ranked(nominal, found), left
+    second = final.level(options.detection.second_false_alarm)
+    lone = ranked(nominal, found)[0]  # a second cause may stand beside it, or before it
+    found, plainest = ranked(nominal, found, second), left
     if found[0].fit is not final.fit:  # the plainer may leave what the fuller does not
         final = score_test(nominal, found[0].fit, options=options)
         plainest = unexplained_share(nominal, final)
-    isolation = replace(isolation, final=final, found=found)
+    isolation = replace(isolation, final=final, found=found, second_level=second)
     if left > bearable:  # where even the best leaves so much, none of them is the answer
         return isolation
     whole = plainest <= options.isolation.unexplained_share
-    second = final.level(options.detection.second_false_alarm)
     answer_set = answer_set_of(nominal, found, whole, second, options=options)
     reason = unknown_reason_of(answer_set[0], min(left, plainest))
-    if not reason and len(found[0].candidates) == 1 and all(found[0].is_within(one) for one in answer_set):
-        rivals = [f"the {term.label}" for term in rival_terms(nominal, final)[:2]]
+    if not reason and len(lone.candidates) == 1 and all(map(lone.is_within, answer_set)):
+        own = final if lone.fit is final.fit else score_test(nominal, lone.fit, options=options)
+        rivals = [f"the {term.label}" for term in rival_terms(nominal, own)[:2]]
         reason = f"a plain term does as well, {' or '.join(rivals)}" if rivals else ""
     return replace(isolation, answer_set=answer_set, unknown_reason=reason)
 

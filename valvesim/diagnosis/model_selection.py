@@ -159,17 +159,54 @@ def temperature_of(nominal: NominalFit, best: FittedHypothesis) -> float:
     return answer_set_width(nominal, best) / best.options.selection.answer_ratio
 
 
-def ranked(nominal: NominalFit, found: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
+def ranked(nominal: NominalFit, found: Sequence[FittedHypothesis], level: float = np.inf) -> list[FittedHypothesis]:
     """The found with those that explain the data nearly as well as the best in the order of their probabilities.
 
-    Of two that fit alike for a model that is not the plant, the plainer goes first.
+    Of two that fit alike for a model that is not the plant, the plainer goes first; `level` is the z that a second
+    cause must pass to stand beside one alone.
     """
-    best = found[0]
-    temperature, width = temperature_of(nominal, best), answer_set_width(nominal, best)
-    near = sorted(
-        (one for one in found if one.evidence - best.evidence < width), key=lambda one: one.tempered(temperature)
-    )
-    return [*near, *(one for one in found if one not in near)]
+    best, width, temperature = found[0], answer_set_width(nominal, found[0]), temperature_of(nominal, found[0])
+    deviances = tempered_deviances(nominal, found, level)
+    near = [
+        k
+        for k, one in enumerate(found)
+        if one.evidence - best.evidence < width or deviances[k] < one.tempered(temperature)
+    ]
+    near.sort(key=deviances.__getitem__)
+    return [found[k] for k in [*near, *(k for k in range(len(found)) if k not in near)]]
+
+
+def tempered_deviances(nominal: NominalFit, found: Sequence[FittedHypothesis], level: float) -> list[float]:
+    """Minus twice the log probability of each of the found, times the temperature of the best, up to a constant.
+
+    A pair that has the likeliest single cause stands to it by its odds (`odds_of_second`), where the temperature puts
+    it further behind: before it where it is likelier than all single ones that would stand before it, the likeliest of
+    them by the odds of an answer set at most, the others by so much less.
+    """
+    temperature = temperature_of(nominal, found[0])
+    values = [one.tempered(temperature) for one in found]
+    single = sorted((k for k, one in enumerate(found) if len(one.candidates) == 1), key=values.__getitem__)
+    odds = dict[int, float]()
+    for k, pair in enumerate(found):
+        if len(pair.candidates) > 1 and single and found[single[0]].is_within(pair):
+            before = [single[0], *(j for j in single[1:] if values[j] < values[k])]
+            odds[k] = min(odds_of_second(nominal, pair, found[j], level) for j in before)
+    above = max(max(odds.values(), default=0.0) - found[0].options.selection.answer_ratio, 0.0)
+    for k, own in odds.items():
+        values[k] = min(values[k], values[single[0]] - temperature * (own - above))
+    return values
+
+
+def odds_of_second(nominal: NominalFit, pair: FittedHypothesis, alone: FittedHypothesis, level: float) -> float:
+    """Twice the log odds of a pair against one cause alone: where it explains what a second cause must at least, and
+    what the law of the first may err by, no shape is fitted and its prior odds are even, the two are as likely. Each
+    shape more takes up one of the chi-square by chance. How wide the prior of a second amplitude is does not count.
+    """
+    law_error = max(alone.law_error, alone.options.selection.least_law_error)
+    may_err = law_error * (nominal.fit.chi_square - alone.fit.chi_square)
+    shapes = sum(len(one.fit.layout) * sign - len(one.candidates) * sign for one, sign in ((pair, 1), (alone, -1)))
+    rarer = pair.prior_penalty - alone.prior_penalty
+    return pair.gain_beyond(alone) - max(least_gain_of_second(nominal, alone, level), may_err) - shapes - rarer
 
 
 def answer_set_of(
@@ -188,6 +225,7 @@ def answer_set_of(
         return []
     best, width, temperature = found[0], answer_set_width(nominal, found[0]), temperature_of(nominal, found[0])
     most = len(best.candidates)  # how wide a prior is does not tell two apart that fit alike
+    least = min(one.tempered(temperature) for one in found if one is best or one.is_within(best))
     second = least_gain_of_second(nominal, best, level)
 
     def least_gain(alone: FittedHypothesis) -> float:
@@ -196,7 +234,7 @@ def answer_set_of(
         return min(second, gain - options.selection.answer_ratio) if gain > second else second
 
     def is_near(one: FittedHypothesis) -> bool:
-        if one.tempered(temperature) - best.tempered(temperature) < width:
+        if one.tempered(temperature) - least < width:
             return True
         if len(one.candidates) > most:
             return best.is_within(one) and one.gain_beyond(best) > least_gain(best)
