@@ -2,9 +2,11 @@
 
     .venv/bin/python benchmarks/other_rates.py 3200000 50            # healthy valves, by seeds
     .venv/bin/python benchmarks/other_rates.py 3300000 16 --effect   # each with an effect of random strength
+    .venv/bin/python benchmarks/other_rates.py 3830000 12 --thinned  # of a bench, every second sample alone
 
 200 Hz to 10 kHz, 0.2 to 5 s, a noise of 0.05 to 3 % of each channel's size. A line for each session: what was hidden,
-rate, duration, noise, and the answer.
+rate, duration, noise, and the answer. A thinned session is one of tests/bench_plant.py, whose commands go on smoothly
+or jump between the samples, logged at half the rate that its chirps and noises were made for.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: a w
     os.environ.setdefault(threads, "1")
 sys.path.insert(0, str(ROOT / "tests"))
 
+from bench_plant import draw_bench, write_bench_session  # noqa: E402
 from hidden_plant import draw, write_session  # noqa: E402
 
 import valvesim as vs  # noqa: E402
@@ -38,15 +41,32 @@ def diagnosed(seed: int, kind: str) -> tuple[object, ...]:
     case = draw(seed, kind, noise=noise, rate=rate, duration=duration)
     with tempfile.TemporaryDirectory() as folder:
         write_session(case, folder)
-        worked = time.process_time()
-        try:
-            found = vs.diagnose(folder)
-            answer = f"{found.verdict}: {', '.join(one.label for one in found.candidates if one.in_set) or '-'}"
-        except (vs.InputError, vs.SolveError) as error:
-            answer = f"{type(error).__name__}: {error}"
-        worked = time.process_time() - worked
+        answer = answer_to(folder)
     hidden = ", ".join(name for name, _ in case.hidden) or "-"
-    return seed, hidden, f"{rate:g} Hz", f"{duration:g} s", f"{100 * noise:.2g} %", answer, f"{worked:.1f} s"
+    return seed, hidden, f"{rate:g} Hz", f"{duration:g} s", f"{100 * noise:.2g} %", *answer
+
+
+def thinned(seed: int, kind: str) -> tuple[object, ...]:
+    """The same of a session of the bench of which every second sample is kept."""
+    case, bench = draw_bench(seed, kind, imperfections=("edges", "ripple", "warming", "skew", "drift"))
+    with tempfile.TemporaryDirectory() as folder:
+        write_bench_session(case, bench, folder)
+        for file in Path(folder).glob("*.csv"):
+            heading, *rows = file.read_text().splitlines()
+            file.write_text("\n".join((heading, *rows[::2], "")))
+        answer = answer_to(folder)
+    return seed, ", ".join(name for name, _ in case.hidden) or "-", "500 Hz", *answer
+
+
+def answer_to(folder: str) -> tuple[str, str]:
+    """The answer to the session of a folder, with its seconds of processor."""
+    worked = time.process_time()
+    try:
+        found = vs.diagnose(folder)
+        answer = f"{found.verdict}: {', '.join(one.label for one in found.candidates if one.in_set) or '-'}"
+    except (vs.InputError, vs.SolveError) as error:
+        answer = f"{type(error).__name__}: {error}"
+    return answer, f"{time.process_time() - worked:.1f} s"
 
 
 def main() -> None:
@@ -54,9 +74,11 @@ def main() -> None:
     parser.add_argument("first", type=int, help="the first seed")
     parser.add_argument("count", type=int)
     parser.add_argument("--effect", action="store_true", help="with an effect hidden in each")
+    parser.add_argument("--thinned", action="store_true", help="of a bench, with every second sample alone")
     given = parser.parse_args()
     for seed in range(given.first, given.first + given.count):
-        print(*diagnosed(seed, "effect" if given.effect else "none"), sep=" | ", flush=True)
+        drawn = thinned if given.thinned else diagnosed
+        print(*drawn(seed, "effect" if given.effect else "none"), sep=" | ", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """What inputs do between their samples: told by the readings, fitted where it can be, and no cause for an alarm."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from valvesim.identification.between_samples import (
     deviating,
     deviating_command,
     piecewise_command,
+    untold_share,
 )
 from valvesim.identification.input_choice import HELD_NAME, are_delays, edge_time, input_choices
 from valvesim.identification.linearised_record import linearise_record
@@ -111,6 +113,41 @@ def test_a_piecewise_command_few_samples_between_corners_goes_on_smoothly_too():
         time = TIME[:count]
         pieces, fine = applied(Smooth("a", "current"), time**2, time=time), np.linspace(0.0, time[-1], 97)
         assert np.abs(value(pieces, fine) - fine**2).max() < (3e-7 if count < 4 else 1e-15)
+
+
+def record_of(current):
+    return SimpleNamespace(name="a", command="current", time=TIME, values={"current": current})
+
+
+@pytest.mark.parametrize("share, told", [(0.05, True), (0.2, True), (0.35, False), (0.45, False)])
+def test_samples_tell_a_sine_up_to_some_share_of_their_rate(share, told):
+    """Splines of degree 7 and 5 differ by 2e-4 at a fifth of the rate, by 2 % at 0.35 of it."""
+    record = record_of(np.sin(2.0 * np.pi * share * np.arange(400.0) + 0.3))
+    assert (untold_share(record, options=OPTIONS) == 0.0) == told
+
+
+@pytest.mark.parametrize("command", [
+    np.repeat([1.0, -1.0, 1.0, 0.5], 100), np.repeat(np.tile([1.0, -1.0], 20), 10),
+    np.abs((np.arange(400.0) % 80.0) - 40.0), np.zeros(400),
+])  # fmt: skip
+def test_jumps_and_corners_are_no_motion_too_fast_for_its_samples(command):
+    assert untold_share(record_of(command), options=OPTIONS) == 0.0
+
+
+def test_readings_count_less_where_samples_do_not_tell_a_command(tmp_path):
+    """A chirp to 175 Hz logged at 500: readings of a healthy valve are off by several deviations of their noise."""
+    case, bench = draw_bench(3_830_002, "none", imperfections=("edges",))
+    write_bench_session(case, bench, tmp_path)
+    for file in tmp_path.glob("*.csv"):
+        heading, *rows = file.read_text().splitlines()
+        file.write_text("\n".join((heading, *rows[::2], "")))
+    session = load_session(tmp_path)
+    told = fit_nominal(prepare_session(session))
+    assert told.fit.chi_square < 1.1 * told.fit.rows
+    assert any("too fast for its samples" in note and "1500 Hz" in note for note in told.study.session.notes)
+    unaware = replace(OPTIONS, input=replace(OPTIONS.input, untold=1e9))
+    left = fit_nominal(prepare_session(session, options=unaware)).fit
+    assert left.chi_square > 1.3 * left.rows
 
 
 def test_smooth_commands_are_straight_in_the_intervals_of_their_corners():

@@ -10,7 +10,7 @@ What is told of it in the end goes by a Wald statistic, beside the cause that is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from valvesim.identification.between_samples import Wave
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import continue_fit, continue_from, fit_from_prior, fit_hypothesis
+from valvesim.identification.input_choice import judged
 from valvesim.identification.input_waves import (
     fitted_waves,
     linear_reductions,
@@ -272,9 +273,8 @@ def _leaves_far_less(study: Study, fit: Fit, least: float) -> bool:
 
 
 def _excess(study: Study, fit: Fit) -> float:
-    """The chi-square that a fit leaves beyond the noise, without what its way of the commands may be wrong by."""
-    plain = rescored(replace(study, spread={}), fit)
-    return plain.chi_square - plain.rows
+    """The chi-square that a fit leaves beyond the noise, as ways of the commands are judged by it."""
+    return judged(study, fit) - fit.rows
 
 
 def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:

@@ -10,14 +10,27 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any, Protocol
 
 import numpy as np
 
 from valvesim.identification.options import IdentificationOptions
-from valvesim.inputs import Command, Constant, Piecewise, Sine, Sum, Table, lines, moved_to, pieces_at, straight_pieces
+from valvesim.identification.session import Record
+from valvesim.inputs import (
+    Command,
+    Constant,
+    Piecewise,
+    Sine,
+    Sum,
+    Table,
+    lines,
+    moved_to,
+    piece_value,
+    pieces_at,
+    straight_pieces,
+)
 
 EDGE = 1e-6  # s: how long a jump takes
 CUBICS = 2  # cubics to a sample of a command that goes on smoothly
@@ -89,7 +102,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Smooth:
-    """The command goes on smoothly through its samples (splines of degree 7), straight in the intervals `straight`.
+    """The command goes on smoothly through its samples (splines of a degree), straight in the intervals `straight`.
 
     At a fifth of the sampling rate a cubic spline is 0.5 % too small, as is an armature of a larger inertia. Cubics
     half a sample long have its slopes at both their ends, and values by so much outside it that they enclose as much
@@ -99,20 +112,26 @@ class Smooth:
     record: str
     column: str
     straight: tuple[int, ...] = ()
+    degree: int = 7
 
     def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
-        return _smooth_pieces(samples[0].tobytes(), samples[1].tobytes(), self.straight)
+        return _smooth_pieces(samples[0].tobytes(), samples[1].tobytes(), self.straight, self.degree)
+
+    @property
+    def of_lower_degree(self) -> Smooth:
+        """The same by splines of a degree that differ from it where the samples do not tell how the command goes."""
+        return replace(self, degree=self.degree - 2)
 
 
 @functools.lru_cache(maxsize=64)
-def _smooth_pieces(times: bytes, samples: bytes, straight: tuple[int, ...]) -> np.ndarray:
+def _smooth_pieces(times: bytes, samples: bytes, straight: tuple[int, ...], degree: int) -> np.ndarray:
     """The pieces of a `Smooth` through samples, whose arrays are given as bytes: every run of a record asks for them.
     """
     time, values = np.frombuffer(times), np.frombuffer(samples)
     pieces = straight_pieces(time, values)
     parts, done = [pieces[:1]], 0  # what holds before the first sample
     for last in (*straight, len(time) - 1):
-        parts.append(_smooth_part(time[done : last + 1], values[done : last + 1]))
+        parts.append(_smooth_part(time[done : last + 1], values[done : last + 1], degree))
         parts.append(pieces[last + 1 : last + 2])  # straight to the next, or held after the last
         done = last + 1
     joined = np.vstack(parts)
@@ -120,13 +139,13 @@ def _smooth_pieces(times: bytes, samples: bytes, straight: tuple[int, ...]) -> n
     return joined
 
 
-def _smooth_part(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _smooth_part(time: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
     """Pieces (m, 5) that go smoothly through samples (n,), from the first to the last."""
     from scipy.interpolate import make_interp_spline
 
     if len(time) < 4:
         return straight_pieces(time, values)[1:-1]
-    curve = make_interp_spline(time, values, k=min(7, 2 * (len(time) // 2) - 1))
+    curve = make_interp_spline(time, values, k=min(degree, 2 * (len(time) // 2) - 1))
     at = np.linspace(time[0], time[-1], (len(time) - 1) * CUBICS + 1)
     u, rate = curve(at), curve.derivative()(at)
     if curve.k > 3:
@@ -311,3 +330,31 @@ def command_corners(values: np.ndarray, *, options: IdentificationOptions) -> np
 def edges_of(record: str, column: str, values: np.ndarray, *, options: IdentificationOptions) -> Sequence[EdgeTime]:
     """The jumps of a record's command as edges."""
     return [EdgeTime(record, column, int(k)) for k in command_jumps(values, options=options)]
+
+
+def smooth_command(record: Record, *, options: IdentificationOptions) -> Smooth:
+    """The command of a record that goes on smoothly but for its corners."""
+    corners = command_corners(record.values[record.command], options=options)
+    return Smooth(record.name, record.command, tuple(corners.tolist()))
+
+
+def untold_share(record: Record, *, options: IdentificationOptions) -> float:
+    """The share of a record in which its samples do not tell how its command goes on smoothly between them, for splines
+    of two degrees differ; zero where that is next to none, as at ends.
+    """
+    values = record.values[record.command]
+    share = _untold_share(record.time.tobytes(), values.tobytes(), smooth_command(record, options=options),
+                          options.input.untold)  # fmt: skip
+    return share if share > options.input.least_untold else 0.0
+
+
+@functools.lru_cache(maxsize=64)
+def _untold_share(times: bytes, samples: bytes, smooth: Smooth, untold: float) -> float:
+    """The share of the intervals between samples, see `_smooth_pieces`, in which the splines differ by more than such
+    a share of the span.
+    """
+    time, values = np.frombuffer(times), np.frombuffer(samples)
+    middle = 0.5 * (time[1:] + time[:-1])
+    both = (each.apply(straight_pieces(time, values), (time, values), 1.0) for each in (smooth, smooth.of_lower_degree))
+    one, other = (piece_value(pieces[pieces_at(pieces, middle)].T, middle)[0] for pieces in both)
+    return float(np.mean(np.abs(one - other) > untold * np.ptp(values)))

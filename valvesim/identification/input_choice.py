@@ -18,10 +18,11 @@ from valvesim.identification.between_samples import (
     EdgeTime,
     Held,
     Smooth,
-    command_corners,
     edges_of,
+    smooth_command,
+    untold_share,
 )
-from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, predict_readings
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, predict_readings, rescored
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
@@ -55,8 +56,7 @@ def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[
     records = [record for record in fast if record.moves(record.command)]
     if not records:
         return (STRAIGHT,)
-    corners = {r.name: command_corners(r.values[r.command], options=options).tolist() for r in records}
-    smooth = tuple((Smooth(r.name, r.command, tuple(corners[r.name])), 1.0) for r in records)
+    smooth = tuple((smooth_command(r, options=options), 1.0) for r in records)
     edges = tuple(
         edge_time(record, edge)
         for record in records
@@ -164,21 +164,26 @@ def choose_inputs(
     be better by more than chance; straight lines need be no worse.
     """
     p, options = len(point), study.options.input
-    J = study.stack([{name: each[:, :p] for name, each in own.items()} for own in columns])
+    known = [{name: each[:, :p] for name, each in own.items()} for own in columns]
+    J = study.stack(known)
     best, least, reached, straight = now, np.inf, np.inf, np.inf
     delays, starts = are_delays(study.nominal), [point]
     if np.any(np.abs(point[delays]) > study.options.fit.tolerance_deviations):  # a hold is half a sample late
         starts.append(np.where(delays, 0.0, point))
     for choice in sorted(input_choices(study.session, options=study.options), key=lambda one: one.name != now.name):
         nominal = study.nominal.extended(choice.parameters, choice.deviations)
-        more = J
+        own = study.with_nominal(nominal)
+        own = replace(own, spread=untold_spread(own))
+        more = own.stack(known) if own.spread else J
         if choice.parameters:
-            more = np.column_stack([J, added_columns(study, linearised, nominal, choice.parameters)])
+            more = np.column_stack([more, added_columns(own, linearised, nominal, choice.parameters)])
         added = np.zeros(len(choice.parameters))
-        tried = [_evaluated(study.with_nominal(nominal), np.append(start, added), fitted) for start in starts]
-        H = more.T @ more + np.eye(more.shape[1])
+        tried = [_evaluated(own, np.append(start, added), fitted) for start in starts]
+        H, wider = more.T @ more + np.eye(more.shape[1]), own.widening()
         predicted = [
-            (_predicted(fit, more, H, nominal), fit.rows, fit.chi_square) for fit in tried if fit is not None
+            (_predicted(fit, more, H, nominal) + wider, fit.rows, fit.chi_square + wider)
+            for fit in tried
+            if fit is not None
         ]
         if not predicted:
             continue
@@ -238,6 +243,35 @@ def added_columns(
     return study.stack([columns_of(linear) for linear in linearised])
 
 
+def judged(study: Study, fit: Fit) -> float:
+    """The chi-square by which a fit under one way of the commands is held against those under others: without what
+    that may be wrong by, but for what the samples do not tell (minus twice the log likelihood, up to a constant).
+    """
+    plain = replace(study, spread=untold_spread(study))
+    return rescored(plain, fit).chi_square + plain.widening()
+
+
+def untold_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]:
+    """What readings hang on how commands go on smoothly where their samples do not tell it, by record and channel, (n,)
+    in SI; empty where these tell it throughout.
+    """
+    variant = prepared.nominal.at(np.zeros(len(prepared.nominal.parameters)))
+    records = [predictor.record for predictor in prepared.predictors]
+    smooth = {one.record for one, _ in variant.deviations if isinstance(one, Smooth)}
+    if not any(record.name in smooth and untold_share(record, options=prepared.options) for record in records):
+        return {}
+    lower = tuple((one.of_lower_degree if isinstance(one, Smooth) else one, by) for one, by in variant.deviations)
+    try:
+        both = [predict_readings(prepared, replace(variant, deviations=each)) for each in (variant.deviations, lower)]
+    except (SolveError, InputError):
+        return {}
+    return {
+        (record.name, name): np.abs(one[name] - other[name])
+        for record, one, other in zip(records, *both, strict=True)
+        for name in record.outputs
+    }
+
+
 def input_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]:
     """What a reading hangs on the way of the commands between their samples, by record and channel, (n,) in SI.
 
@@ -255,13 +289,14 @@ def input_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]
         read = [predict_readings(prepared, one) for one in variants]
     except (SolveError, InputError):
         return {}
-    share, spread = prepared.options.input.spread, {}
+    share, spread, untold = prepared.options.input.spread, {}, untold_spread(prepared)
     for k, predictor in enumerate(prepared.predictors):
         for name in predictor.record.outputs:
             own, straight, *ends = (one[k][name] for one in read)
             deviation = share * np.abs(own - straight)
             if ends:
                 deviation = np.hypot(deviation, np.abs(ends[1] - ends[0]) / np.sqrt(12.0))  # evenly in between
+            deviation = np.hypot(deviation, untold.get((predictor.record.name, name), 0.0))
             spread[predictor.record.name, name] = deviation
     return spread
 
@@ -279,7 +314,13 @@ def _edges_left(prepared: PreparedSession, by: float) -> Deviations:
 def input_notes(session: Session, choice: InputChoice, *, options: IdentificationOptions) -> list[str]:
     """What was taken of the commands between their samples, in words."""
     notes = [f"the command's samples were taken as {choice.name}: the readings fit better so than by straight lines"]
+    smooth = {one.record for one, _ in choice.deviations if isinstance(one, Smooth)}
     for record in session.training:
+        if record.name in smooth and (untold := untold_share(record, options=options)):
+            notes.append(
+                f"{record.name}: in {100.0 * untold:.3g} % of it the {record.command} moves too fast for its samples "
+                f"to tell how, and readings count less; {3.0 * record.rate:.0f} Hz would do"
+            )
         edges = [p.input for p in choice.parameters if isinstance(p.input, EdgeTime) and p.input.record == record.name]
         if edges:
             values = record.values[record.command]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from valvesim.identification.between_samples import untold_share
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.noise_model import NoiseModel, fit_autoregression, quantisation_error
 from valvesim.identification.options import IdentificationOptions
@@ -25,7 +26,7 @@ def identify_noise(
     keys = dict.fromkeys((name, record.pace) for record in records for name in record.outputs)
     for name, rate in keys:
         own = [
-            (record, np.where(record.usable[name], record.values[name] - read[name], np.nan))
+            (record, np.where(_tells_noise(prepared, record, name), record.values[name] - read[name], np.nan))
             for record, read in zip(records, readings, strict=True)
             if name in record.outputs and record.pace == rate
         ]
@@ -49,6 +50,17 @@ def identify_noise(
             )
         found[name, rate] = noise
     return found
+
+
+def _tells_noise(prepared: PreparedSession, record: Record, name: str) -> np.ndarray:
+    """(n,) True for the usable samples of a channel that tell its noise: not those at which it hangs on what a command
+    did that moves too fast for its samples.
+    """
+    usable, spread = record.usable[name], prepared.spread.get((record.name, name))
+    if spread is None or not untold_share(record, options=prepared.options):
+        return usable
+    tells = usable & (spread < prepared.options.noise.most_spread * np.ptp(record.values[name]))
+    return tells if np.mean(tells) > prepared.options.noise.least_common else usable
 
 
 def _size(own: Sequence[tuple[Record, np.ndarray]], name: str) -> float:
@@ -79,13 +91,17 @@ def _differences(own: Sequence[tuple[Record, np.ndarray]], *, options: Identific
 
 
 def initial_noise(prepared: PreparedSession) -> dict[tuple[str, float], NoiseModel]:
-    """White noise of the size of what a straight line through three samples leaves: to start the first fit with."""
+    """White noise of the size of what a straight line through three samples leaves: to start the first fit with. It
+    tells no noise where the command moves too fast for its samples, and the readings with it.
+    """
+    options = prepared.options
     found = {}
     for predictor in prepared.predictors:
         record = predictor.record
+        most = options.noise.first_guess if untold_share(record, options=options) else np.inf
         for name in record.outputs:
             bend = np.diff(record.values[name], 2)
-            size = float(np.sqrt(np.mean(bend**2) / 6.0))
+            size = min(float(np.sqrt(np.mean(bend**2) / 6.0)), most * float(np.ptp(record.values[name])))
             sensor = prepared.session.sensors.get(name)
             floor = max(
                 (sensor.resolution if sensor else 0.0) / np.sqrt(12.0), 2e-3 * float(np.ptp(record.values[name]))

@@ -22,6 +22,7 @@ from valvesim.identification.input_choice import (
     input_choices,
     input_notes,
     input_spread,
+    judged,
     searched_edges,
 )
 from valvesim.identification.input_waves import dominant_wave, fitted_waves, tuned_waves, with_parameters
@@ -123,7 +124,7 @@ def _plain_choice(prepared: PreparedSession) -> tuple[InputChoice, NominalFit]:
             continue
         start = straight if choice is STRAIGHT else _at_nominal(with_input_choice(prepared, choice), {})
         fit, _, _ = robust_start(start.study, start.fit, known=(start.linearised, start.columns))
-        chi_square = rescored(replace(start.study, spread={}), fit).chi_square
+        chi_square = judged(start.study, fit)
         if chi_square < least - prepared.options.input.minimum_gain:
             best, least = (choice, start), chi_square
     return best
@@ -329,10 +330,9 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
         return nominal
     near = _clipped_by_name(nominal) | _delays_at_nominal(nominal.study)
     without, now = _without_choice(nominal.study)
-    plain = replace(nominal.study, spread={})
 
     def left(one: NominalFit) -> float:
-        return rescored(plain, one.fit).chi_square
+        return judged(replace(one.study, noise=nominal.study.noise, weights=nominal.study.weights), one.fit)
 
     best, least = nominal, left(nominal) - nominal.study.options.input.minimum_gain
     for choice in input_choices(without.session, options=without.options):

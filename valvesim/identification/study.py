@@ -101,6 +101,17 @@ class Study(PreparedSession):
             white.append(rows)
         return white
 
+    def widening(self) -> float:
+        """By how much minus twice the log likelihood grows where readings may be off by the `spread`."""
+        total = 0.0
+        for predictor in self.predictors:
+            for name in predictor.record.outputs:
+                noise = self.noise[name, predictor.record.pace]
+                spread = self.spread.get((predictor.record.name, name), np.zeros(len(predictor.record.time)))
+                kept = spread[noise.kept(predictor.record.usable[name])][:: self.stride]
+                total += float(np.sum(np.log1p((kept / noise.innovation) ** 2)))
+        return total
+
     def with_weights(self, weights: Sequence[np.ndarray]) -> Study:
         """The study with weights (rows,) of each channel of each training record, in their order."""
         keys = [(predictor.record.name, name) for predictor in self.predictors for name in predictor.record.outputs]
