@@ -31,8 +31,10 @@ from valvesim.identification.nominal_fit import (
     _at_nominal,
     _plain_choice,
     fit_nominal,
+    has_implausible_delays,
     under_other_inputs,
     with_input_choice,
+    with_inputs_reviewed,
 )
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import ModelVariant, prepare_record
@@ -81,6 +83,8 @@ def test_edges_together_are_edges_one_by_one(seed):
 def test_held_samples_stay_and_smooth_ones_go_through_the_samples():
     held = applied(Held("a", "current"), CHIRP)
     np.testing.assert_allclose(value(held, TIME[:-1] + 9e-4), CHIRP[:-1])
+    read_back = applied(Held("a", "current", read_back=True), CHIRP)
+    np.testing.assert_allclose(value(read_back, TIME[:-1] + 1e-4), CHIRP[1:])
     smooth, fine = applied(Smooth("a", "current"), CHIRP), np.linspace(0.0, TIME[-1], 8 * 399 + 1)
     exact = np.sin(2.0 * np.pi * (fine + 199.0 * fine**2 / 2.0))
     straight = np.abs(np.interp(fine, TIME, CHIRP) - exact).max()
@@ -148,6 +152,23 @@ def test_readings_count_less_where_samples_do_not_tell_a_command(tmp_path):
     unaware = replace(OPTIONS, input=replace(OPTIONS.input, untold=1e9))
     left = fit_nominal(prepare_session(session, options=unaware)).fit
     assert left.chi_square > 1.3 * left.rows
+
+
+def test_a_command_that_was_read_back_before_it_changed_is_held_from_the_sample_before(tmp_path):
+    """As a digital controller logs it: with a hold until the next sample the sensors seem a sample early."""
+    case, bench = draw_bench(3_850_000, "none", imperfections=("hold",), duration=0.4)
+    write_bench_session(case, bench, tmp_path)
+    session = load_session(tmp_path)
+    late = tuple(
+        replace(record, values=record.values | {record.command: np.roll(record.values[record.command], 1)})
+        for record in session.records
+    )
+    for record in late:
+        record.values[record.command][0] = record.values[record.command][1]
+    fitted = with_inputs_reviewed(fit_nominal(prepare_session(replace(session, records=late))))
+    assert {one.read_back for one, _ in fitted.study.nominal.variant.deviations if isinstance(one, Held)} == {True}
+    assert fitted.fit.chi_square < 1.1 * fitted.fit.rows
+    assert not has_implausible_delays(fitted.study, fitted.fit.point)
 
 
 def test_smooth_commands_are_straight_in_the_intervals_of_their_corners():

@@ -18,7 +18,7 @@ from valvesim.identification.fit import Fit, FittedCandidate, moved_candidates, 
 from valvesim.identification.fit import evaluate_fit as evaluated
 from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
-from valvesim.identification.input_choice import HELD_NAME, are_delays, input_choices
+from valvesim.identification.input_choice import HELD_NAME, READ_BACK_NAME, are_delays, input_choices
 from valvesim.identification.jacobian import (
     candidate_sensitivities,
     is_simulated,
@@ -183,15 +183,18 @@ def test_a_fit_within_tolerance_is_left_as_it_is(biased):
         ("straight", "straight", 9.0, 1e6, [(HELD_NAME, True)], HELD_NAME),  # all are, and a hold explains more
         ("straight", "straight", 9.0, 0.0, [(HELD_NAME, True)], "straight"),
         (HELD_NAME, HELD_NAME, 9.0, 1e6, [], HELD_NAME),
+        ("straight", "straight", -1.0, 1e6, [], "straight"),
+        ("straight", "straight", -9.0, 1e6, [(READ_BACK_NAME, True)], READ_BACK_NAME),  # half a sample the other way
+        (READ_BACK_NAME, READ_BACK_NAME, -9.0, 1e6, [], READ_BACK_NAME),
         ("straight, slow", "straight, slow", 9.0, 1e6, [], "straight, slow"),  # a hold would be a delay
     ],
 )
-def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, better, late, gain, tried, ends):
+def test_a_hold_is_tried_where_sensors_seem_late_or_early(biased_fit, monkeypatch, now, better, late, gain, tried, ends):
     nominal = biased_fit
     delays = are_delays(nominal.study.nominal)
     assert delays.any()
     before = replace(nominal, fit=replace(nominal.fit, point=late * delays), is_reviewed=False)
-    names = ("straight, slow",) if now == "straight, slow" else ("straight", "smooth", HELD_NAME)
+    names = ("straight, slow",) if now == "straight, slow" else ("straight", "smooth", HELD_NAME, READ_BACK_NAME)
     asked, choices = [], {name: SimpleNamespace(name=name) for name in names}
 
     def near(without, choice, nominal, near):
@@ -200,7 +203,7 @@ def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, b
 
     monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, choices[now]))
     monkeypatch.setattr(nominal_fit, "_reviewed_choice", lambda nominal: (nominal.study, choices[now], choices[better]))
-    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices.values())
+    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, read_back=False, *, options: choices.values())
     monkeypatch.setattr(nominal_fit, "_near_under", near)
     found = with_inputs_reviewed(before)
     assert (found is before) is (ends == now)
@@ -235,7 +238,7 @@ def test_a_way_without_edges_is_tried_with_them_where_commands_jump(
         return asked[choice.name]
 
     monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, choices[now]))
-    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices.values())
+    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, read_back=False, *, options: choices.values())
     monkeypatch.setattr(nominal_fit, "_near_under", near)
     found = with_edges_tried(far)
     assert bool(asked) is tried
@@ -266,7 +269,7 @@ def test_a_long_session_has_its_commands_as_its_beginnings_have_told(biased_fit,
     study = biased_fit.study
     monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, SimpleNamespace(name=now)))
     choices = [nominal_fit.STRAIGHT, *(SimpleNamespace(name=name) for name in open_ways[1:])]
-    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices)
+    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, read_back=False, *, options: choices)
     monkeypatch.setattr(nominal_fit, "with_input_choice", lambda prepared, choice: (prepared, choice.name))
     assert nominal_fit.with_choice_of(study, study) == (study, taken)
 
@@ -308,7 +311,7 @@ def test_where_a_sensor_is_too_late_or_early_every_way_of_the_commands_is_tried(
 
     monkeypatch.setattr(nominal_fit, "rescored", rescored)
     monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, choices["straight"]))
-    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, *, options: choices.values())
+    monkeypatch.setattr(nominal_fit, "input_choices", lambda session, read_back=False, *, options: choices.values())
     monkeypatch.setattr(nominal_fit, "_near_under", near)
     found = with_inputs_tried(far)
     assert found is (far if ends == "straight" else asked[ends])

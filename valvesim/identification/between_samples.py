@@ -89,15 +89,17 @@ def _with_edges(pieces: np.ndarray, samples: Points, after: np.ndarray, amounts:
 
 @dataclass(frozen=True)
 class Held:
-    """Each sample is held until the next (zero-order hold)."""
+    """Each sample is held until the next (zero-order hold); one `read_back` before it changed, from the one before."""
 
     record: str
     column: str
+    read_back: bool = False
 
     def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
         (time, values), step = samples, samples[0][1] - samples[0][0]
-        ends, at = time[1:] - min(EDGE, 0.1 * step), np.arange(1, len(time))
-        return straight_pieces(np.insert(time, at, ends), np.insert(values, at, values[:-1]))
+        edge, at = min(EDGE, 0.1 * step), np.arange(1, len(time))
+        corners = (time[:-1] + edge, values[1:]) if self.read_back else (time[1:] - edge, values[:-1])
+        return straight_pieces(np.insert(time, at, corners[0]), np.insert(values, at, corners[1]))
 
 
 @dataclass(frozen=True)

@@ -44,10 +44,14 @@ class InputChoice:
 
 STRAIGHT = InputChoice("straight", (), ())
 HELD_NAME = "held until the next"
+READ_BACK_NAME = "held from the one before, as read back before it changed"
 
 
-def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[InputChoice, ...]:
-    """The ways that are open to a session's commands, the plainest first.
+def input_choices(
+    session: Session, read_back: bool = False, *, options: IdentificationOptions
+) -> tuple[InputChoice, ...]:
+    """The ways that are open to a session's commands, the plainest first; last, where it is asked, `read_back`: a
+    generator's staircase written down half a sample late, where a hold is half a sample early.
 
     Those of records sampled too slowly to show the valve's motion go straight: a hold or an edge between two samples
     would be a delay there, and a delay is what a cause may be.
@@ -73,6 +77,9 @@ def input_choices(session: Session, *, options: IdentificationOptions) -> tuple[
             InputChoice("joined by straight lines, with edges at fitted times", (), edges),
             InputChoice("joined smoothly, with edges at fitted times", smooth, edges),
         ]
+    if read_back:
+        late = tuple((Held(r.name, r.command, read_back=True), 1.0) for r in records)
+        choices.append(InputChoice(READ_BACK_NAME, late, ()))
     return tuple(choices)
 
 
@@ -170,7 +177,8 @@ def choose_inputs(
     delays, starts = are_delays(study.nominal), [point]
     if np.any(np.abs(point[delays]) > study.options.fit.tolerance_deviations):  # a hold is half a sample late
         starts.append(np.where(delays, 0.0, point))
-    for choice in sorted(input_choices(study.session, options=study.options), key=lambda one: one.name != now.name):
+    choices = input_choices(study.session, now.name == READ_BACK_NAME, options=study.options)
+    for choice in sorted(choices, key=lambda one: one.name != now.name):
         nominal = study.nominal.extended(choice.parameters, choice.deviations)
         own = study.with_nominal(nominal)
         own = replace(own, spread=untold_spread(own))

@@ -15,6 +15,7 @@ from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_a
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
 from valvesim.identification.input_choice import (
     HELD_NAME,
+    READ_BACK_NAME,
     STRAIGHT,
     InputChoice,
     are_delays,
@@ -249,7 +250,7 @@ def _without_choice(study: Study) -> tuple[Study, InputChoice]:
                     variant=replace(model.variant, deviations=()))  # fmt: skip
     now = next(
         choice
-        for choice in input_choices(study.session, options=study.options)
+        for choice in input_choices(study.session, True, options=study.options)
         if choice.deviations == model.variant.deviations and {p.name for p in choice.parameters} == edges
     )
     taken = () if now.name == STRAIGHT.name else input_notes(study.session, now, options=study.options)
@@ -262,7 +263,7 @@ def with_choice_of(prepared: PreparedSession, study: Study) -> PreparedSession:
     may go so.
     """
     now = _without_choice(study)[1].name
-    same = (one for one in input_choices(prepared.session, options=prepared.options) if one.name == now)
+    same = (one for one in input_choices(prepared.session, True, options=prepared.options) if one.name == now)
     return with_input_choice(prepared, next(same, STRAIGHT))
 
 
@@ -283,16 +284,18 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
     """A nominal fit, or the one near it under another way of its commands between their samples that its figures ask
     for now.
 
-    A command that is held is half a sample late. Where sensors seem late by more than they may be, the hold is fitted:
-    a linear prediction from so far off does not find it.
+    A command that is held is half a sample late, one that was read back before it changed half a sample early. Where
+    sensors seem late by more than they may be, the hold is fitted, where they seem early the other: a linear prediction
+    from so far off does not find it.
     """
     without, now = _without_choice(nominal.study)
     if not nominal.is_reviewed and (better := _reviewed_choice(nominal)[2]).name != now.name:
         return _near_under(without, better, nominal, _point_by_name(nominal))
-    if not np.any(_sensor_delays(nominal.study, nominal.fit.point) > _largest_plausible_delay(nominal.study)):
+    if not has_implausible_delays(nominal.study, nominal.fit.point):
         return nominal
-    choices = input_choices(without.session, options=without.options)
-    held = next((choice for choice in choices if choice.name == HELD_NAME), now)
+    late = np.any(_sensor_delays(nominal.study, nominal.fit.point) > _largest_plausible_delay(nominal.study))
+    choices = input_choices(without.session, True, options=without.options)
+    held = next((choice for choice in choices if choice.name == (HELD_NAME if late else READ_BACK_NAME)), now)
     if held.name == now.name:
         return nominal
     tried = _near_under(without, held, nominal, _point_by_name(nominal) | _delays_at_nominal(nominal.study))
@@ -307,7 +310,7 @@ def with_edges_tried(nominal: NominalFit) -> NominalFit:
     figures to make up for the one does not ask for the other any more.
     """
     without, now = _without_choice(nominal.study)
-    if now.parameters or now.name == HELD_NAME:
+    if now.parameters or now.name in (HELD_NAME, READ_BACK_NAME):
         return nominal
     excess = nominal.fit.chi_square - nominal.fit.rows
     options = nominal.study.options.input
@@ -335,7 +338,8 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
         return judged(replace(one.study, noise=nominal.study.noise, weights=nominal.study.weights), one.fit)
 
     best, least = nominal, left(nominal) - nominal.study.options.input.minimum_gain
-    for choice in input_choices(without.session, options=without.options):
+    early = np.any(_sensor_delays(nominal.study, nominal.fit.point) < -_largest_plausible_delay(nominal.study))
+    for choice in input_choices(without.session, bool(early), options=without.options):
         if choice.name == now.name:
             continue
         with suppress(SolveError, InputError):  # under which the valve cannot be run
