@@ -291,8 +291,7 @@ def test_the_way_of_the_commands_by_which_a_cause_explains_far_more_is_taken(mon
             for k, (n, more) in enumerate(zip(rows, left, strict=True))]  # fmt: skip
     monkeypatch.setattr(bench_faults, "under_other_inputs", lambda nominal: ways[1:])
     monkeypatch.setattr(bench_faults, "fit_from_prior", lambda other, start, few: fits[other.way])
-    monkeypatch.setattr(bench_faults, "replace", lambda study, **_: study)
-    monkeypatch.setattr(bench_faults, "rescored", lambda study, fit: fit)
+    monkeypatch.setattr(bench_faults, "chi_square_of_way", lambda study, fit: fit.chi_square)
     now = SimpleNamespace(way=0, fitted=())
     at, fit = bench_faults._best_inputs(ways[0], now, 2)
     assert (at.way, fit.way) == (best, best)
@@ -323,8 +322,7 @@ def test_the_ways_of_the_commands_are_run_again_beside_the_best_cause_from_its_f
         "has_implausible_delays": lambda study, point: late,
         "under_other_inputs": under_other,
         "fit_from_prior": lambda other, start, few: fits[other.way - 1],
-        "replace": lambda study, **_: study,
-        "rescored": lambda study, fit: fit,
+        "chi_square_of_way": lambda study, fit: fit.chi_square,
         "has_uncertain_inputs": lambda study: True,
         "fit_nominal_near": lambda study, point, *, full_weight: (point, full_weight),
     }.items():

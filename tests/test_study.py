@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from valvesim.errors import InputError, SolveError
-from valvesim.identification import hypothesis_fit, least_squares, nominal_fit
+from valvesim.identification import hypothesis_fit, input_choice, least_squares, nominal_fit
 from valvesim.identification import study as studies
 from valvesim.identification.down_weighting import down_weight_peaks
 from valvesim.identification.fit import Fit, FittedCandidate, moved_candidates, predict_readings, step_limits
@@ -184,12 +184,12 @@ def test_a_fit_within_tolerance_is_left_as_it_is(biased):
         ("straight", "straight", 9.0, 0.0, [(HELD_NAME, True)], "straight"),
         (HELD_NAME, HELD_NAME, 9.0, 1e6, [], HELD_NAME),
         ("straight", "straight", -1.0, 1e6, [], "straight"),
-        ("straight", "straight", -9.0, 1e6, [(READ_BACK_NAME, True)], READ_BACK_NAME),  # half a sample the other way
+        ("straight", "straight", -9.0, 1e6, [(READ_BACK_NAME, True)], READ_BACK_NAME),
         (READ_BACK_NAME, READ_BACK_NAME, -9.0, 1e6, [], READ_BACK_NAME),
         ("straight, slow", "straight, slow", 9.0, 1e6, [], "straight, slow"),  # a hold would be a delay
     ],
 )
-def test_a_hold_is_tried_where_sensors_seem_late_or_early(biased_fit, monkeypatch, now, better, late, gain, tried, ends):
+def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, better, late, gain, tried, ends):
     nominal = biased_fit
     delays = are_delays(nominal.study.nominal)
     assert delays.any()
@@ -305,17 +305,28 @@ def test_where_a_sensor_is_too_late_or_early_every_way_of_the_commands_is_tried(
         asked[choice.name] = replace(nominal, study=replace(nominal.study, spread=spread, noise={}), fit=fit)
         return asked[choice.name]
 
-    def rescored(study, fit):
-        assert not study.spread and study.noise is nominal.study.noise  # whose rows may be fewer
-        return fit
+    def chi_square_of_way(study, fit):
+        assert study.noise is nominal.study.noise  # by a noise of its own its rows may be fewer
+        without = input_choice.chi_square_of_way(replace(study, spread={}), nominal.fit)
+        assert input_choice.chi_square_of_way(study, nominal.fit) == without
+        return fit.chi_square
 
-    monkeypatch.setattr(nominal_fit, "rescored", rescored)
+    monkeypatch.setattr(nominal_fit, "chi_square_of_way", chi_square_of_way)
     monkeypatch.setattr(nominal_fit, "_without_choice", lambda study: (study, choices["straight"]))
     monkeypatch.setattr(nominal_fit, "input_choices", lambda session, read_back=False, *, options: choices.values())
     monkeypatch.setattr(nominal_fit, "_near_under", near)
     found = with_inputs_tried(far)
     assert found is (far if ends == "straight" else asked[ends])
     assert set(asked) == (set(gains) if abs(late) > 4.0 else set())
+
+
+def test_noise_that_is_wider_is_less_likely_by_its_normalisation(biased_fit):
+    study, record = biased_fit.study, biased_fit.study.predictors[0].record
+    name = record.outputs[0]
+    noise, wide = study.noise[name, record.pace], np.full(len(record.time), 0.0)
+    wide[100] = 3.0 * noise.innovation
+    assert study.widening() == 0.0
+    assert replace(study, spread={(record.name, name): wide}).widening() == pytest.approx(np.log(10.0))
 
 
 def test_a_prepared_session_becomes_a_study_by_its_noise(biased):

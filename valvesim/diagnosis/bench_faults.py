@@ -30,7 +30,7 @@ from valvesim.identification.between_samples import Wave
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import continue_fit, continue_from, fit_from_prior, fit_hypothesis
-from valvesim.identification.input_choice import judged
+from valvesim.identification.input_choice import chi_square_of_way
 from valvesim.identification.input_waves import (
     fitted_waves,
     linear_reductions,
@@ -274,7 +274,7 @@ def _leaves_far_less(study: Study, fit: Fit, least: float) -> bool:
 
 def _excess(study: Study, fit: Fit) -> float:
     """The chi-square that a fit leaves beyond the noise, as ways of the commands are judged by it."""
-    return judged(study, fit) - fit.rows
+    return chi_square_of_way(study, fit) - fit.rows
 
 
 def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:

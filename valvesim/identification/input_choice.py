@@ -251,7 +251,7 @@ def added_columns(
     return study.stack([columns_of(linear) for linear in linearised])
 
 
-def judged(study: Study, fit: Fit) -> float:
+def chi_square_of_way(study: Study, fit: Fit) -> float:
     """The chi-square by which a fit under one way of the commands is held against those under others: without what
     that may be wrong by, but for what the samples do not tell (minus twice the log likelihood, up to a constant).
     """

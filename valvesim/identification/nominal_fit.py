@@ -19,11 +19,11 @@ from valvesim.identification.input_choice import (
     STRAIGHT,
     InputChoice,
     are_delays,
+    chi_square_of_way,
     choose_inputs,
     input_choices,
     input_notes,
     input_spread,
-    judged,
     searched_edges,
 )
 from valvesim.identification.input_waves import dominant_wave, fitted_waves, tuned_waves, with_parameters
@@ -125,7 +125,7 @@ def _plain_choice(prepared: PreparedSession) -> tuple[InputChoice, NominalFit]:
             continue
         start = straight if choice is STRAIGHT else _at_nominal(with_input_choice(prepared, choice), {})
         fit, _, _ = robust_start(start.study, start.fit, known=(start.linearised, start.columns))
-        chi_square = judged(start.study, fit)
+        chi_square = chi_square_of_way(start.study, fit)
         if chi_square < least - prepared.options.input.minimum_gain:
             best, least = (choice, start), chi_square
     return best
@@ -335,7 +335,7 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
     without, now = _without_choice(nominal.study)
 
     def left(one: NominalFit) -> float:
-        return judged(replace(one.study, noise=nominal.study.noise, weights=nominal.study.weights), one.fit)
+        return chi_square_of_way(replace(one.study, noise=nominal.study.noise, weights=nominal.study.weights), one.fit)
 
     best, least = nominal, left(nominal) - nominal.study.options.input.minimum_gain
     early = np.any(_sensor_delays(nominal.study, nominal.fit.point) < -_largest_plausible_delay(nominal.study))
