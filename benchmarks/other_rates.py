@@ -24,7 +24,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: a w
     os.environ.setdefault(threads, "1")
 sys.path.insert(0, str(ROOT / "tests"))
 
-from bench_plant import draw_bench, write_bench_session  # noqa: E402
+from bench_plant import draw_bench, keep_every_second_sample, write_bench_session  # noqa: E402
 from hidden_plant import draw, write_session  # noqa: E402
 
 import valvesim as vs  # noqa: E402
@@ -51,9 +51,7 @@ def thinned(seed: int, kind: str) -> tuple[object, ...]:
     case, bench = draw_bench(seed, kind, imperfections=("edges", "ripple", "warming", "skew", "drift"))
     with tempfile.TemporaryDirectory() as folder:
         write_bench_session(case, bench, folder)
-        for file in Path(folder).glob("*.csv"):
-            heading, *rows = file.read_text().splitlines()
-            file.write_text("\n".join((heading, *rows[::2], "")))
+        keep_every_second_sample(folder)
         answer = answer_to(folder)
     return seed, ", ".join(name for name, _ in case.hidden) or "-", "500 Hz", *answer
 

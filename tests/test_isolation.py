@@ -76,6 +76,17 @@ def score_test_of(nominal, fit, *, options=DIAGNOSIS):
     )
 
 
+def score_test_that_shows(z):
+    """A stub of `score_test` whose largest z is known."""
+
+    def score_test(nominal, fit, *, options):
+        scores = score_test_of(nominal, fit)
+        scores.z = lambda: np.array([z])
+        return scores
+
+    return score_test
+
+
 def beside_none(nominal, scores, known, *, options):
     return nominal, scores, None
 
@@ -339,13 +350,8 @@ def test_causes_are_sought_without_errors_of_instruments_that_explain_only_toget
         sought.append((at, options.bench.most_faults))
         return by_errors if at is base else by_cause
 
-    def score_test(nominal, fit, *, options):
-        scores = score_test_of(nominal, fit)
-        scores.z = lambda: np.array([shows])
-        return scores
-
     for name, stub in {
-        "score_test": score_test,
+        "score_test": score_test_that_shows(shows),
         "detect": lambda scores: (False, 4.0),
         "told_faults": lambda scores, options: (),
         "_isolated": isolated,
@@ -382,13 +388,8 @@ def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together
         seen.append((at, [fit.fitted for fit in known], options.bench.most_faults))
         return beside_errors if at is base else without
 
-    def score_test(nominal, fit, *, options):
-        scores = score_test_of(nominal, fit)
-        scores.z = lambda: np.array([shows])
-        return scores
-
     for name, stub in {
-        "score_test": score_test,
+        "score_test": score_test_that_shows(shows),
         "detect": lambda scores: (False, 4.0),
         "told_faults": lambda scores, options: (),
         "_isolated": isolated,

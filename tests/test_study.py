@@ -325,8 +325,8 @@ def test_noise_that_is_wider_is_less_likely_by_its_normalisation(biased_fit):
     name = record.outputs[0]
     noise, wide = study.noise[name, record.pace], np.full(len(record.time), 0.0)
     wide[100] = 3.0 * noise.innovation
-    assert study.widening() == 0.0
-    assert replace(study, spread={(record.name, name): wide}).widening() == pytest.approx(np.log(10.0))
+    assert study.log_determinant() == 0.0
+    assert replace(study, spread={(record.name, name): wide}).log_determinant() == pytest.approx(np.log(10.0))
 
 
 def test_a_prepared_session_becomes_a_study_by_its_noise(biased):

@@ -261,15 +261,12 @@ def _best_way(ways: Sequence[NominalFit], fit: Fit, few: int, least: float) -> t
     best = None
     for way in ways:
         tried = fit_from_prior(way, fit.fitted, few)
-        if tried is not None and _leaves_far_less(way.study, tried, least):
-            best, least = (way, tried), _excess(way.study, tried)
+        if tried is None:
+            continue
+        options, excess = way.study.options.input, _excess(way.study, tried)
+        if excess + max(options.minimum_gain, options.gain_share * excess) < least:
+            best, least = (way, tried), excess
     return best
-
-
-def _leaves_far_less(study: Study, fit: Fit, least: float) -> bool:
-    """Whether a fit leaves far less beyond the noise than the `least` by another way of the commands."""
-    options, excess = study.options.input, _excess(study, fit)
-    return excess + max(options.minimum_gain, options.gain_share * excess) < least
 
 
 def _excess(study: Study, fit: Fit) -> float:

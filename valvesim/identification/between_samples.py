@@ -340,18 +340,20 @@ def smooth_command(record: Record, *, options: IdentificationOptions) -> Smooth:
     return Smooth(record.name, record.command, tuple(corners.tolist()))
 
 
-def untold_share(record: Record, *, options: IdentificationOptions) -> float:
+def undersampled_share(record: Record, *, options: IdentificationOptions) -> float:
     """The share of a record in which its samples do not tell how its command goes on smoothly between them, for splines
-    of two degrees differ; zero where that is next to none, as at ends.
+    of two degrees differ; zero where that is next to none, as at ends, and where it stays.
     """
+    if not record.moves(record.command):
+        return 0.0
     values = record.values[record.command]
-    share = _untold_share(record.time.tobytes(), values.tobytes(), smooth_command(record, options=options),
-                          options.input.untold)  # fmt: skip
-    return share if share > options.input.least_untold else 0.0
+    share = _undersampled_share(record.time.tobytes(), values.tobytes(), smooth_command(record, options=options),
+                          options.input.undersampled)  # fmt: skip
+    return share if share > options.input.least_undersampled else 0.0
 
 
 @functools.lru_cache(maxsize=64)
-def _untold_share(times: bytes, samples: bytes, smooth: Smooth, untold: float) -> float:
+def _undersampled_share(times: bytes, samples: bytes, smooth: Smooth, undersampled: float) -> float:
     """The share of the intervals between samples, see `_smooth_pieces`, in which the splines differ by more than such
     a share of the span.
     """
@@ -359,4 +361,4 @@ def _untold_share(times: bytes, samples: bytes, smooth: Smooth, untold: float) -
     middle = 0.5 * (time[1:] + time[:-1])
     both = (each.apply(straight_pieces(time, values), (time, values), 1.0) for each in (smooth, smooth.of_lower_degree))
     one, other = (piece_value(pieces[pieces_at(pieces, middle)].T, middle)[0] for pieces in both)
-    return float(np.mean(np.abs(one - other) > untold * np.ptp(values)))
+    return float(np.mean(np.abs(one - other) > undersampled * np.ptp(values)))

@@ -20,7 +20,7 @@ from valvesim.identification.between_samples import (
     Smooth,
     edges_of,
     smooth_command,
-    untold_share,
+    undersampled_share,
 )
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, predict_readings, rescored
 from valvesim.identification.least_squares import bounded_step
@@ -181,15 +181,15 @@ def choose_inputs(
     for choice in sorted(choices, key=lambda one: one.name != now.name):
         nominal = study.nominal.extended(choice.parameters, choice.deviations)
         own = study.with_nominal(nominal)
-        own = replace(own, spread=untold_spread(own))
+        own = replace(own, spread=undersampling_spread(own))
         more = own.stack(known) if own.spread else J
         if choice.parameters:
             more = np.column_stack([more, added_columns(own, linearised, nominal, choice.parameters)])
         added = np.zeros(len(choice.parameters))
         tried = [_evaluated(own, np.append(start, added), fitted) for start in starts]
-        H, wider = more.T @ more + np.eye(more.shape[1]), own.widening()
+        H, normalisation = more.T @ more + np.eye(more.shape[1]), own.log_determinant()
         predicted = [
-            (_predicted(fit, more, H, nominal) + wider, fit.rows, fit.chi_square + wider)
+            (_predicted(fit, more, H, nominal) + normalisation, fit.rows, fit.chi_square + normalisation)
             for fit in tried
             if fit is not None
         ]
@@ -255,18 +255,18 @@ def chi_square_of_way(study: Study, fit: Fit) -> float:
     """The chi-square by which a fit under one way of the commands is held against those under others: without what
     that may be wrong by, but for what the samples do not tell (minus twice the log likelihood, up to a constant).
     """
-    plain = replace(study, spread=untold_spread(study))
-    return rescored(plain, fit).chi_square + plain.widening()
+    plain = replace(study, spread=undersampling_spread(study))
+    return rescored(plain, fit).chi_square + plain.log_determinant()
 
 
-def untold_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]:
+def undersampling_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]:
     """What readings hang on how commands go on smoothly where their samples do not tell it, by record and channel, (n,)
     in SI; empty where these tell it throughout.
     """
     variant = prepared.nominal.at(np.zeros(len(prepared.nominal.parameters)))
     records = [predictor.record for predictor in prepared.predictors]
     smooth = {one.record for one, _ in variant.deviations if isinstance(one, Smooth)}
-    if not any(record.name in smooth and untold_share(record, options=prepared.options) for record in records):
+    if not any(record.name in smooth and undersampled_share(record, options=prepared.options) for record in records):
         return {}
     lower = tuple((one.of_lower_degree if isinstance(one, Smooth) else one, by) for one, by in variant.deviations)
     try:
@@ -297,14 +297,14 @@ def input_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]
         read = [predict_readings(prepared, one) for one in variants]
     except (SolveError, InputError):
         return {}
-    share, spread, untold = prepared.options.input.spread, {}, untold_spread(prepared)
+    share, spread, undersampled = prepared.options.input.spread, {}, undersampling_spread(prepared)
     for k, predictor in enumerate(prepared.predictors):
         for name in predictor.record.outputs:
             own, straight, *ends = (one[k][name] for one in read)
             deviation = share * np.abs(own - straight)
             if ends:
                 deviation = np.hypot(deviation, np.abs(ends[1] - ends[0]) / np.sqrt(12.0))  # evenly in between
-            deviation = np.hypot(deviation, untold.get((predictor.record.name, name), 0.0))
+            deviation = np.hypot(deviation, undersampled.get((predictor.record.name, name), 0.0))
             spread[predictor.record.name, name] = deviation
     return spread
 
@@ -324,9 +324,9 @@ def input_notes(session: Session, choice: InputChoice, *, options: Identificatio
     notes = [f"the command's samples were taken as {choice.name}: the readings fit better so than by straight lines"]
     smooth = {one.record for one, _ in choice.deviations if isinstance(one, Smooth)}
     for record in session.training:
-        if record.name in smooth and (untold := untold_share(record, options=options)):
+        if record.name in smooth and (share := undersampled_share(record, options=options)):
             notes.append(
-                f"{record.name}: in {100.0 * untold:.3g} % of it the {record.command} moves too fast for its samples "
+                f"{record.name}: in {100.0 * share:.3g} % of it the {record.command} moves too fast for its samples "
                 f"to tell how, and readings count less; {3.0 * record.rate:.0f} Hz would do"
             )
         edges = [p.input for p in choice.parameters if isinstance(p.input, EdgeTime) and p.input.record == record.name]

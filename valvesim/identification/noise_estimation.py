@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valvesim.identification.between_samples import untold_share
+from valvesim.identification.between_samples import undersampled_share
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.noise_model import NoiseModel, fit_autoregression, quantisation_error
 from valvesim.identification.options import IdentificationOptions
@@ -57,7 +57,7 @@ def _tells_noise(prepared: PreparedSession, record: Record, name: str) -> np.nda
     did that moves too fast for its samples.
     """
     usable, spread = record.usable[name], prepared.spread.get((record.name, name))
-    if spread is None or not untold_share(record, options=prepared.options):
+    if spread is None or not undersampled_share(record, options=prepared.options):
         return usable
     tells = usable & (spread < prepared.options.noise.most_spread * np.ptp(record.values[name]))
     return tells if np.mean(tells) > prepared.options.noise.least_common else usable
@@ -98,7 +98,7 @@ def initial_noise(prepared: PreparedSession) -> dict[tuple[str, float], NoiseMod
     found = {}
     for predictor in prepared.predictors:
         record = predictor.record
-        most = options.noise.first_guess if untold_share(record, options=options) else np.inf
+        most = options.noise.first_guess if undersampled_share(record, options=options) else np.inf
         for name in record.outputs:
             bend = np.diff(record.values[name], 2)
             size = min(float(np.sqrt(np.mean(bend**2) / 6.0)), most * float(np.ptp(record.values[name])))

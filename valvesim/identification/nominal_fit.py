@@ -344,8 +344,8 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
             continue
         with suppress(SolveError, InputError):  # under which the valve cannot be run
             tried = _near_under(without, choice, nominal, near)
-            if left(tried) < least:
-                best, least = tried, left(tried)
+            if (chi_square := left(tried)) < least:
+                best, least = tried, chi_square
     return best
 
 

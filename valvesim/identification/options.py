@@ -153,11 +153,11 @@ class InputOptions:
     spread: float = option(
         0.03, "1", "share of what another way than straight lines changes of a reading that may be wrong", JUDGEMENT
     )
-    untold: float = option(
+    undersampled: float = option(
         3e-3, "1", "share of its span by which splines of degree 7 and 5 differ where samples do not tell a command",
         "at 0.3 of the sampling rate; at 0.2 they differ by 2e-4",
     )
-    least_untold: float = option(0.01, "1", "share of a record in which they differ that counts", JUDGEMENT)
+    least_undersampled: float = option(0.01, "1", "share of a record in which they differ that counts", JUDGEMENT)
     edge_places: int = option(8, "1", "places in its interval at which an edge is tried", JUDGEMENT)
     edge_samples: int = option(8, "1", "samples after an edge that may tell it is elsewhere", "the valve's response")
     edge_misfit: float = option(3.0, "1", "mean square of what is left there, in noise deviations", JUDGEMENT)

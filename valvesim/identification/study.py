@@ -101,8 +101,8 @@ class Study(PreparedSession):
             white.append(rows)
         return white
 
-    def widening(self) -> float:
-        """By how much minus twice the log likelihood grows where readings may be off by the `spread`."""
+    def log_determinant(self) -> float:
+        """The log determinant of the noise covariance where readings may be off by the `spread`, less that without."""
         total = 0.0
         for predictor in self.predictors:
             for name in predictor.record.outputs:
