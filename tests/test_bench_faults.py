@@ -30,7 +30,7 @@ from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, OTHER_VA
 from valvesim.diagnosis.wording import summary_text
 from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.fit import evaluate_fit, predict_readings
-from valvesim.identification.fit_jacobian import linearise_fit, simulated_jacobian
+from valvesim.identification.fit_jacobian import linearise_fit
 from valvesim.identification.input_choice import searched_edges
 from valvesim.identification.input_waves import (
     MODULATED,
@@ -564,17 +564,6 @@ def test_a_fit_is_refined_towards_its_best_and_a_long_one_left(biased_fit):
     near = refined(study, off)
     assert off.chi_square - near.chi_square > 0.9 * (off.chi_square - best.chi_square) > 100.0
     assert refined(replace(study, is_long=True), off) is off
-
-
-def test_a_jacobian_by_runs_together_is_that_by_runs_alone(biased_fit):
-    study, fit = biased_fit.study, biased_fit.fit
-    sensitivity = replace(IDENTIFICATION.sensitivity, together_points=0.0)
-    always = replace(study, options=replace(IDENTIFICATION, sensitivity=sensitivity))
-    linearised = linearise_fit(study, fit)
-    alone, together = (simulated_jacobian(one, fit, *linearised) for one in (study, always))
-    assert not np.array_equal(alone, together)
-    step = IDENTIFICATION.sensitivity.refined_step
-    assert np.linalg.norm(alone - together, axis=0).max() < 0.03 / step  # the integrator's noise over the step
 
 
 def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():

@@ -295,29 +295,6 @@ def test_another_valve_reads_as_simulate_says():
     assert off(run.values["nozzle_pressure_1"], truth("fast").values["nozzle_pressure_1"]) > 0.01
 
 
-@pytest.mark.parametrize("name", ["fast", "slow"])
-def test_valves_read_together_what_each_reads_alone(name):
-    own = small_session().valve
-    gain = CATALOGUE["sensor_gain"].on("spool_position")(gain_error=0.1)
-    others = [own, replace(own, null_gap=1.1 * own.null_gap), replace(own, nozzle_diameter=0.9 * own.nozzle_diameter)]
-    for effects in ((), (FRICTION, gain)):
-        variants = [ModelVariant(valve, effects) for valve in others]
-        together = bench_of(name).readings_together(variants)
-        assert together is not None
-        for variant, found in zip(variants, together, strict=True):
-            for channel, values in read(name, variant).items():
-                assert off(found[channel], values) < 3e-4, (channel, variant.valve)
-        again, changed = (
-            found["spool_position"] for found in bench_of(name).readings_together([variants[0]] * 2 + variants[1:])[:2]
-        )
-        assert np.array_equal(again, changed)  # alike to the last digit, which runs alone need not be
-
-
-def test_valves_of_which_one_fails_are_not_read_together(monkeypatch):
-    monkeypatch.setattr("valvesim.identification.predictor.integrate_together", lambda *given: None)
-    assert bench_of("fast").readings_together([nominal_variant()] * 2) is None
-
-
 def test_faults_of_a_sensor_act_on_its_channel_alone_and_in_turn():
     gain = CATALOGUE["sensor_gain"].on("spool_position")(gain_error=0.1)
     bias = CATALOGUE["sensor_bias"].on("spool_position")(bias=1e-5)

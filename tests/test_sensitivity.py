@@ -1,17 +1,27 @@
 """Linear answers along a course: exact for linear equations, and the limit of what true runs do."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from test_prediction import FRICTION, HYSTERESIS, bench_of, course_of, nominal_variant
+from test_prediction import FRICTION, HYSTERESIS, UNIVERSE, bench_of, course_of, nominal_variant, small_session
 
+from valvesim.errors import SolveError
 from valvesim.identification import tangent_linear
 from valvesim.identification.linearised_record import linearise_record
-from valvesim.identification.predictor import MEASURED_SIGNALS, ModelVariant, at_rest_together, coefficient_course
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
+from valvesim.identification.predictor import (
+    MEASURED_SIGNALS,
+    ModelVariant,
+    at_rest_together,
+    coefficient_course,
+    prepare_record,
+)
 from valvesim.identification.tangent_linear import (
     ChangedCoefficients,
+    Course,
     Forcing,
     TangentLinear,
     first_order_response,
@@ -39,7 +49,8 @@ def system(A, count=80):
     n = len(A)
     matrices = np.ascontiguousarray(np.broadcast_to(A, (count, n, n)))
     slopes = {"first": np.tile([2.0, 0.0, 0.0], (count, 1)), "sum": np.ones((count, n))}
-    return TangentLinear(np.arange(n), np.ones(n), matrices, *propagators_of(matrices, STEP), slopes, STEP)
+    steps = np.full(count - 1, STEP)
+    return TangentLinear(np.arange(n), np.ones(n), matrices, *propagators_of(matrices, steps), slopes, steps)
 
 
 def exact(A, g):
@@ -111,9 +122,9 @@ def test_compiled_and_plain_march_are_the_same():
 @pytest.mark.parametrize("A", SYSTEMS.values(), ids=SYSTEMS)
 def test_compiled_and_plain_propagators_are_the_same(A):
     matrices = np.random.default_rng(6).uniform(0.5, 1.5, (11, 1, 1)) * A
-    plain = [np.empty((10, 3, 3)) for _ in range(3)]
-    linear_response.propagators(matrices, STEP, *plain)
-    for own, expected in zip(propagators_of(matrices, STEP), plain, strict=True):
+    plain, steps = [np.empty((10, 3, 3)) for _ in range(3)], STEP * np.random.default_rng(7).uniform(0.1, 1.0, 10)
+    linear_response.propagators(matrices, steps, *plain)
+    for own, expected in zip(propagators_of(matrices, steps), plain, strict=True):
         assert own == pytest.approx(expected, rel=1e-9, abs=1e-12 * np.abs(expected).max())
 
 
@@ -152,8 +163,9 @@ def test_compiled_and_plain_responses_are_the_same(monkeypatch):
     changed = ChangedCoefficients(changes, course, compiled, rng.normal(size=(len(compiled.targets), n)))
     matrices = rng.normal(size=(n, 6, 6)) - 5.0 * np.eye(6)
     slopes = {"load_flow": rng.normal(size=(n, 6)), "spool_position": rng.normal(size=(n, 6))}
-    tangent = TangentLinear(np.arange(6), np.full(6, 2.0), matrices, *propagators_of(matrices, 0.01), slopes, 0.01)
-    times = 0.01 * np.arange(n)
+    steps = 0.01 * rng.uniform(0.5, 1.5, n - 1)
+    tangent = TangentLinear(np.arange(6), np.full(6, 2.0), matrices, *propagators_of(matrices, steps), slopes, steps)
+    times = np.concatenate([[0.0], np.cumsum(steps)])
     reads = {"load_flow": sampled_at(times, times, 0.02), "spool_position": sampled_at(times, times[2:15] + 0.004)}
     forcings = [Forcing(5, rng.normal(size=(9, 6)), {"load_flow": rng.normal(size=9)})]
     found = tangent.read_responses(reads, forcings, changed)
@@ -164,7 +176,7 @@ def test_compiled_and_plain_responses_are_the_same(monkeypatch):
 
 
 def test_a_cubic_is_read_exactly_at_any_time():
-    times, at = STEP * np.arange(12), STEP * np.array([0.0, 0.4, 1.0, 5.5, 10.2, 11.0])
+    times, at = STEP * np.delete(np.arange(12.0), [3, 4, 7]), STEP * np.array([0.0, 0.4, 1.0, 5.5, 10.2, 11.0])
     first, weights, _ = sampled_at(times, at)
     cubic = np.polynomial.Polynomial([1.0, 200.0, -3e4, 4e6])
     assert [w @ cubic(times[k : k + 4]) for k, w in zip(first, weights, strict=True)] == pytest.approx(cubic(at))
@@ -306,7 +318,8 @@ def test_the_equations_hold_the_states_of_the_variant_alone():
     compiled = compile_derivatives(trajectory.model, MEASURED_SIGNALS)
     course = coefficient_course(trajectory.path, trajectory.knots, predictor.times)
     partials = compiled.derivatives(trajectory.states, predictor.inputs, course)
-    tangent = linearise_along(predictor, trajectory, own, compiled, partials)
+    points = Course(predictor.times, predictor.inputs, trajectory.states, np.arange(len(predictor.times)))
+    tangent = linearise_along(predictor, trajectory, points, own, compiled, partials)
     assert tangent.active.tolist() == [0, 1, 2, 3, 4, 5, 6] and tangent.E.shape == (len(predictor.times) - 1, 7, 7)
 
 
@@ -351,3 +364,77 @@ def test_a_valve_with_memory_is_linear_about_its_course_too(active):
     for channel in ("spool_position", "load_flow"):
         assert np.isfinite(answer[channel]).all()
         assert rms(answer[channel][:, 0] - truth[channel]) < 0.05 * rms(truth[channel]), channel
+
+
+# ---------------------------------------------------------------- where the equations change within a step
+
+
+@functools.cache
+def stepped():
+    """The fast record under a current that jumps so far that the flapper touches a nozzle."""
+    session, fast = small_session(), bench_of("fast").record
+    current = np.where(np.arange(len(fast.time)) // 25 % 2, 9e-3, -9e-3)
+    return prepare_record(
+        session, replace(fast, values={**fast.values, "current": current}), UNIVERSE, options=IDENTIFICATION
+    )
+
+
+def with_divided(predictor, share):
+    sensitivity = replace(IDENTIFICATION.sensitivity, most_divided=share)
+    return replace(predictor, options=replace(IDENTIFICATION, sensitivity=sensitivity))
+
+
+def test_steps_in_which_a_flapper_touches_are_divided_and_answers_hold_there():
+    """By central differences of true runs: without the divisions the answers err by far more."""
+    plain, up, down = nominal_variant(), moved_valve(null_gap=1e-3), moved_valve(null_gap=-1e-3)
+    off = {}
+    for share in (0.0, 0.1):
+        predictor = with_divided(stepped(), share)
+        seen = linearise_record(predictor, plain)
+        assert (len(seen.course.times) > len(predictor.times)) == (share > 0.0)
+        answers = seen.small_difference([up])
+        high, low = (predictor.readings(predictor.run(variant), variant) for variant in (up, down))
+        off[share] = {
+            name: rms(answers[name][:, 0] - (high[name] - low[name]) / 2.0) / rms((high[name] - low[name]) / 2.0)
+            for name in ("spool_position", "armature_angle")
+        }
+    assert max(off[0.1].values()) < 0.2 and min(off[0.0].values()) > 0.5
+
+
+def test_a_divided_course_holds_the_grid_and_what_a_whole_run_has_between():
+    predictor, variant = stepped(), nominal_variant()
+    trajectory = predictor.run(variant)
+    course = linearise_record(predictor, variant, trajectory).course
+    assert np.array_equal(course.times[course.on_grid], predictor.times) and (course.steps > 0.0).all()
+    assert np.array_equal(course.states[course.on_grid], trajectory.states)
+    assert np.array_equal(course.inputs[course.on_grid], predictor.inputs)
+    between = np.delete(np.arange(len(course.times)), course.on_grid)
+    finer = replace(IDENTIFICATION.predictor, grid_spacing=6.25e-6, sensor_spacing=6.25e-6, most_points=10**6)
+    whole = prepare_record(
+        small_session(), predictor.record, UNIVERSE, options=replace(IDENTIFICATION, predictor=finer)
+    )
+    fine = whole.run(variant).states[np.searchsorted(whole.times, course.times[between] - 1e-9)]
+    assert (np.abs(course.states[between] - fine) / np.ptp(trajectory.states, axis=0)).max() < 1e-3
+
+
+@pytest.mark.parametrize("predictor", [lambda: bench_of("fast"), lambda: stepped().without_oversampling()])
+def test_no_step_is_divided_where_motion_is_smooth_nor_on_the_way_to_a_fit(predictor):
+    seen = linearise_record(predictor(), nominal_variant())
+    assert np.array_equal(seen.course.times, predictor().times)
+    assert seen.course.between(seen.predictor.inputs) is seen.predictor.inputs and seen.course.between(None) is None
+
+
+def test_of_many_fast_steps_the_fastest_are_divided():
+    few = with_divided(stepped(), 0.01)
+    course, steps = linearise_record(few, nominal_variant()).course, len(few.times) - 1
+    divided = np.diff(course.on_grid) > 1
+    assert 0 < divided.sum() <= 0.01 * steps
+    assert set(np.unique(np.diff(course.on_grid))) == {1, IDENTIFICATION.sensitivity.divisions}
+
+
+def test_a_part_that_cannot_be_integrated_says_so():
+    few = replace(stepped(), options=replace(
+        IDENTIFICATION, predictor=replace(IDENTIFICATION.predictor, most_steps=1, steps_per_point=0)
+    ))  # fmt: skip
+    with pytest.raises(SolveError, match="record fast: the simulation failed.*more than 1 steps"):
+        linearise_record(few, nominal_variant(), stepped().run(nominal_variant()))

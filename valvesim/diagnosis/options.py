@@ -123,7 +123,7 @@ class IsolationOptions:
     slight_gain: float = option(
         60.0, "1", "chi-square below which the nominal fit may be what explains it, fitted from there", JUDGEMENT
     )
-    refined: int = option(3, "1", "best hypotheses that are refined by differences of runs", JUDGEMENT)
+    refined: int = option(3, "1", "best hypotheses that are refined", JUDGEMENT)
     refined_gain: float = option(
         30.0, "1", "chi-square that a refinement may gain: what is further behind is not refined", "mostly below 5"
     )

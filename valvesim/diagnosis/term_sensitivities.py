@@ -30,7 +30,8 @@ def term_sensitivities(
         basis = np.column_stack([term_basis(linear, terms[k], spans[k], knots) for k in own])
         columns = [k * knots + j for k in own for j in range(knots)]
         if port.name in DIRECT:
-            out[port.name][:, columns] = (whole.direct[port.name][:, None] * basis)[:: linear.predictor.oversampling]
+            sampled = linear.course.on_grid[:: linear.predictor.oversampling]
+            out[port.name][:, columns] = (whole.direct[port.name][:, None] * basis)[sampled]
             continue
         for name, moved in linear.forced_response([whole.scaled_by(b) for b in basis.T]).items():
             out[name][:, columns] = moved
@@ -59,6 +60,4 @@ def argument(linear: LinearisedRecord, hypothesis: TermHypothesis) -> np.ndarray
         return u
     b = np.full(len(u), 1.0 / hypothesis.time_constant)
     middle = np.concatenate([u[:1], (u[1:] + u[:-1]) / 2.0])
-    return first_order_response(
-        middle / hypothesis.time_constant, b, float(linear.predictor.times[1] - linear.predictor.times[0])
-    )
+    return first_order_response(middle / hypothesis.time_constant, b, linear.course.steps)

@@ -110,14 +110,6 @@ def _run(study: PreparedSession, variant: ModelVariant) -> list[tuple[Trajectory
     return study.each(run, posed, at_rest_together(posed))
 
 
-def predict_together(
-    study: PreparedSession, variants: Sequence[ModelVariant]
-) -> list[tuple[dict[str, np.ndarray], ...]] | None:
-    """The same of a few variants that differ in their valves alone, see `RecordPredictor.readings_together`."""
-    did_run = study.each(lambda predictor: predictor.readings_together(variants), study.predictors)
-    return None if None in did_run else list(zip(*did_run, strict=True))
-
-
 def is_adequate(fit: Fit, *, options: IdentificationOptions) -> bool:
     """Whether a fit leaves little more than noise: linear answers about another one are worth little."""
     return fit.chi_square <= options.fit.inadequate_ratio * fit.rows

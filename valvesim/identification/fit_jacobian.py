@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from valvesim.errors import InputError, SolveError
-from valvesim.identification.between_samples import EdgeTime, InputDeviation
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.fit import (
-    Fit,
-    FittedCandidate,
-    predict_readings,
-    predict_together,
-    step_limits,
-    whitened_residual,
-)
+from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.jacobian import candidate_sensitivities, parameter_sensitivities, perturbed_variants
 from valvesim.identification.linearised_record import LinearisedRecord, linearise_record
 from valvesim.identification.options import IdentificationOptions
@@ -26,7 +16,6 @@ from valvesim.identification.predictor import ModelVariant, Trajectory
 from valvesim.identification.prior import NuisanceParameter
 from valvesim.identification.projection import GramMatrix
 from valvesim.identification.study import Study, residual_of
-from valvesim.solver.codegen import LANES
 
 
 def linearise_fit(study: Study, fit: Fit) -> tuple[list[LinearisedRecord], list[dict[str, np.ndarray]]]:
@@ -63,68 +52,6 @@ def jacobian_of(
         return J
     own = study.stack(fitted_sensitivities(study, fit, linearised, columns))
     return np.column_stack([J, own / _step_sizes(fit, options=study.options)])
-
-
-def simulated_jacobian(
-    study: Study, fit: Fit, linearised: Sequence[LinearisedRecord], columns: Sequence[dict[str, np.ndarray]]
-) -> np.ndarray:
-    """`jacobian_of` with differences of runs where the linearised equations err by some hundredths: for the valve's
-    quantities, the times of edges, and the fitted candidates.
-
-    What errs in a column meets the noise in the gradient, and moves what the records hardly see by deviations.
-    """
-    J, p = jacobian_of(study, fit, linearised, columns), len(fit.point)
-    low, high = step_limits(fit, study.nominal, options=study.options)
-    steps = {}
-    for k, parameter in enumerate(study.nominal.parameters):
-        if parameter.is_of_valve or isinstance(parameter.input, EdgeTime):
-            by = study.options.sensitivity.refined_step * (1.0 if high[k] > -low[k] else -1.0)
-            steps[k] = by, replace(fit, point=fit.point + by * np.eye(p)[k])
-    changes = _changes_together(study, fit, {k: steps[k][1] for k in steps if study.nominal.parameters[k].is_of_valve})
-    for k, (by, moved) in steps.items():
-        with suppress(SolveError, InputError):
-            change = changes.get(k)
-            if change is None:
-                change = _moved_residual(study, fit, moved, study.nominal.parameters[k].input) - fit.residual
-            J[:, k] = -change / by
-    sizes = _step_sizes(fit, options=study.options)
-    for k, (size, (_, moved)) in enumerate(zip(sizes, perturbed_fits(fit, options=study.options), strict=True)):
-        with suppress(SolveError, InputError):
-            J[:, p + k] = (fit.residual - _moved_residual(study, fit, moved, None)) / size
-    return J
-
-
-def _changes_together(study: Study, fit: Fit, moved: Mapping[int, Fit]) -> dict[int, np.ndarray]:
-    """By how much the whitened residual (rows,) of a fit changes with others whose valves alone are moved; of those
-    that can be run, in a session that takes longer than to compile what runs them together.
-
-    Each batch has the fit itself beside it: steps of the integrator that both take do not differ.
-    """
-    changes, keys = dict[int, np.ndarray](), list(moved)
-    points = sum(len(predictor.fine_times) for predictor in study.predictors)
-    if len(moved) * points < study.options.sensitivity.together_points:
-        return changes
-    for first in range(0, len(keys), LANES - 1):
-        batch = keys[first : first + LANES - 1]
-        with suppress(SolveError, InputError):
-            together = predict_together(
-                study, [one.variant(study.nominal) for one in (fit, *(moved[k] for k in batch))]
-            )
-            if together is not None:
-                own, *others = (whitened_residual(study, readings) for readings in together)
-                changes |= {k: other - own for k, other in zip(batch, others, strict=True)}
-    return changes
-
-
-def _moved_residual(study: Study, fit: Fit, moved: Fit, own: InputDeviation | None) -> np.ndarray:
-    """The whitened residual (rows,) of a fit moved, by running its records: of an input, its `own` alone."""
-    variant, readings = moved.variant(study.nominal), list(fit.readings)
-    if own is None:
-        return whitened_residual(study, predict_readings(study, variant))
-    for k, predictor in enumerate(study.predictors):
-        if predictor.record.name == own.record:
-            readings[k] = predictor.readings(predictor.run(variant), variant)
-    return whitened_residual(study, readings)
 
 
 def added_jacobian_of(

@@ -21,10 +21,12 @@ from valvesim.identification.predictor import (
 from valvesim.identification.prior import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.tangent_linear import (
     ChangedCoefficients,
+    Course,
     Forcing,
     Sampling,
     TangentLinear,
     first_order_response,
+    jacobian_along,
     linearise_along,
     sampled_at,
 )
@@ -39,8 +41,9 @@ class LinearisedRecord:
     """A record linearised about the trajectory of one variant: its readings, and the tangent equations.
 
     `seen` (n_f,) is what the sensors read on the fine grid, `readings` (n_samples,) the same at the samples.
-    `model` has the effects of the variant alone, in the order of the trajectory's. Along the trajectory and its
-    coefficients' `course` stand the `values` (targets, n) of `compiled`, and its derivatives `partials` (entries, n).
+    `model` has the effects of the variant alone, in the order of the trajectory's. Along the `course` (n points) of the
+    trajectory, where its coefficients are `coefficients`, stand the `values` (targets, n) of `compiled`, and its
+    derivatives `partials` (entries, n).
     """
 
     predictor: RecordPredictor
@@ -51,7 +54,8 @@ class LinearisedRecord:
     seen: dict[str, np.ndarray]
     readings: dict[str, np.ndarray]
     compiled: CompiledDerivatives
-    course: CoefficientCourse
+    course: Course
+    coefficients: CoefficientCourse
     values: np.ndarray
     partials: np.ndarray
 
@@ -76,7 +80,7 @@ class LinearisedRecord:
 
         A variant has this linearised record's effects, then at most one more.
         """
-        points = len(self.predictor.times) * (len(self.tangent.active) + len(self.trajectory.at_valve))
+        points = len(self.course.times) * (len(self.tangent.active) + len(self.trajectory.at_valve))
         few = max(int(self.predictor.options.sensitivity.forcing_bytes / (8 * points)), 1)
         parts = [
             self.forced_response([self.forcing(variant) for variant in variants[start : start + few]])
@@ -91,7 +95,7 @@ class LinearisedRecord:
         changed = None
         if few:
             changes = np.stack(list(few.values()), axis=-1)
-            changed = ChangedCoefficients(changes, self.course, self.compiled, self.partials)
+            changed = ChangedCoefficients(changes, self.coefficients, self.compiled, self.partials)
         forcings = [self.forcing(variants[k]) for k in others]
         order = np.argsort([*few, *others])
         return {name: moved[:, order] for name, moved in self.forced_response(forcings, changed).items()}
@@ -112,14 +116,14 @@ class LinearisedRecord:
         self, forcings: Sequence[Forcing], changed: ChangedCoefficients | None = None
     ) -> dict[str, np.ndarray]:
         """The response (n_samples, k) of the readings to changed coefficients, then to forcings."""
-        times, out = self.predictor.times, {}
+        times, out = self.course.times, {}
         if not forcings and changed is None:
             return {name: np.empty((len(self.predictor.record.time), 0)) for name in self.trajectory.at_valve}
         reads, late = dict[str, Sampling](), dict[str, list[ActiveEffect]]()
         for name in self.trajectory.at_valve:
             late[name] = self._time_errors(name)
             if self._altered(name):
-                reads[name] = sampled_at(times, times)
+                reads[name] = sampled_at(times, self.predictor.times)
                 continue
             at = self._read_times(late[name])[:: self.predictor.oversampling]
             reads[name] = sampled_at(times, at, self.predictor.lags.get(name, 0.0))
@@ -159,7 +163,7 @@ class LinearisedRecord:
 
     def argument(self, variable: Any, states: tuple) -> np.ndarray:
         """A variable of a term (n,) along the trajectory."""
-        return np.asarray(variable.along(self.model, states, tuple(self.predictor.inputs.T)))
+        return np.asarray(variable.along(self.model, states, tuple(self.course.inputs.T)))
 
     def _changes_of_coefficients(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
         """By how much the coefficients (m, n_c) at the knots of the trajectory's path change, of those variants, by
@@ -185,10 +189,10 @@ class LinearisedRecord:
         """What a variant adds to the scaled rates and to the signals along this trajectory."""
         own = {effect.name for effect in self.model.effects}
         more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
-        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
+        added = self.course.between(self.predictor.added_inputs(variant.deviations, self.variant.deviations))
         if more:
             return self._forcing_of_effects(variant, more, added)
-        rows, course = slice(None), self.course
+        rows, coefficients = slice(None), self.coefficients
         if replace(variant, deviations=self.variant.deviations) == self.variant and self.predictor.same_temperatures(
             variant, self.variant
         ):
@@ -197,9 +201,9 @@ class LinearisedRecord:
             moved = np.flatnonzero(added.any(axis=1))
             rows = slice(moved[0], moved[-1] + 1) if len(moved) else slice(0, 0)
         else:
-            course = self._course_of(variant)
-        inputs = self.predictor.inputs[rows] if added is None else (self.predictor.inputs + added)[rows]
-        new = self.compiled.values(self.trajectory.states[rows], inputs, course.at(rows))
+            coefficients = self._coefficients_of(variant)
+        inputs = self.course.inputs[rows] if added is None else (self.course.inputs + added)[rows]
+        new = self.compiled.values(self.course.states[rows], inputs, coefficients.at(rows))
         change = new - self.values[:, rows]
         s = self.compiled.states.stop
         return Forcing(
@@ -207,25 +211,26 @@ class LinearisedRecord:
             dict(zip(self.compiled.signals, change[s:], strict=True)),
         )  # fmt: skip
 
-    def _course_of(self, variant: ModelVariant) -> CoefficientCourse:
+    def _coefficients_of(self, variant: ModelVariant) -> CoefficientCourse:
         """The coefficients of a variant of the trajectory's model along it."""
         known = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
         path, knots = self.predictor.coefficients_at_knots(variant, self.trajectory.model, known)
         stacked = np.stack(np.broadcast_arrays(*knots, path.times)[:-1], axis=-1).astype(float)
-        return coefficient_course(path, stacked, self.predictor.times)
+        return coefficient_course(path, stacked, self.course.times)
 
     def _forcing_of_effects(
         self, variant: ModelVariant, more: Sequence[ActiveEffect], added: np.ndarray | None
     ) -> Forcing:
         """`forcing` of a variant with effects that this one's model does not have."""
-        inputs = tuple((self.predictor.inputs if added is None else self.predictor.inputs + added).T)
+        inputs = tuple((self.course.inputs if added is None else self.course.inputs + added).T)
         model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
         path = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
-        along, states = self.predictor.coefficients_along(variant, model, path), list(self.active_states)
+        along = self.predictor.coefficients_along(variant, model, path, self.course.times)
+        states = list(self.active_states)
         for active in more:
             states += self._memory_trajectories(active, tuple(states), along)
         (rates, signals), (own_rates, own_signals) = model.evaluate(tuple(states), inputs, along), self.evaluated
-        g = np.empty((len(self.predictor.times), len(self.tangent.active)))
+        g = np.empty((len(self.course.times), len(self.tangent.active)))
         for k, (new, old) in enumerate(zip(rates, own_rates, strict=False)):
             g[:, k] = (new - old) / self.tangent.scale[k]
         return Forcing(0, g, {
@@ -236,13 +241,14 @@ class LinearisedRecord:
     @property
     def active_states(self) -> tuple[np.ndarray, ...]:
         """The states (n,) that take part."""
-        return tuple(self.trajectory.states[:, k] for k in self.tangent.active)
+        return tuple(self.course.states[:, k] for k in self.tangent.active)
 
     @functools.cached_property
     def evaluated(self) -> tuple[tuple, Any]:
         """Rates and signals as `Model.evaluate` has them: beside an effect that does nothing, these and no rounding."""
-        along = self.predictor.coefficients_along(self.variant, self.model, self.trajectory.path)
-        return self.model.evaluate(self.active_states, tuple(self.predictor.inputs.T), along)
+        path = self.trajectory.path
+        along = self.predictor.coefficients_along(self.variant, self.model, path, self.course.times)
+        return self.model.evaluate(self.active_states, tuple(self.course.inputs.T), along)
 
     def _memory_trajectories(self, active: ActiveEffect, states: tuple, along: tuple) -> list[np.ndarray]:
         """The memories (n,) of an effect along the trajectory: each linear in itself, so exact for a trajectory that
@@ -260,16 +266,15 @@ class LinearisedRecord:
             return np.concatenate([[values[0] if rest is None else rest], (values[1:] + values[:-1]) / 2.0])
 
         mid = tuple(middle(x) for x in states[first])
-        inputs = tuple(middle(u, 0.0 if k == 1 else None) for k, u in enumerate(self.predictor.inputs.T))
+        inputs = tuple(middle(u, 0.0 if k == 1 else None) for k, u in enumerate(self.course.inputs.T))
         c = tuple(middle(v) if len(v) > 1 else v for v in self.model.valve_coefficients(along))
         model = self.model.with_effects((active.effect,))
         flat = (*c, *active.numbers)
         at_0, at_1 = (model.rhs((*mid, *(np.full(len(mid[0]), z),) * count), inputs, flat)[-count:] for z in (0.0, 1.0))
-        h = float(self.predictor.times[1] - self.predictor.times[0])
         memories = []
         for zero, one in zip(at_0, at_1, strict=True):
             a, b = np.broadcast_to(zero, mid[0].shape), np.broadcast_to(zero - one, mid[0].shape)
-            memories.append(first_order_response(a, b, h))
+            memories.append(first_order_response(a, b, self.course.steps))
         return memories
 
 
@@ -281,13 +286,64 @@ def linearise_record(
     predictor = predictor.under(variant.deviations)
     model, own = predictor.reduced(trajectory.model, variant)
     compiled = compile_derivatives(trajectory.model, MEASURED_SIGNALS)
-    course = coefficient_course(trajectory.path, trajectory.knots, predictor.times)
-    values = compiled.values(trajectory.states, predictor.inputs, course)
-    partials = compiled.derivatives(trajectory.states, predictor.inputs, course)
-    tangent = linearise_along(predictor, trajectory, own, compiled, partials)
+    course, coefficients, partials = _course_of(predictor, variant, trajectory, own, compiled)
+    values = compiled.values(course.states, course.inputs, coefficients)
+    tangent = linearise_along(predictor, trajectory, course, own, compiled, partials)
     columns = trajectory.at_valve.items()
     seen = {name: predictor.apply_sensor(name, column, trajectory, variant) for name, column in columns}
     readings = {name: predictor.at_samples(column) for name, column in seen.items()}
     return LinearisedRecord(
-        predictor, variant, trajectory, tangent, model, seen, readings, compiled, course, values, partials
+        predictor, variant, trajectory, tangent, model, seen, readings, compiled, course, coefficients, values, partials
     )
+
+
+def _course_of(
+    predictor: RecordPredictor,
+    variant: ModelVariant,
+    trajectory: Trajectory,
+    active: np.ndarray,
+    compiled: CompiledDerivatives,
+) -> tuple[Course, CoefficientCourse, np.ndarray]:
+    """The course of a trajectory, its coefficients along it, and the derivatives (entries, n) of `compiled` there.
+
+    It has the points of the predictor's grid, and more in the steps over which the Jacobian of the `active` states
+    changes much: where a flapper touches a nozzle, say, or friction turns.
+    """
+    course = Course(predictor.times, predictor.inputs, trajectory.states, np.arange(len(predictor.times)))
+
+    def along(course: Course) -> tuple[CoefficientCourse, np.ndarray]:
+        coefficients = coefficient_course(trajectory.path, trajectory.knots, course.times)
+        return coefficients, compiled.derivatives(course.states, course.inputs, coefficients)
+
+    coefficients, partials = along(course)
+    divisions = _divisions(predictor, course, jacobian_along(trajectory, compiled, partials)[:, active][:, :, active])
+    if np.all(divisions == 1):
+        return course, coefficients, partials
+    times = np.interp(  # so many even steps in the place of each of the grid's
+        np.arange(divisions.sum() + 1), np.concatenate([[0], np.cumsum(divisions)]), predictor.times
+    )
+    on_grid = np.concatenate([[0], np.cumsum(divisions)])
+    times[on_grid] = predictor.times
+    new = np.ones(len(times), dtype=bool)
+    new[on_grid] = False
+    divided = np.concatenate([[False], divisions > 1, [False]])
+    first, last = np.flatnonzero(~divided[:-1] & divided[1:]), np.flatnonzero(divided[:-1] & ~divided[1:])
+    states = np.empty((len(times), trajectory.states.shape[1]))
+    states[on_grid] = trajectory.states
+    states[new] = predictor.states_between(trajectory, variant, first, last, times[new])
+    finer = Course(times, predictor.inputs, states, on_grid)
+    finer = replace(finer, inputs=finer.between(predictor.inputs))
+    return finer, *along(finer)
+
+
+def _divisions(predictor: RecordPredictor, course: Course, jacobian: np.ndarray) -> np.ndarray:
+    """Into how many (n-1,) the steps between the points of a grid are divided, by the Jacobian (n, s, s) there: none on
+    the way to a fit, or of a grid that is wide since records are long.
+    """
+    options, steps = predictor.options.sensitivity, course.steps
+    if predictor.preliminary or steps[0] > 2.0 * predictor.options.predictor.grid_spacing:
+        return np.ones(len(steps), dtype=np.int64)
+    change = steps * np.abs(np.diff(jacobian, axis=0)).sum(axis=2).max(axis=1, initial=0.0)
+    divided = int(options.most_divided * len(steps))
+    least = max(options.most_change, float(np.partition(change, -divided - 1)[-divided - 1]) if divided else np.inf)
+    return np.where(change > least, options.divisions, 1)

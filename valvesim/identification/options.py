@@ -154,7 +154,9 @@ class InputOptions:
         0.03, "1", "share of what another way than straight lines changes of a reading that may be wrong", JUDGEMENT
     )
     undersampled: float = option(
-        3e-3, "1", "share of its span by which splines of degree 7 and 5 differ where samples do not tell a command",
+        3e-3,
+        "1",
+        "share of its span by which splines of degree 7 and 5 differ where samples do not tell a command",
         "at 0.3 of the sampling rate; at 0.2 they differ by 2e-4",
     )
     least_undersampled: float = option(0.01, "1", "share of a record in which they differ that counts", JUDGEMENT)
@@ -277,14 +279,15 @@ class SensitivityOptions:
         "times what a channel reads by which it may answer to a change: what answers by more is simulated",
         "friction that falls with speed lets linear answers grow without end",
     )
-    refined_step: float = option(
-        0.1, "1", "the same where a fit is refined by differences of runs", "the solver's noise is a hundredth of it"
-    )
-    together_points: float = option(
-        1e6,
+    most_change: float = option(
+        5.0,
         "1",
-        "points of a fine grid in all runs of a Jacobian from which they are run together",
-        "they take longer than to compile what runs them so",
+        "by which the Jacobian times the step may change over a step of the trajectory's grid: it is divided else",
+        "measured: 0.02 where motion is smooth, 3 where a land passes null, 20 where friction turns, 90 at a contact",
+    )
+    divisions: int = option(16, "1", "parts that such a step is divided into", "measured: with 64 nothing changes")
+    most_divided: float = option(
+        0.1, "1", "share of the steps of a trajectory's grid that are divided, the fastest of them", "time"
     )
     fast: float = option(
         1e-3, "s", "what acts sooner is held while trajectories are kept at the samples alone", "a sample at 1 kHz"
@@ -298,11 +301,15 @@ class NoiseOptions:
     """How noise is estimated."""
 
     most_spread: float = option(
-        0.01, "1", "share of its span by which a reading may be off for what is not known of inputs, and tell noise",
+        0.01,
+        "1",
+        "share of its span by which a reading may be off for what is not known of inputs, and tell noise",
         JUDGEMENT,
     )
     first_guess: float = option(
-        0.01, "1", "noise at most at first, as a share of the span, where a command moves too fast for its samples",
+        0.01,
+        "1",
+        "noise at most at first, as a share of the span, where a command moves too fast for its samples",
         JUDGEMENT,
     )
 
@@ -416,7 +423,7 @@ class FitOptions:
     )
     linearisations: int = option(4, "1", "linearisations of a hypothesis that does not come near", JUDGEMENT)
     most_linearisations: int = option(12, "1", "linearisations of a hypothesis that does", JUDGEMENT)
-    refinements: int = option(2, "1", "times that a fit is refined by differences of runs", JUDGEMENT)
+    refinements: int = option(3, "1", "times that a fit is linearised anew and continued at last", JUDGEMENT)
     refined_gain: float = option(
         10.0, "1", "reduction of the chi-square by a refinement from which there is another", "mostly below 5"
     )

@@ -26,7 +26,7 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
 from valvesim.identification.session import OUTPUTS, Record, Session
 from valvesim.inputs import Command, Constant, evaluate, merge
-from valvesim.simulation.driver import InitialValueProblem, integrate, integrate_together
+from valvesim.simulation.driver import InitialValueProblem, integrate, integrate_parts
 from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.start import settled_from, state_at_rest
 from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
@@ -197,29 +197,6 @@ class RecordPredictor:
         off = self.switched_off(model, variant.effects)
         return PosedRun(self, self.under(variant.deviations), compiled, path, flat, off)
 
-    def readings_together(self, variants: Sequence[ModelVariant]) -> list[dict[str, np.ndarray]] | None:
-        """The readings of a few variants that differ in their valves alone, at most `codegen.LANES`, which take their
-        steps together: each at a fraction of the time of `run`, and what differs is the valves' alone. None where one
-        of them fails. Raises as `run` does.
-        """
-        first = variants[0]
-        under, model = self.under(first.deviations), self.model(first.effects)
-        path, knots = self.coefficients_at_knots(batch_of(variants), model)
-        shape = len(variants), len(path.times)
-        flat = np.stack([np.broadcast_to(one, shape) for one in knots], axis=-1).astype(float)
-        compiled = compile_model(model, absent_coefficients(model, flat))
-        off = self.switched_off(model, first.effects)
-        initial = state_at_rest(compiled, under.first_inputs, flat[:, 0], held=off, where=under.where)
-        together = integrate_together(_problem(under, compiled, path, flat[0], initial[0], off), initial, flat)
-        if together is None:
-            return None
-        oil = self.oil_along(path)
-        found = []
-        for variant, fine, own in zip(variants, together, flat, strict=True):
-            at_valve = under._outputs(model, fine, path, own)
-            found.append(self.readings(Trajectory(model, fine, fine, oil, at_valve, path, own), variant))
-        return found
-
     def oil_along(self, path: TemperaturePath) -> np.ndarray:
         """The oil's temperature (n_f,) of a path on the fine grid."""
         return between(self.fine_times, path.times, _column(path.parts.oil, path))[0]
@@ -294,17 +271,35 @@ class RecordPredictor:
         deviations, oil = self._oil_deviations(variant), self.scenario.oil_temperature
         return self._deviating("oil_temperature", oil, deviations) if deviations else oil
 
+    def states_between(
+        self, trajectory: Trajectory, variant: ModelVariant, first: np.ndarray, last: np.ndarray, times: np.ndarray
+    ) -> np.ndarray:
+        """The states (n_t, n_x) of a variant's trajectory at times that lie between points `first` (k,) and `last`
+        (k,) of the grid, one pair after the other. This predictor is that under the variant's inputs.
+        """
+        compiled = compile_model(trajectory.model, absent_coefficients(trajectory.model, trajectory.knots))
+        off, scaled = self.switched_off(trajectory.model, variant.effects), trajectory.states / compiled.scale
+        problem = _problem(self, compiled, trajectory.path, trajectory.knots, scaled[0], off)
+        what = f"{self.where}the simulation"
+        return integrate_parts(
+            replace(problem, times=times), self.times[first], self.times[last], scaled[first], what=what
+        )
+
     def coefficients_along(
-        self, variant: ModelVariant, model: ValveModel, path: TemperaturePath | None = None
+        self,
+        variant: ModelVariant,
+        model: ValveModel,
+        path: TemperaturePath | None = None,
+        times: np.ndarray | None = None,
     ) -> tuple:
-        """Flat coefficients of a model for a variant on the grid, (n,) each, (1,) where constant; `path` is that of the
-        variant, where it is known.
+        """Flat coefficients of a model for a variant on the grid, or at times, (n,) each, (1,) where constant; `path`
+        is that of the variant, where it is known.
         """
         path, knots = self.coefficients_at_knots(variant, model, path)
         columns = [np.atleast_1d(np.asarray(value, dtype=float)) for value in knots]
         if len(path.times) == 1:
             return tuple(columns)
-        k, share = brackets(self.times, path.times)
+        k, share = brackets(self.times if times is None else times, path.times)
         return tuple(
             column[:1] if np.all(column == column[0]) else linear_interpolation(column, k, share) for column in columns
         )

@@ -1,7 +1,6 @@
-"""The last steps of a fit, by differences of runs: there the linearised equations are too coarse.
+"""The last steps of a fit: linearised anew and continued until that gains nothing.
 
-Their columns err by some hundredths where a command jumps or a land passes null. That is little for a step towards the
-best fit. At the best fit it is not: the errors meet the noise, and their product moves what the records hardly see.
+A fit ends where its own Jacobian, which may be some steps old, predicts little more.
 """
 
 from __future__ import annotations
@@ -10,13 +9,13 @@ from dataclasses import replace
 
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit
-from valvesim.identification.fit_jacobian import linearise_fit, simulated_jacobian
+from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
 from valvesim.identification.least_squares import levenberg_marquardt, normal_equations, occam_factor
 from valvesim.identification.study import Study
 
 
 def refined(study: Study, fit: Fit) -> Fit:
-    """A fit near its best continued by a Jacobian of differences, with the Occam factor in the end.
+    """A fit near its best continued by Jacobians of its own, with the Occam factor in the end.
 
     In a long session, where that takes too long, it is left as it is; and so where it cannot be simulated.
     """
@@ -25,7 +24,7 @@ def refined(study: Study, fit: Fit) -> Fit:
     enough = study.options.fit.hypothesis_ftol
     for _ in range(study.options.fit.refinements):
         try:
-            jacobian = simulated_jacobian(study, fit, *linearise_fit(study, fit))
+            jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
         except (SolveError, InputError):
             return fit
         before = fit.chi_square

@@ -41,10 +41,12 @@ def _relaxation() -> Any:
     return njit(cache=True, nogil=True, error_model="numpy")(relaxation_recursion)
 
 
-def first_order_response(a: np.ndarray, b: np.ndarray, step: float) -> np.ndarray:
-    """z (n,) of z' = a - b z: a and b (n,) at rest, then constant over each of n - 1 steps; starts at rest."""
+def first_order_response(a: np.ndarray, b: np.ndarray, step: np.ndarray | float) -> np.ndarray:
+    """z (n,) of z' = a - b z: a and b (n,) at rest, then constant over each of n - 1 steps (n - 1,) or of one length;
+    starts at rest.
+    """
     z = np.empty(len(a))
-    z[0] = a[0] / b[0] if b[0] * step > 1e-12 else 0.0
+    z[0] = a[0] / b[0] if b[0] * np.max(step, initial=0.0) > 1e-12 else 0.0
     a, b = np.array(a[1:]), np.array(b[1:])
     decay = np.exp(-b * step)
     share = np.where(np.abs(b * step) > 1e-9, -np.expm1(-b * step) / np.where(b == 0.0, 1.0, b), step)
@@ -52,15 +54,17 @@ def first_order_response(a: np.ndarray, b: np.ndarray, step: float) -> np.ndarra
     return z
 
 
-def propagators_of(A: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """E, early and late (n-1, s, s) of the steps h between the matrices A (n, s, s), see `solver.linear_response`."""
+def propagators_of(A: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """E, early and late (n-1, s, s) of the steps h (n-1,) between the matrices A (n, s, s), see
+    `solver.linear_response`.
+    """
     E, early, late = (np.empty((len(A) - 1, *A.shape[1:])) for _ in range(3))
     compile_response(A.shape[1]).propagators(np.ascontiguousarray(A), h, E, early, late)
     return E, early, late
 
 
 class Sampling(NamedTuple):
-    """How a channel is read: with a first-order `lag` (s), and each time by four points of the grid from `first` (r,)
+    """How a channel is read: with a first-order `lag` (s), and each time by four points of the course from `first` (r,)
     on, rising, by `weights` (r, 4).
     """
 
@@ -70,15 +74,15 @@ class Sampling(NamedTuple):
 
 
 def sampled_at(times: np.ndarray, at: np.ndarray, lag: float = 0.0) -> Sampling:
-    """Sampling at times (r,), none before the last, of what is on an even grid of times (n,), four or more: by cubics
-    through the four points about each (Lagrange).
+    """Sampling at times (r,), none before the last, of what is at times (n,), four or more: by cubics through the four
+    points about each (Lagrange).
     """
     first = np.clip(np.searchsorted(times, at, "right") - 2, 0, len(times) - 4)
-    s = (at - times[first]) / (times[1] - times[0])
+    about = times[first + np.arange(4)[:, None]]
     weights = np.empty((len(at), 4))
     for j in range(4):
         others = [i for i in range(4) if i != j]
-        weights[:, j] = np.prod([(s - i) / (j - i) for i in others], axis=0)
+        weights[:, j] = np.prod([(at - about[i]) / (about[j] - about[i]) for i in others], axis=0)
     return Sampling(first, weights, lag)
 
 
@@ -98,7 +102,7 @@ class Forcing(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TangentLinear:
-    """The equations linear along a trajectory of an even `step` (s): `response` solves them, `slopes` are those of the
+    """The equations linear along a trajectory of `steps` (n-1,) in s: `response` solves them, `slopes` are those of the
     channels over the states (the output matrix).
     """
 
@@ -109,7 +113,7 @@ class TangentLinear:
     early: np.ndarray
     late: np.ndarray
     slopes: dict[str, np.ndarray]  # channel -> (n, s), d(channel)/d(scaled state)
-    step: float
+    steps: np.ndarray
 
     def response(self, forcing: np.ndarray) -> np.ndarray:
         """Sensitivities (n, s, k) of the scaled states to forcings (n, s, k) of the scaled rates, at rest with the
@@ -154,7 +158,7 @@ class TangentLinear:
         start = np.ascontiguousarray(np.moveaxis(self._at_rest(start).reshape(s, -1, LANES), 1, 0))
         at = np.cumsum([0, *(len(one.first) for one in reads.values())])
         out, largest = np.full((at[-1], len(start), LANES), np.nan), np.empty((len(start), LANES))
-        lags = np.array([lag_of_step(one.lag, self.step) for one in reads.values()])
+        lags = np.array([np.transpose(lag_of_step(one.lag, self.steps)) for one in reads.values()])
         compile_response(s).read_responses(
             self.E, self.early, self.late, start, np.stack([self.slopes[name] for name in names]), blocks.changes,
             blocks.place, blocks.share, blocks.partials, blocks.entries, blocks.rows, blocks.columns, blocks.factors,
@@ -251,25 +255,58 @@ class ChangedBlocks:
         return g[:, : len(self.order)]
 
 
-def linearise_along(
-    predictor: RecordPredictor, trajectory: Trajectory, active: np.ndarray, compiled: CompiledDerivatives,
-    partials: np.ndarray,
-) -> TangentLinear:  # fmt: skip
-    """The equations along a trajectory, in its `active` states: memories of absent effects take no part.
-
-    `partials` are the derivatives of its model along it.
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The points that a record is linearised at, by their `times` (n,): those of its predictor's grid, at the places
+    `on_grid`, and more between them where the equations change fast. `inputs` (n, n_u) and `states` (n, n_x) there.
     """
-    scale = np.array([channel.scale for channel in trajectory.model.state_channels])
-    n, s = trajectory.states.shape
-    A = np.zeros((n, s, s))
+
+    times: np.ndarray
+    inputs: np.ndarray
+    states: np.ndarray
+    on_grid: np.ndarray
+
+    @property
+    def steps(self) -> np.ndarray:
+        """The steps (n-1,) between the points, s."""
+        return np.diff(self.times)
+
+    def between(self, on_grid: Any) -> Any:
+        """What is given on the grid (n_grid, k), at all points: straight between those of the grid; None of None."""
+        if on_grid is None or len(on_grid) == len(self.times):
+            return on_grid
+        own = self.times[self.on_grid]
+        return np.column_stack([np.interp(self.times, own, column) for column in on_grid.T])
+
+
+def jacobian_along(trajectory: Trajectory, compiled: CompiledDerivatives, partials: np.ndarray) -> np.ndarray:
+    """d(scaled rate)/d(scaled state) (n, n_x, n_x) of a trajectory's model, whose derivatives along it are
+    `partials`.
+    """
+    scale = _state_scale(trajectory)
+    A = np.zeros((partials.shape[1], len(scale), len(scale)))
     for e in compiled.entries(compiled.states, compiled.states):
         i, j = compiled.targets[e], compiled.arguments[e]
         A[:, i, j] = partials[e] * (scale[j] / scale[i])
-    A = np.ascontiguousarray(A[:, active][:, :, active])
-    h = float(predictor.times[1] - predictor.times[0])
-    return TangentLinear(
-        active, scale[active], A, *propagators_of(A, h), _slopes(predictor, active, scale, compiled, partials), h
-    )
+    return A
+
+
+def _state_scale(trajectory: Trajectory) -> np.ndarray:
+    return np.array([channel.scale for channel in trajectory.model.state_channels])
+
+
+def linearise_along(
+    predictor: RecordPredictor, trajectory: Trajectory, course: Course, active: np.ndarray,
+    compiled: CompiledDerivatives, partials: np.ndarray,
+) -> TangentLinear:  # fmt: skip
+    """The equations along the course of a trajectory, in its `active` states: memories of absent effects take no part.
+
+    `partials` are the derivatives of its model along it.
+    """
+    scale = _state_scale(trajectory)
+    A = np.ascontiguousarray(jacobian_along(trajectory, compiled, partials)[:, active][:, :, active])
+    slopes = _slopes(predictor, active, scale, compiled, partials)
+    return TangentLinear(active, scale[active], A, *propagators_of(A, course.steps), slopes, course.steps)
 
 
 def _slopes(
@@ -277,7 +314,7 @@ def _slopes(
     partials: np.ndarray,
 ) -> dict[str, np.ndarray]:  # fmt: skip
     """d(channel)/d(scaled state), (n, s)."""
-    n, s = len(predictor.times), compiled.states.stop
+    n, s = partials.shape[1], compiled.states.stop
     own = [channel.name for channel in compiled.model.state_channels]
     slopes = {}
     for name in predictor.record.outputs:

@@ -68,6 +68,20 @@ def integrate(
     return run.out[:, :, 0] * problem.compiled.scale, run.count
 
 
+def integrate_parts(
+    problem: InitialValueProblem, begins: np.ndarray, ends: np.ndarray, states: np.ndarray, *, what: str
+) -> np.ndarray:
+    """States (n_t, n) in SI at the times of a problem, which lie in parts of it one after the other: each from a begin
+    (k,) on, where the scaled states are `states` (k, n), to an end (k,). Raises SolveError as `integrate` does.
+    """
+    run = _Run(problem, problem.initial[:, None].copy(), problem.knots[:, :, None].copy())
+    for begin, end, first, y in zip(begins, ends, np.searchsorted(problem.times, begins, "right"), states, strict=True):
+        run.y[:, 0], run.clock[:] = y, (begin, min(FIRST_STEP, end - begin), first)
+        if status := run.go_on(problem.compiled.run, float(end)):
+            raise _failure(problem, status, run.y[:, 0], float(run.clock[0]), what, "")
+    return run.out[:, :, 0] * problem.compiled.scale
+
+
 def integrate_together(problem: InitialValueProblem, initial: np.ndarray, knots: np.ndarray) -> np.ndarray | None:
     """States (k, n_t, n) in SI of k valves, at most `codegen.LANES`, that take their steps together.
 

@@ -4,7 +4,7 @@ Changes go side by side, `LANES` to a block. What is done to a block in a step i
 (`straight_line`); the loops around it are plain Python that numba compiles.
 
 Symbols
-    d scaled states (s of them), A(t) Jacobian, g(t) forcing, h step of the course (n points):  d' = A d + g
+    d scaled states (s of them), A(t) Jacobian, g(t) forcing, h a step of the course (n points):  d' = A d + g
     d_k+1 = E d_k + early g_k + late g_k+1,  early = h (phi1 - phi2), late = h phi2
     E = exp(hA), phi1 = (E - I)/hA, phi2 = (phi1 - I)/hA
     (exact for A constant and g straight over a step, however stiff)
@@ -68,7 +68,7 @@ def printed(s: int) -> list[str]:
 
 
 def propagators(A, h, E, early, late):
-    """Fill E, early and late (n-1, s, s) of the steps between the matrices A (n, s, s).
+    """Fill E, early and late (n-1, s, s) of the steps h (n-1,) between the matrices A (n, s, s).
 
     Some steps at a time, side by side in the last place: what the one of largest norm needs, all of them get.
     """
@@ -83,7 +83,7 @@ def propagators(A, h, E, early, late):
             for i in range(s):
                 row = 0.0
                 for j in range(s):
-                    S[i, j, side] = 0.5 * h * (A[k, i, j] + A[k + 1, i, j])
+                    S[i, j, side] = 0.5 * h[k] * (A[k, i, j] + A[k + 1, i, j])
                     row += abs(S[i, j, side])
                 norm = max(norm, row)
         halvings = 0
@@ -119,8 +119,8 @@ def propagators(A, h, E, early, late):
             for i in range(s):
                 for j in range(s):
                     E[k, i, j] = P[i, j, side]
-                    early[k, i, j] = h * (phi[i, j, side] - late_phi[i, j, side])
-                    late[k, i, j] = h * late_phi[i, j, side]
+                    early[k, i, j] = h[k] * (phi[i, j, side] - late_phi[i, j, side])
+                    late[k, i, j] = h[k] * late_phi[i, j, side]
 
 
 def propagate(E, early, late, g, d):
@@ -143,9 +143,9 @@ def read_responses(
     `columns[e]`, and counts `factors[e]` times. Of so many `responses` the last are to forcings, each the rows
     `forced_at[j]` to `forced_at[j + 1]` of `forced` (., s + channels) from point `forced_from[j]` on. `start`
     (blocks, s, lanes) are the responses at the first point, `slopes` (channels, n, s) those of the channels over the
-    states. Channel j follows with a first-order lag, `lags[j]` (how much of its distance is left after a step, and of a
-    change added to it), and is read `reads[j + 1] - reads[j]` times, each by four points from `first` on, none before
-    the last, with `weights` (r, 4).
+    states. Channel j follows with a first-order lag, `lags[j, k]` (how much of its distance is left after step k, and
+    of a change added to it; zeros without a lag), and is read `reads[j + 1] - reads[j]` times, each by four points from
+    `first` on, none before the last, with `weights` (r, 4).
     """
     s, lanes = slopes.shape[2], LANES
     channels, n, blocks, last = slopes.shape[0], slopes.shape[1], start.shape[0], changes.shape[0] - 1
@@ -182,11 +182,12 @@ def read_responses(
         for j in range(channels):
             for b in range(blocks):
                 channel(slopes[j, at], d[b], before[b, s + j], recent[j, at % 4, b])
-                if lags[j, 1] != 0.0:
+                if lags[j, 0, 1] != 0.0:
                     for v in range(lanes):
                         new = recent[j, at % 4, b, 0, v]
                         if at > 0:
-                            distance[j, b, v] = lags[j, 0] * distance[j, b, v] - lags[j, 1] * (new - value[j, b, v])
+                            left, ramp = lags[j, at - 1, 0], lags[j, at - 1, 1]
+                            distance[j, b, v] = left * distance[j, b, v] - ramp * (new - value[j, b, v])
                         value[j, b, v] = new
                         recent[j, at % 4, b, 0, v] = new + distance[j, b, v]
             while following[j] < reads[j + 1] and first[following[j]] == at - 3:
@@ -261,11 +262,11 @@ def _call_once(module: ModuleType, s: int) -> None:
     E, no, nothing = np.zeros((1, s, s)), np.zeros(0, dtype=np.int64), np.zeros(0)
     at = np.zeros(1, dtype=np.int64)
     with second_level():
-        module.propagators(np.zeros((2, s, s)), 1.0, E, E.copy(), E.copy())
+        module.propagators(np.zeros((2, s, s)), np.ones(1), E, E.copy(), E.copy())
         module.propagate(E, E, E, np.zeros((2, s, 1)), np.zeros((2, s, 1)))
         module.read_responses(
             E, E, E, np.zeros((0, s, LANES)), np.zeros((0, 2, s)), np.zeros((1, 0, LANES)),
             np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros((0, 2)), no, no, no, nothing, at,
-            0, np.zeros((0, s)), no, at, np.zeros((0, 2)), no, np.zeros((0, 4)), at, np.zeros((0, 0, LANES)),
+            0, np.zeros((0, s)), no, at, np.zeros((0, 1, 2)), no, np.zeros((0, 4)), at, np.zeros((0, 0, LANES)),
             np.zeros((0, LANES)),
         )  # fmt: skip

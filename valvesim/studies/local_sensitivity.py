@@ -117,8 +117,8 @@ def _run_slopes(
     A = np.empty((len(times), len(scale), len(scale)))
     u, c = (np.ascontiguousarray(np.column_stack(np.broadcast_arrays(*one))) for one in nominal)
     compiled.jacobians(np.ascontiguousarray(states / scale), u, c, A)
-    spacing = float(times[1] - times[0])
-    tangent = TangentLinear(np.arange(len(scale)), scale, A, *propagators_of(A, spacing), {}, spacing)
+    steps = np.diff(times)
+    tangent = TangentLinear(np.arange(len(scale)), scale, A, *propagators_of(A, steps), {}, steps)
     response = tangent.response(forcing / scale[:, None]) * scale[:, None]
     since = every * int(np.searchsorted(times[::every], start * (1.0 - 1e-12)))
     slopes = {}

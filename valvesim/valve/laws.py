@@ -144,14 +144,14 @@ def lagged(times, values, time_constant):
     return values + np.fromiter(distance, float, len(values))
 
 
-def lag_of_step(time_constant: float, step: float) -> tuple[float, float]:
+def lag_of_step(time_constant, step):
     """(what is left of the distance of a first-order lag from its input after a step, what of a change that is straight
-    over the step is added to it); (0, 0) without a lag. Times in s.
+    over the step is added to it), of one or of several steps (n,); zeros without a lag. Times in s.
     """
     if time_constant <= 0.0:
-        return 0.0, 0.0
+        return 0.0 * step, 0.0 * step
     share = step / time_constant
-    return float(np.exp(-share)), float(-np.expm1(-share) / share)
+    return np.exp(-share), -np.expm1(-share) / share
 
 
 def dahl_rate(rate, memory, width):
