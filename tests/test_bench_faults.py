@@ -333,6 +333,40 @@ def test_the_ways_of_the_commands_are_run_again_beside_the_best_cause_from_its_f
 
 
 @pytest.mark.parametrize(
+    "pair, left, best",
+    [
+        (0.0, (90.0, -50.0, 80.0, 70.0), 1),
+        (0.0, (90.0, -50.0, 80.0, -60.0), 3),
+        (-70.0, (90.0, -50.0, 80.0, -60.0), None),  # both explain more than either does under any way
+        (0.0, (90.0, None, -5.0, 70.0), None),  # by no more than chance than under the way that is
+    ],
+)
+def test_one_cause_under_another_way_of_the_commands_is_held_against_two_under_this(monkeypatch, pair, left, best):
+    """A chirp taken as straight lines is too small: with an eddy current stood an armature twice as inert (970196)."""
+    rows = 1e4
+    study = SimpleNamespace(options=IDENTIFICATION, weights={}, unweighted=lambda: study)
+    both = SimpleNamespace(chi_square=rows + pair, rows=rows)
+    alone = [SimpleNamespace(chi_square=rows + more, rows=rows, fitted=k) for k, more in ((0, 90.0), (2, 20.0))]
+    ways = [SimpleNamespace(study=study, fit=SimpleNamespace(point=k), way=k) for k in range(3)]
+    excess = {(0, 1): left[0], (0, 2): left[1], (2, 1): left[2], (2, 2): left[3]}
+    fits = {
+        key: None if more is None else SimpleNamespace(chi_square=rows + more, rows=rows, key=key)
+        for key, more in excess.items()
+    }
+    for name, stub in {
+        "under_other_inputs": lambda nominal, beside: ways[1:],
+        "fit_from_prior": lambda other, start, few: fits[start, other.way],
+        "chi_square_of_way": lambda study, fit: fit.chi_square,
+        "has_uncertain_inputs": lambda study: True,
+        "fit_nominal_near": lambda study, point, *, full_weight: (point, full_weight),
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    found = bench_faults.with_inputs_of_one(ways[0], both, alone, options=DIAGNOSIS)
+    ended = {1: (0, 2), 3: (2, 2)}
+    assert found == (None if best is None else ((2, False), fits[ended[best]]))
+
+
+@pytest.mark.parametrize(
     "at, left, beside, other",
     [
         ((10.0, -10.0, 10.0, 3.0, 40.0), 3e3, 1e6, True),
