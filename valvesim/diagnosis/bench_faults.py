@@ -134,9 +134,11 @@ def with_faults_beside_cause(
             (at, fit), tried = _best_inputs(at, fit, few), True
             continue
         beside = score_test(at, fit, options=options)
-        if (tuned := _tuned_beside(at, fit, beside, few)) is not None:
+        if (tuned := _tuned_beside(at, fit, beside)) is not None:
             at, fit = tuned
-            beside = score_test(at, fit, options=options)
+            if (better_fit := fit_hypothesis(at, fit.fitted, fit.point, few)) is None:
+                break
+            fit, beside = better_fit, score_test(at, better_fit, options=options)
         likeliest = _likeliest(at, beside, options=options)
         if likeliest is not None:
             at, more = _widened(at, likeliest.parameters), np.zeros(len(likeliest.parameters))
@@ -249,21 +251,20 @@ def _gain_by_fault(nominal: NominalFit, better: NominalFit) -> float:
     return rescored(better.study, without.fit).chi_square - better.fit.chi_square
 
 
-def _tuned_beside(nominal: NominalFit, fit: Fit, beside: ScoreTest, few: int) -> tuple[NominalFit, Fit] | None:
+def _tuned_beside(nominal: NominalFit, fit: Fit, beside: ScoreTest) -> tuple[NominalFit, Fit] | None:
     """A nominal fit and a fit of causes beside it with the waves at the frequencies that this asks for, by its score
-    test, fitted a little; None where that explains no more.
+    test; None where that explains no more.
     """
-    study, enough = nominal.study, beside.options.bench.minimum_gain
+    study = nominal.study
     if not fitted_waves(study.nominal):
         return None
     own = study.stack(beside.own_columns)
-    parameters, point, promised = tuned_waves(study, fit, beside.linearised, beside.columns, own)
-    if promised <= enough:
-        return None
+    parameters, point, _ = tuned_waves(study, fit, beside.linearised, beside.columns, own)
     tuned = with_nuisance(study, parameters)
-    at = linearise_nominal(tuned, evaluate_fit(tuned, nominal.fit.point, ()))
-    again = fit_hypothesis(at, fit.fitted, point, few)
-    return None if again is None or again.chi_square > fit.chi_square - enough else (at, again)
+    again = evaluate_fit(tuned, point, fit.fitted)
+    if again.chi_square > fit.chi_square - beside.options.bench.minimum_gain:
+        return None
+    return linearise_nominal(tuned, evaluate_fit(tuned, nominal.fit.point, ())), again
 
 
 def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, Fit]:
