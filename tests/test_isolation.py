@@ -207,6 +207,33 @@ def test_where_the_best_cause_asks_for_another_way_of_the_commands_causes_are_so
     assert asked == [(base, base, []), (other, other, [again.fit])]
 
 
+@pytest.mark.parametrize("pair, stands", [(True, True), (True, False), (False, True)])
+def test_before_two_causes_are_told_one_is_tried_under_the_other_ways_of_the_commands(monkeypatch, pair, stands):
+    base, other, asked = nominal(9000.0), nominal(8000.0), []
+    eddy, inertia = hypothesis(5050.0, "eddy_current_lag"), hypothesis(5040.0, "spool_lap")
+    both = hypothesis(5000.0, "spool_lap", "eddy_current_lag")
+    found = [both, inertia, eddy] if pair else [inertia, eddy]
+    again = hypothesis(4990.0, "eddy_current_lag")
+    scores = score_test_of(base, base.fit)
+    first = isolation.Isolation(base, scores, scores, found, found[:1], "", True, 4.0)
+    under = replace(first, nominal=other, found=[again], answer_set=[again] if stands else [])
+
+    def of_one(nominal, best, alone, *, options):
+        assert (nominal, best, alone) == (base, both.fit, [inertia.fit, eddy.fit])
+        return other, again.fit
+
+    def sought(nominal, scores, progress, known, beside, *, options):
+        asked.append((nominal, scores.nominal, list(known), list(beside)))
+        return under
+
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "with_inputs_of_one", of_one)
+    monkeypatch.setattr(isolation, "_isolated", sought)
+    ended = isolation._or_one_under_other_inputs(first, lambda *_: None, options=DIAGNOSIS)
+    assert ended is (under if pair and stands else first)
+    assert asked == ([(other, other, [], [again.fit])] if pair else [])
+
+
 @pytest.mark.parametrize("joins", [True, False])
 def test_what_the_bench_did_that_a_cause_leaves_joins_before_a_second_cause_is_sought(monkeypatch, joins):
     base, wider, asked = nominal(9000.0), nominal(8000.0), []

@@ -155,8 +155,7 @@ def with_faults_beside_cause(
             break
     if at is nominal:
         return nominal, scores, fit
-    fully = _is_at_full_weight(nominal.study, at.study)
-    nominal = fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=fully)
+    nominal = _fitted_under(nominal, at)
     fit = _continued_if_other_valve(fit, at, nominal, options=options)
     return nominal, score_test(nominal, nominal.fit, options=options), fit
 
@@ -200,9 +199,29 @@ def with_inputs_of_cause(
     best = _best_way(ways, cause, few, _excess(nominal.study, cause))
     if best is None:
         return None
-    at, fit = best
+    return _fitted_under(nominal, best[0]), best[1]
+
+
+def _fitted_under(nominal: NominalFit, at: NominalFit) -> NominalFit:
+    """The nominal model fitted in another study, from where it is there."""
     fully = _is_at_full_weight(nominal.study, at.study)
-    return fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=fully), fit
+    return fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=fully)
+
+
+def with_inputs_of_one(
+    nominal: NominalFit, pair: Fit, alone: Sequence[Fit], *, options: DiagnosisOptions
+) -> tuple[NominalFit, Fit] | None:
+    """The nominal fit under another way of its commands by which one cause explains far more, and no less than a pair
+    under this one, and the fit of that cause; None where there is none of those that are fitted `alone`.
+
+    What straight lines cut off a fast command, a larger inertia of the armature takes off the valve's answer.
+    """
+    few, least, best = options.isolation.near_linearisations, _excess(nominal.study, pair), None
+    for cause in alone:
+        found = _best_way(under_other_inputs(nominal, cause), cause, few, _excess(nominal.study, cause))
+        if found is not None and (excess := _excess(found[0].study, found[1])) <= least:
+            best, least = found, excess
+    return None if best is None else (_fitted_under(nominal, best[0]), best[1])
 
 
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:
@@ -239,7 +258,8 @@ def _tuned_beside(nominal: NominalFit, fit: Fit, beside: ScoreTest) -> tuple[Nom
     study = nominal.study
     if not fitted_waves(study.nominal):
         return None
-    parameters, point = tuned_waves(study, fit, beside.linearised, beside.columns, study.stack(beside.own_columns))
+    own = study.stack(beside.own_columns)
+    parameters, point, _ = tuned_waves(study, fit, beside.linearised, beside.columns, own)
     tuned = with_nuisance(study, parameters)
     again = evaluate_fit(tuned, point, fit.fitted)
     if again.chi_square > fit.chi_square - beside.options.bench.minimum_gain:

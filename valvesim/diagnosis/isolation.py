@@ -20,6 +20,7 @@ from valvesim.diagnosis.bench_faults import (
     with_fault_left,
     with_faults_beside_cause,
     with_inputs_of_cause,
+    with_inputs_of_one,
     without_instrument_errors,
 )
 from valvesim.diagnosis.detection import (
@@ -123,12 +124,34 @@ def isolate(
     if bench and detect(scores)[0] and _may_be_bench(nominal, scores, options=options):
         return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
     isolation = _isolated(nominal, scores, progress, known, beside, options=options)
+    if not known:
+        isolation = _or_one_under_other_inputs(isolation, progress, options=options)
     errors = None if isolation.answer_set else joint_instrument_errors(isolation.scores, options=options)
     if errors is not None and not isolation.alarm:
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
     elif (other := _with_second_like_errors(isolation, progress, options=options)) is not None:
         isolation, errors = other
     return replace(isolation, bench=told_faults(isolation.final, options=options), joint_errors=errors)
+
+
+def _or_one_under_other_inputs(
+    isolation: Isolation, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> Isolation:
+    """The isolation whose likeliest are two causes under another way of the commands, where one of the two explains as
+    much alone by that; else as it was. A way that is as plain is likelier than a second cause.
+    """
+    best = isolation.found[0].fit if isolation.found else isolation.nominal.fit
+    if len(best.fitted) < 2:
+        return isolation
+    members = [(member.candidate.label,) for member in best.fitted]
+    alone = [one.fit for one in isolation.found if tuple(c.label for c in one.candidates) in members]
+    under = with_inputs_of_one(isolation.nominal, best, alone, options=options)
+    if under is None:
+        return isolation
+    nominal, fit = under
+    scores = score_test(nominal, nominal.fit, options=options)
+    other = _isolated(nominal, scores, progress, (), [fit], options=options)
+    return other if other.answer_set else isolation
 
 
 def _or_causes_like_errors(

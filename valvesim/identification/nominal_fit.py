@@ -190,18 +190,38 @@ def _finished(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[f
             noise = identify_noise(nominal.study, nominal.fit.readings)
             nominal = _converge_down_weighted(replace(nominal, study=nominal.study.with_noise(noise)), ahead)
     study = prepared.with_nominal(nominal.study.nominal).with_noise(nominal.study.noise)
-    return _at_full_weight(study, nominal, ahead)
+    return _retuned(_at_full_weight(study, nominal, ahead))
 
 
-def _tuned(nominal: NominalFit) -> NominalFit:
-    """A nominal fit, not fitted again, with waves on the inputs at the frequencies that it asks for. An inadequate one
-    asks for what takes up a little of a cause.
+def _tuned(nominal: NominalFit, enough: float = -np.inf) -> NominalFit:
+    """A nominal fit, not fitted again, with waves on the inputs at the frequencies that it asks for; as it is where a
+    fit there promises no more than `enough`. An inadequate one asks for what takes up a little of a cause.
     """
     if not fitted_waves(nominal.study.nominal) or not is_adequate(nominal.fit, options=nominal.study.options):
         return nominal
-    parameters, point = tuned_waves(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
+    parameters, point, promised = tuned_waves(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
+    if promised <= enough:
+        return nominal
     study = with_nuisance(nominal.study, parameters)
     return linearise_nominal(study, evaluate_fit(study, point, ()))
+
+
+def _retuned(nominal: NominalFit) -> NominalFit:
+    """A nominal fit with its waves tuned and fitted again, while that promises enough and brings it.
+
+    A step is no longer than the parabola is known that it goes by, and figures that have gone far under other inputs
+    shift what a wave seems to be.
+    """
+    enough = nominal.study.options.fit.nominal_ftol
+    for _ in range(nominal.study.options.wave.tunings):
+        tuned = _tuned(nominal, enough)
+        if tuned is nominal:
+            break
+        better = _converge(tuned, enough)
+        if better.fit.chi_square > nominal.fit.chi_square - enough:
+            break
+        nominal = better
+    return nominal
 
 
 def with_nuisance(study: Study, parameters: tuple[NuisanceParameter, ...]) -> Study:
@@ -423,7 +443,7 @@ def fit_nominal_near(prepared: PreparedSession, point: np.ndarray, *, full_weigh
             break
         study = nominal.study.unweighted()
         nominal = reweighted(study.with_noise(identify_noise(study, nominal.fit.readings)), nominal)
-    return nominal
+    return _retuned(nominal)
 
 
 def refit_nominal(nominal: NominalFit, fit: Fit) -> NominalFit:

@@ -209,6 +209,7 @@ class WaveOptions:
     tuning_step: float = option(
         0.02, "1", "turns in the longest record by which its frequency is moved to see what a fit leaves", JUDGEMENT
     )
+    tunings: int = option(3, "1", "times that a fit is made again with its waves tuned", JUDGEMENT)
     settling: float = option(
         0.01, "s", "start of a record that does not count beside a wave", "pilot chambers fill within a millisecond"
     )
