@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/bench_sessions.py run --count 20        # of the working set; goes on where it stopped
     .venv/bin/python benchmarks/bench_sessions.py run --one-by-one      # one imperfection at a time
     .venv/bin/python benchmarks/bench_sessions.py run --set ninth       # 300 sessions, to be opened once, at the end
-    .venv/bin/python benchmarks/bench_sessions.py run --set ninth   --no-distances # d' is left to the next
+    .venv/bin/python benchmarks/bench_sessions.py run --set ninth --no-distances # d' is left to the next
     .venv/bin/python benchmarks/bench_sessions.py distances --set ninth            # d' where it is missing
     .venv/bin/python benchmarks/bench_sessions.py distances --set third --engine COMMIT  # d' of its rows, anew
     .venv/bin/python benchmarks/bench_sessions.py report --set third    # docs/bench_sessions.md from what there is
@@ -54,7 +54,7 @@ from valvesim.identification.study import prepare_session  # noqa: E402
 
 SETS = {"working": (700_000, 300), "second": (800_000, 300), "third": (820_000, 300),
         "fourth": (840_000, 300), "fifth": (860_000, 300), "sixth": (880_000, 300),
-        "seventh": (960_000, 300), "eighth": (970_000, 300), "ninth": (990_000, 300)}  # first seed, sessions
+        "seventh": (960_000, 300), "eighth": (970_000, 300), "ninth": (991_000, 300)}  # first seed, sessions
 RESULTS = ROOT / "benchmarks" / "results" / "bench_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "bench_sessions.md"
 CLEAR = 8.0  # d' from which a cause should be named

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.term_sensitivities import argument, term_sensitivities
+from valvesim.diagnosis.term_sensitivities import term_sensitivities, visited_values
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit
 from valvesim.identification.fit_jacobian import (
@@ -185,9 +185,6 @@ def term_spans(linearised: Sequence[LinearisedRecord], terms: Sequence[TermHypot
     for hypothesis in terms:
         name = hypothesis.variable.name
         if name not in found:
-            values = np.concatenate(
-                [argument(linear, TermHypothesis(hypothesis.port, hypothesis.variable)) for linear in linearised]
-            )
-            low, high = (float(v) for v in np.quantile(values, [0.005, 0.995]))
+            low, high = (float(v) for v in np.quantile(visited_values(linearised, hypothesis), [0.005, 0.995]))
             found[name] = (low, high) if high > low else (low - 1e-9, low + 1e-9)
     return [found[hypothesis.variable.name] for hypothesis in terms]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.term_sensitivities import argument
+from valvesim.diagnosis.term_sensitivities import visited_values
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import predict_readings, whitened_residual
 from valvesim.identification.fit_jacobian import linearise_study
@@ -127,7 +127,7 @@ def estimate_term(
 ) -> tuple[TermProblem, TermEstimate] | None:
     """A hypothesis's term on `count` knots by Gauss-Newton upon true runs; None where that will not come `below`."""
     study = nominal.study
-    visited = np.concatenate([argument(linear, replace(hypothesis, memory=NONE)) for linear in nominal.linearised])
+    visited = visited_values(nominal.linearised, hypothesis)
     low, high = (float(u) for u in np.quantile(visited, [options.missing_term.tail, 1.0 - options.missing_term.tail]))
     if not high > low:
         return None

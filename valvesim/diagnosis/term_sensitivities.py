@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.tangent_linear import first_order_response
-from valvesim.valve.additive_term import LAG, PATH, TermHypothesis, linear_b_splines, term_effect
+from valvesim.valve.additive_term import LAG, NONE, PATH, TermHypothesis, linear_b_splines, term_effect
 
 DIRECT = ("load_flow", "internal_leakage")
 
@@ -61,3 +62,9 @@ def argument(linear: LinearisedRecord, hypothesis: TermHypothesis) -> np.ndarray
     b = np.full(len(u), 1.0 / hypothesis.time_constant)
     middle = np.concatenate([u[:1], (u[1:] + u[:-1]) / 2.0])
     return first_order_response(middle / hypothesis.time_constant, b, linear.course.steps)
+
+
+def visited_values(linearised: Sequence[LinearisedRecord], hypothesis: TermHypothesis) -> np.ndarray:
+    """What a hypothesis's variable, not lagged, is in the course of linearised records (n,): evenly in time."""
+    plain = replace(hypothesis, memory=NONE)
+    return np.concatenate([argument(linear, plain)[linear.course.on_grid] for linear in linearised])

@@ -189,7 +189,8 @@ class LinearisedRecord:
         """What a variant adds to the scaled rates and to the signals along this trajectory."""
         own = {effect.name for effect in self.model.effects}
         more = [a for a in variant.effects if a.effect.balance is not None and a.effect.name not in own]
-        added = self.course.between(self.predictor.added_inputs(variant.deviations, self.variant.deviations))
+        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
+        added = None if added is None else self.course.between(added)
         if more:
             return self._forcing_of_effects(variant, more, added)
         rows, coefficients = slice(None), self.coefficients
@@ -319,11 +320,8 @@ def _course_of(
     divisions = _divisions(predictor, course, jacobian_along(trajectory, compiled, partials)[:, active][:, :, active])
     if np.all(divisions == 1):
         return course, coefficients, partials
-    times = np.interp(  # so many even steps in the place of each of the grid's
-        np.arange(divisions.sum() + 1), np.concatenate([[0], np.cumsum(divisions)]), predictor.times
-    )
     on_grid = np.concatenate([[0], np.cumsum(divisions)])
-    times[on_grid] = predictor.times
+    times = np.interp(np.arange(on_grid[-1] + 1), on_grid, predictor.times)  # even within each step
     new = np.ones(len(times), dtype=bool)
     new[on_grid] = False
     divided = np.concatenate([[False], divisions > 1, [False]])

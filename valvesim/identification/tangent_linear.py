@@ -271,9 +271,9 @@ class Course:
         """The steps (n-1,) between the points, s."""
         return np.diff(self.times)
 
-    def between(self, on_grid: Any) -> Any:
-        """What is given on the grid (n_grid, k), at all points: straight between those of the grid; None of None."""
-        if on_grid is None or len(on_grid) == len(self.times):
+    def between(self, on_grid: np.ndarray) -> np.ndarray:
+        """What is given on the grid (n_grid, k), at all points: straight between those of the grid."""
+        if len(on_grid) == len(self.times):
             return on_grid
         own = self.times[self.on_grid]
         return np.column_stack([np.interp(self.times, own, column) for column in on_grid.T])
