@@ -398,7 +398,7 @@ def test_steps_in_which_a_flapper_touches_are_divided_and_answers_hold_there():
             name: rms(answers[name][:, 0] - (high[name] - low[name]) / 2.0) / rms((high[name] - low[name]) / 2.0)
             for name in ("spool_position", "armature_angle")
         }
-    assert max(off[0.1].values()) < 0.2 and min(off[0.0].values()) > 0.5
+    assert max(off[0.1].values()) < 0.05 and min(off[0.0].values()) > 0.5
 
 
 def test_a_divided_course_holds_the_grid_and_what_a_whole_run_has_between():

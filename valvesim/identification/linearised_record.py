@@ -25,8 +25,8 @@ from valvesim.identification.tangent_linear import (
     Forcing,
     Sampling,
     TangentLinear,
+    change_of_jacobian,
     first_order_response,
-    jacobian_along,
     linearise_along,
     sampled_at,
 )
@@ -287,8 +287,7 @@ def linearise_record(
     predictor = predictor.under(variant.deviations)
     model, own = predictor.reduced(trajectory.model, variant)
     compiled = compile_derivatives(trajectory.model, MEASURED_SIGNALS)
-    course, coefficients, partials = _course_of(predictor, variant, trajectory, own, compiled)
-    values = compiled.values(course.states, course.inputs, coefficients)
+    course, coefficients, values, partials = _course_of(predictor, variant, trajectory, own, compiled)
     tangent = linearise_along(predictor, trajectory, course, own, compiled, partials)
     columns = trajectory.at_valve.items()
     seen = {name: predictor.apply_sensor(name, column, trajectory, variant) for name, column in columns}
@@ -304,44 +303,47 @@ def _course_of(
     trajectory: Trajectory,
     active: np.ndarray,
     compiled: CompiledDerivatives,
-) -> tuple[Course, CoefficientCourse, np.ndarray]:
-    """The course of a trajectory, its coefficients along it, and the derivatives (entries, n) of `compiled` there.
+) -> tuple[Course, CoefficientCourse, np.ndarray, np.ndarray]:
+    """The course of a trajectory, its coefficients along it, and the values (targets, n) of `compiled` and its
+    derivatives (entries, n) there.
 
     It has the points of the predictor's grid, and more in the steps over which the Jacobian of the `active` states
     changes much: where a flapper touches a nozzle, say, or friction turns.
     """
     course = Course(predictor.times, predictor.inputs, trajectory.states, np.arange(len(predictor.times)))
+    options, steps = predictor.options.sensitivity, course.steps
 
-    def along(course: Course) -> tuple[CoefficientCourse, np.ndarray]:
-        coefficients = coefficient_course(trajectory.path, trajectory.knots, course.times)
-        return coefficients, compiled.derivatives(course.states, course.inputs, coefficients)
+    def coefficients_of(course: Course) -> CoefficientCourse:
+        return coefficient_course(trajectory.path, trajectory.knots, course.times)
 
-    coefficients, partials = along(course)
-    divisions = _divisions(predictor, course, jacobian_along(trajectory, compiled, partials)[:, active][:, :, active])
-    if np.all(divisions == 1):
-        return course, coefficients, partials
-    on_grid = np.concatenate([[0], np.cumsum(divisions)])
+    def along(course: Course) -> tuple[Course, CoefficientCourse, np.ndarray, np.ndarray]:
+        coefficients = coefficients_of(course)
+        values = compiled.values(course.states, course.inputs, coefficients)
+        return course, coefficients, values, compiled.derivatives(course.states, course.inputs, coefficients)
+
+    plain = along(course)
+    most = int(options.most_divided * len(steps))
+    if predictor.preliminary or steps[0] > 2.0 * predictor.options.predictor.grid_spacing or not most:
+        return plain
+    _, _, values, partials = plain
+    middle = course.midpoints(values[compiled.states].T)
+    between = compiled.derivatives(middle.states, middle.inputs, coefficients_of(middle))
+    first, second = (
+        change_of_jacobian(trajectory, compiled, active, end, between) for end in (partials[:, :-1], partials[:, 1:])
+    )
+    change = steps * np.maximum(first, second)
+    fast = change > max(options.most_change, float(np.partition(change, -most - 1)[-most - 1]))
+    if not fast.any():
+        return plain
+    on_grid = np.concatenate([[0], np.cumsum(np.where(fast, options.divisions, 1))])
     times = np.interp(np.arange(on_grid[-1] + 1), on_grid, predictor.times)  # even within each step
     new = np.ones(len(times), dtype=bool)
     new[on_grid] = False
-    divided = np.concatenate([[False], divisions > 1, [False]])
-    first, last = np.flatnonzero(~divided[:-1] & divided[1:]), np.flatnonzero(divided[:-1] & ~divided[1:])
+    ends = np.diff(np.concatenate([[False], fast, [False]]).astype(int))
     states = np.empty((len(times), trajectory.states.shape[1]))
     states[on_grid] = trajectory.states
-    states[new] = predictor.states_between(trajectory, variant, first, last, times[new])
+    states[new] = predictor.states_between(
+        trajectory, variant, np.flatnonzero(ends == 1), np.flatnonzero(ends == -1), times[new]
+    )
     finer = Course(times, predictor.inputs, states, on_grid)
-    finer = replace(finer, inputs=finer.between(predictor.inputs))
-    return finer, *along(finer)
-
-
-def _divisions(predictor: RecordPredictor, course: Course, jacobian: np.ndarray) -> np.ndarray:
-    """Into how many (n-1,) the steps between the points of a grid are divided, by the Jacobian (n, s, s) there: none on
-    the way to a fit, or of a grid that is wide since records are long.
-    """
-    options, steps = predictor.options.sensitivity, course.steps
-    if predictor.preliminary or steps[0] > 2.0 * predictor.options.predictor.grid_spacing:
-        return np.ones(len(steps), dtype=np.int64)
-    change = steps * np.abs(np.diff(jacobian, axis=0)).sum(axis=2).max(axis=1, initial=0.0)
-    divided = int(options.most_divided * len(steps))
-    least = max(options.most_change, float(np.partition(change, -divided - 1)[-divided - 1]) if divided else np.inf)
-    return np.where(change > least, options.divisions, 1)
+    return along(replace(finer, inputs=finer.between(predictor.inputs)))

@@ -283,7 +283,7 @@ class SensitivityOptions:
     most_change: float = option(
         5.0,
         "1",
-        "by which the Jacobian times the step may change over a step of the trajectory's grid: it is divided else",
+        "by which the Jacobian times the step may change within a step of the trajectory's grid: it is divided else",
         "measured: 0.02 where motion is smooth, 3 where a land passes null, 20 where friction turns, 90 at a contact",
     )
     divisions: int = option(16, "1", "parts that such a step is divided into", "measured: with 64 nothing changes")

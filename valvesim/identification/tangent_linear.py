@@ -278,17 +278,27 @@ class Course:
         own = self.times[self.on_grid]
         return np.column_stack([np.interp(self.times, own, column) for column in on_grid.T])
 
+    def midpoints(self, rates: np.ndarray) -> Course:
+        """The middles of its steps, by cubics through the states and their rates (n, n_x) at the ends (Hermite): they
+        go on where something stops the states and throws them back within a step.
+        """
+        x, u, h = self.states, self.inputs, self.steps[:, None]
+        middle = (x[1:] + x[:-1]) / 2.0 + h * (rates[:-1] - rates[1:]) / 8.0
+        return Course((self.times[1:] + self.times[:-1]) / 2.0, (u[1:] + u[:-1]) / 2.0, middle, self.on_grid[:-1])
 
-def jacobian_along(trajectory: Trajectory, compiled: CompiledDerivatives, partials: np.ndarray) -> np.ndarray:
-    """d(scaled rate)/d(scaled state) (n, n_x, n_x) of a trajectory's model, whose derivatives along it are
-    `partials`.
+
+def change_of_jacobian(
+    trajectory: Trajectory, compiled: CompiledDerivatives, active: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> np.ndarray:
+    """By how much d(scaled rate)/d(scaled state) of the `active` states changes (n,), in the norm of largest row sums,
+    from the derivatives `before` to those `after` (entries, n) of a trajectory's model.
     """
-    scale = _state_scale(trajectory)
-    A = np.zeros((partials.shape[1], len(scale), len(scale)))
+    scale, sums = _state_scale(trajectory), np.zeros((compiled.states.stop, before.shape[1]))
     for e in compiled.entries(compiled.states, compiled.states):
         i, j = compiled.targets[e], compiled.arguments[e]
-        A[:, i, j] = partials[e] * (scale[j] / scale[i])
-    return A
+        if i in active and j in active:
+            sums[i] += np.abs(after[e] - before[e]) * (scale[j] / scale[i])
+    return sums.max(axis=0, initial=0.0)
 
 
 def _state_scale(trajectory: Trajectory) -> np.ndarray:
@@ -304,7 +314,11 @@ def linearise_along(
     `partials` are the derivatives of its model along it.
     """
     scale = _state_scale(trajectory)
-    A = np.ascontiguousarray(jacobian_along(trajectory, compiled, partials)[:, active][:, :, active])
+    A = np.zeros((len(course.times), len(scale), len(scale)))
+    for e in compiled.entries(compiled.states, compiled.states):
+        i, j = compiled.targets[e], compiled.arguments[e]
+        A[:, i, j] = partials[e] * (scale[j] / scale[i])
+    A = np.ascontiguousarray(A[:, active][:, :, active])
     slopes = _slopes(predictor, active, scale, compiled, partials)
     return TangentLinear(active, scale[active], A, *propagators_of(A, course.steps), slopes, course.steps)
 
