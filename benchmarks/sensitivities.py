@@ -2,11 +2,11 @@
 
     .venv/bin/python benchmarks/sensitivities.py 970187 970174 970073 970140
 
-For bench sessions (by seed), at the likeliest hypothesis of a diagnosis: the sensitivities of the readings to the
-valve's quantities by the linearised equations, with and without their fast steps divided, against central differences
-of runs (0.05 prior deviations to either side, at a thirtieth of the solver's tolerance). Told are the worst column's
-relative error, and the step of a fit that the errors make with what the records leave: the furthest quantity in
-posterior deviations, and the chi-square of the whole.
+For bench sessions (by seed), at the likeliest hypothesis of a diagnosis, or at the nominal one where nothing is wrong:
+the sensitivities of the readings to the valve's quantities by the linearised equations, with and without their fast
+steps divided, against central differences of runs (0.05 prior deviations to either side, at a thirtieth of the solver's
+tolerance). Told are the worst column's relative error, and the step of a fit that the errors make with what the records
+leave: the furthest quantity in posterior deviations, and the chi-square of the whole.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import os
 import sys
 import tempfile
 from dataclasses import replace
+from typing import Any
 
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: one core
     os.environ.setdefault(threads, "1")
@@ -22,8 +23,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: one
 import numpy as np  # noqa: E402
 from bench_sessions import SETS, draw_bench, sessions, write_bench_session  # noqa: E402
 
-import valvesim.diagnosis.isolation as isolation_module  # noqa: E402
-from valvesim.diagnosis.diagnose import diagnose  # noqa: E402
+import valvesim.diagnosis.diagnose as diagnose_module  # noqa: E402
 from valvesim.diagnosis.isolation import Isolation  # noqa: E402
 from valvesim.identification.fit import Fit, evaluate_fit  # noqa: E402
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit  # noqa: E402
@@ -37,29 +37,24 @@ def isolation_of(seed: int) -> Isolation:
     """What a session was isolated to, before the answer is made of it."""
     name = next(name for name, (first, count) in SETS.items() if first <= seed < first + count)
     _, hidden, imperfections = next(one for one in sessions(name) if one[0] == seed)
-    ends = list[Isolation]()
-    judged = isolation_module.judged
+    ends, isolate = list[Isolation](), diagnose_module.isolate
 
-    def kept(isolation: Isolation) -> Isolation:
-        ends.append(judged(isolation))
+    def kept(*given: Any, **options: Any) -> Isolation:
+        ends.append(isolate(*given, **options))
         return ends[-1]
 
-    isolation_module.judged = kept
+    diagnose_module.isolate = kept
     try:
         with tempfile.TemporaryDirectory() as folder:
-            case, bench = draw_bench(
-                seed, "effect" if hidden else "none", name=hidden, imperfections=imperfections
-            )
+            case, bench = draw_bench(seed, "effect" if hidden else "none", name=hidden, imperfections=imperfections)
             write_bench_session(case, bench, folder)
-            diagnose(folder)
+            diagnose_module.diagnose(folder)
     finally:
-        isolation_module.judged = judged
-    if not ends:
-        raise SystemExit(f"session {seed}: nothing was found in it")
+        diagnose_module.isolate = isolate
     return ends[-1]
 
 
-def with_options(study: Study, **changes: object) -> Study:
+def with_options(study: Study, **changes: Any) -> Study:
     """A study whose options of sensitivities or of the predictor are others."""
     options = study.options
     own = {name: value for name, value in changes.items() if hasattr(options.sensitivity, name)}
