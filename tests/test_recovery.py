@@ -443,10 +443,7 @@ def test_a_step_of_a_term_is_shortened_until_it_lowers_the_chi_square_and_given_
 
 
 def test_a_term_of_a_variable_that_the_records_hold_still_cannot_be_estimated(nominal, monkeypatch):
-    def held(linear, hypothesis):
-        return np.full(len(linear.predictor.times), 2e-3)
-
-    monkeypatch.setattr(term_estimation, "argument", held)
+    monkeypatch.setattr(term_estimation, "visited_values", lambda linearised, hypothesis: np.full(100, 2e-3))
     hypothesis = TermHypothesis(PORTS["spool_force"], VARIABLES["current"])
     assert estimate_term(nominal, hypothesis, 6, np.inf, options=DIAGNOSIS) is None
 
