@@ -812,8 +812,7 @@ def test_a_healthy_valve_raises_no_alarm_where_all_instruments_are_off_a_little(
 
 
 @pytest.mark.slow
-def test_records_of_another_valve_are_told_in_seconds(tmp_path, monkeypatch):
-    """Their readings the other way round: no search is made."""
+def test_readings_the_other_way_round_are_told_without_a_search(tmp_path, monkeypatch):
     case, bench = draw_bench(505, "none", duration=0.5)
     write_bench_session(case, bench, tmp_path)
     for path in tmp_path.glob("*.csv"):
@@ -823,7 +822,7 @@ def test_records_of_another_valve_are_told_in_seconds(tmp_path, monkeypatch):
         np.savetxt(path, table, "%.10g", ",", header=header, comments="")
     monkeypatch.setattr("valvesim.diagnosis.isolation._first_hypotheses", None)
     found = vs.diagnose(tmp_path)
-    assert found.reason == "other_valve" and not found.extension_offered
+    assert found.reason == "misread_channels" and not found.extension_offered
 
 
 @pytest.mark.slow
