@@ -361,7 +361,7 @@ def test_one_cause_under_another_way_of_the_commands_is_held_against_two_under_t
         "fit_nominal_near": lambda study, point, *, full_weight: (point, full_weight),
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
-    found = bench_faults.with_inputs_of_one(ways[0], both, alone, options=DIAGNOSIS)
+    found = bench_faults.with_inputs_of_one_cause(ways[0], both, alone, options=DIAGNOSIS)
     ended = {1: (0, 2), 3: (2, 2)}
     assert found == (None if best is None else ((2, False), fits[ended[best]]))
 

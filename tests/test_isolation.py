@@ -227,9 +227,9 @@ def test_before_two_causes_are_told_one_is_tried_under_the_other_ways_of_the_com
         return under
 
     monkeypatch.setattr(isolation, "score_test", score_test_of)
-    monkeypatch.setattr(isolation, "with_inputs_of_one", of_one)
+    monkeypatch.setattr(isolation, "with_inputs_of_one_cause", of_one)
     monkeypatch.setattr(isolation, "_isolated", sought)
-    ended = isolation._or_one_under_other_inputs(first, lambda *_: None, options=DIAGNOSIS)
+    ended = isolation._or_one_cause_under_other_inputs(first, lambda *_: None, options=DIAGNOSIS)
     assert ended is (under if pair and stands else first)
     assert asked == ([(other, other, [], [again.fit])] if pair else [])
 

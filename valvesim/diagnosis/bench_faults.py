@@ -208,7 +208,7 @@ def _fitted_under(nominal: NominalFit, at: NominalFit) -> NominalFit:
     return fit_nominal_near(at.study.unweighted(), at.fit.point, full_weight=fully)
 
 
-def with_inputs_of_one(
+def with_inputs_of_one_cause(
     nominal: NominalFit, pair: Fit, alone: Sequence[Fit], *, options: DiagnosisOptions
 ) -> tuple[NominalFit, Fit] | None:
     """The nominal fit under another way of its commands by which one cause explains far more, and no less than a pair

@@ -20,7 +20,7 @@ from valvesim.diagnosis.bench_faults import (
     with_fault_left,
     with_faults_beside_cause,
     with_inputs_of_cause,
-    with_inputs_of_one,
+    with_inputs_of_one_cause,
     without_instrument_errors,
 )
 from valvesim.diagnosis.detection import (
@@ -125,7 +125,7 @@ def isolate(
         return Isolation(nominal, scores, scores, [], [], "", False, level, bench)
     isolation = _isolated(nominal, scores, progress, known, beside, options=options)
     if not known:
-        isolation = _or_one_under_other_inputs(isolation, progress, options=options)
+        isolation = _or_one_cause_under_other_inputs(isolation, progress, options=options)
     errors = None if isolation.answer_set else joint_instrument_errors(isolation.scores, options=options)
     if errors is not None and not isolation.alarm:
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
@@ -134,7 +134,7 @@ def isolate(
     return replace(isolation, bench=told_faults(isolation.final, options=options), joint_errors=errors)
 
 
-def _or_one_under_other_inputs(
+def _or_one_cause_under_other_inputs(
     isolation: Isolation, progress: Callable[[str, float], None], *, options: DiagnosisOptions
 ) -> Isolation:
     """The isolation whose likeliest are two causes under another way of the commands, where one of the two explains as
@@ -145,7 +145,7 @@ def _or_one_under_other_inputs(
         return isolation
     members = [(member.candidate.label,) for member in best.fitted]
     alone = [one.fit for one in isolation.found if tuple(c.label for c in one.candidates) in members]
-    under = with_inputs_of_one(isolation.nominal, best, alone, options=options)
+    under = with_inputs_of_one_cause(isolation.nominal, best, alone, options=options)
     if under is None:
         return isolation
     nominal, fit = under

@@ -284,7 +284,7 @@ class Course:
         """
         x, u, h = self.states, self.inputs, self.steps[:, None]
         middle = (x[1:] + x[:-1]) / 2.0 + h * (rates[:-1] - rates[1:]) / 8.0
-        return Course((self.times[1:] + self.times[:-1]) / 2.0, (u[1:] + u[:-1]) / 2.0, middle, self.on_grid[:-1])
+        return Course((self.times[1:] + self.times[:-1]) / 2.0, (u[1:] + u[:-1]) / 2.0, middle, self.on_grid[:0])
 
 
 def change_of_jacobian(

@@ -55,8 +55,7 @@ def integrate(
     `progress` is told the share that is done after each of so many slices of time; `most_steps` are those of a slice.
     Raises SolveError, which says `what` has failed, when, in which state, why, and gives the `advice`.
     """
-    rest, knots = problem.initial[:, None].copy(), problem.knots[:, :, None].copy()  # one valve is one lane
-    run = _Run(problem, rest, knots)
+    run = _run_of_one(problem)
     for k in range(1, slices + 1):
         status = run.go_on(problem.compiled.run, problem.end * k / slices if k < slices else problem.end)
         if status:
@@ -74,7 +73,7 @@ def integrate_parts(
     """States (n_t, n) in SI at the times of a problem, which lie in parts of it one after the other: each from a begin
     (k,) on, where the scaled states are `states` (k, n), to an end (k,). Raises SolveError as `integrate` does.
     """
-    run = _Run(problem, problem.initial[:, None].copy(), problem.knots[:, :, None].copy())
+    run = _run_of_one(problem)
     for begin, end, first, y in zip(begins, ends, np.searchsorted(problem.times, begins, "right"), states, strict=True):
         run.y[:, 0], run.clock[:] = y, (begin, min(FIRST_STEP, end - begin), first)
         if status := run.go_on(problem.compiled.run, float(end)):
@@ -143,6 +142,11 @@ class _Run:
             self.y, self.clock, end, problem.starts, problem.rows, problem.knot_times, self.knots, problem.times,
             self.out, problem.tolerance, self.atol, self.rest, problem.most_steps, self.count,
         )  # fmt: skip
+
+
+def _run_of_one(problem: InitialValueProblem) -> _Run:
+    """The run of one valve: it is one lane."""
+    return _Run(problem, problem.initial[:, None].copy(), problem.knots[:, :, None].copy())
 
 
 def _failure(problem: InitialValueProblem, status: int, y: np.ndarray, t: float, what: str, advice: str) -> SolveError:
