@@ -10,7 +10,7 @@ from valvesim.errors import InputError
 from valvesim.valve.catalogue import CATALOGUE, effect
 from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
 from valvesim.valve.effect import CHANNEL, READABLE, Effect, Parameter, Ports, Reading
-from valvesim.valve.equations import AT_20, Model, VoltageDrive
+from valvesim.valve.equations import AT_20, CurrentDrive, Model, VoltageDrive
 from valvesim.valve.parameters import reference_valve
 
 valve = reference_valve()
@@ -93,6 +93,16 @@ def test_memories_and_parameters_have_names_of_their_own():
     assert len(set(memories) | set(State._fields)) == len(memories) + N
     for e in CATALOGUE.values():
         assert len({p.name for p in e.parameters}) == len(e.parameters)
+
+
+@pytest.mark.parametrize("voltage", [False, True], ids=["current", "voltage"])
+def test_the_rates_of_memories_alone_are_the_last_of_all(voltage):
+    effects = [typical(name) for name in named("balance") if entry(name).memory]
+    model = Model(VoltageDrive() if voltage else CurrentDrive(), tuple(a.effect for a in effects))
+    count = sum(len(a.effect.memory) for a in effects)
+    state = (*STATE, *([2e-3] if voltage else []), *np.linspace(-0.7, 1.0, count))
+    flat = model.flat_coefficients(C20, effects)
+    assert model.memory_rates(state, INPUTS, flat) == model.rhs(state, INPUTS, flat)[-count:]
 
 
 @pytest.mark.parametrize("name", named("balance"))

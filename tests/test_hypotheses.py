@@ -319,8 +319,7 @@ def test_neighbours_are_a_little_off_in_one_parameter(nominal):
     plant = [p for p in nominal.parameters if p.sensor is None]
     assert len(beside) == len(plant)
     for p, variant in zip(plant, beside, strict=True):
-        step = OPTIONS.sensitivity.simulated_step if is_simulated(p, options=OPTIONS) else OPTIONS.sensitivity.step
-        assert p.value_in(variant) == pytest.approx(p.at(step))
+        assert p.value_in(variant) == pytest.approx(p.at(OPTIONS.sensitivity.step))
         assert p.with_value(variant, p.nominal) == with_network()
 
 
@@ -344,7 +343,7 @@ def test_a_parameter_at_its_most_is_moved_down_and_shows_the_same(nominal, linea
 
 
 def test_columns_of_base_parameters_are_differences_of_true_runs(nominal, linear):
-    """To first order, so at a tenth of their deviations; those that act within a step of the grid are run."""
+    """To first order, so at a tenth of their deviations."""
     names = ("nozzle_arm", "null_gap_difference", "port_flow_coefficient", "chamber_volume", "armature_inertia")
     some = NominalModel(nominal.variant, tuple(p for p in nominal.parameters if p.name in names), options=OPTIONS)
     assert len(some.parameters) == len(names)

@@ -21,7 +21,6 @@ from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior,
 from valvesim.identification.input_choice import HELD_NAME, READ_BACK_NAME, are_delays, input_choices
 from valvesim.identification.jacobian import (
     candidate_sensitivities,
-    is_simulated,
     parameter_sensitivities,
     perturbed_variants,
 )
@@ -439,7 +438,7 @@ def test_what_a_fit_has_run_is_not_run_again_to_see_from_it(biased, monkeypatch)
             for name in others:  # but for the rest, which records solve for together
                 size = np.abs(others[name]).max(axis=0)
                 assert np.all(np.abs(mine[name] - others[name]) <= 1e-4 * size), name
-    assert asked  # what acts within a step is run on its own, see `is_simulated`
+    assert not asked
 
 
 def test_a_refit_keeps_no_courses_and_nor_does_a_long_session(biased):
@@ -610,11 +609,11 @@ def test_where_linear_answers_grow_beyond_all_that_was_measured_records_are_run(
 
     def growing(self, variants):
         moved = plain(self, variants)
-        return {name: each * np.where(np.arange(each.shape[1]) == slow.index(stiffness), 1e25, 1.0)
+        return {name: each * np.where(np.arange(each.shape[1]) == free.index(stiffness), 1e25, 1.0)
                 for name, each in moved.items()}  # fmt: skip
 
     plant = [p for p in study.nominal.parameters if p.sensor is None]
-    slow = [names.index(p.name) for p in plant if not is_simulated(p, options=study.options)]
+    free = [names.index(p.name) for p in plant]
     monkeypatch.setattr(LinearisedRecord, "small_difference", growing)
     run = parameter_sensitivities(linear, study.nominal, changed)
     assert np.array_equal(run[read][:, arm], columns[read][:, arm])
@@ -684,7 +683,7 @@ def test_what_is_left_at_peaks_alone_counts(monkeypatch, left, between, at_full_
     preliminary = fit_of(between, SimpleNamespace(noise={}, weights={"a": 1}))
     monkeypatch.setattr(nominal_fit, "rescored", lambda study, fit: fit)
     monkeypatch.setattr(nominal_fit, "linearise_nominal", lambda study, fit: fit_of(between, study))
-    monkeypatch.setattr(nominal_fit, "_with_edges_searched", lambda nominal: nominal)
+    monkeypatch.setattr(nominal_fit, "_with_edges_searched", lambda study, fit: fit)
     monkeypatch.setattr(nominal_fit, "down_weight_peaks", lambda study, linearised: "weighted")
     monkeypatch.setattr(nominal_fit, "has_uncertain_inputs", lambda study: False)
     monkeypatch.setattr(nominal_fit, "replace", lambda study, weights: "weighted")

@@ -16,11 +16,9 @@ from valvesim.identification.prior import NominalModel, NuisanceParameter, Toler
 from valvesim.valve.effect import Effect
 
 
-def is_simulated(what: NuisanceParameter | Effect, *, options: IdentificationOptions) -> bool:
-    """Whether a parameter or an effect acts within a few steps of the trajectory's grid: it is simulated, moved by
-    more.
-    """
-    return what.time_scale < options.sensitivity.simulated_below
+def is_simulated(effect: Effect, *, options: IdentificationOptions) -> bool:
+    """Whether an effect acts within a few steps of the trajectory's grid: it is simulated, at its size."""
+    return effect.time_scale < options.sensitivity.simulated_below
 
 
 def is_held(parameter: NuisanceParameter, linear: LinearisedRecord) -> bool:
@@ -41,9 +39,7 @@ def perturbed_variants(nominal: NominalModel, variant: ModelVariant) -> list[Mod
 
 def _prior_step(parameter: NuisanceParameter, variant: ModelVariant, *, options: IdentificationOptions) -> float:
     """The step of a parameter in prior standard deviations: downwards where it is at its upper bound."""
-    simulated = is_simulated(parameter, options=options)
-    size = options.sensitivity.simulated_step if simulated else options.sensitivity.step
-    return _inward_step(parameter, variant, size)
+    return _inward_step(parameter, variant, options.sensitivity.step)
 
 
 def _inward_step(parameter: NuisanceParameter, variant: ModelVariant, size: float) -> float:
@@ -60,22 +56,19 @@ def parameter_sensitivities(
     None of what is held, see `is_held`.
     """
     plant, own = [p for p in nominal.parameters if p.sensor is None], linear.predictor.record.name
-    simulated = {p.name for p in plant if is_simulated(p, options=linear.predictor.options)}
     held = {p.name for p in plant if is_held(p, linear)}
     held |= {p.name for p in plant if p.input is not None and p.input.record != own}
-    slow = [k for k, p in enumerate(plant) if p.name not in simulated | held]
-    moved = linear.small_difference([perturbed[k] for k in slow])
-    pairs = zip(plant, perturbed, strict=True)
-    run = {p.name: linear.simulated_difference(variant) for p, variant in pairs if p.name in simulated - held}
+    free = [k for k, p in enumerate(plant) if p.name not in held]
+    moved, run = linear.small_difference([perturbed[k] for k in free]), dict[str, dict[str, np.ndarray]]()
     steps = {p.name: _prior_step(p, linear.variant, options=linear.predictor.options) for p in plant}
-    size = np.array([abs(steps[plant[k].name]) for k in slow])
+    size = np.array([abs(steps[plant[k].name]) for k in free])
     for j in linear.diverging({name: each / size for name, each in moved.items()}):
-        p = plant[slow[j]]
+        p = plant[free[j]]
         steps[p.name] = _inward_step(p, linear.variant, linear.predictor.options.sensitivity.simulated_step)
         run[p.name] = _run_or_nothing(linear, p.moved(linear.variant, steps[p.name]))
     out = {}
     for name, read in linear.readings.items():
-        answered = dict(zip((plant[k].name for k in slow), moved[name].T, strict=True))
+        answered = dict(zip((plant[k].name for k in free), moved[name].T, strict=True))
         columns = []
         for p in nominal.parameters:
             if p.name in held or (p.sensor is not None and p.sensor.channel != name):

@@ -32,8 +32,8 @@ from valvesim.identification.tangent_linear import (
 )
 from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives, compile_derivatives
 from valvesim.valve.effect import ActiveEffect, Reading
+from valvesim.valve.equations import DIVISORS, Model
 from valvesim.valve.thermal_network import TemperaturePath
-from valvesim.valve.valve_model import ValveModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class LinearisedRecord:
     variant: ModelVariant
     trajectory: Trajectory
     tangent: TangentLinear
-    model: ValveModel
+    model: Model
     seen: dict[str, np.ndarray]
     readings: dict[str, np.ndarray]
     compiled: CompiledDerivatives
@@ -91,14 +91,15 @@ class LinearisedRecord:
     def small_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
         """The same where what the variants change is small: to first order in their coefficients too."""
         few = self._changes_of_coefficients(variants)
-        others = [k for k in range(len(variants)) if k not in few]
+        forced = {k: own for k, change in few.items() if (own := self._forcing_of_divisor(change)) is not None}
+        forced |= {k: self.forcing(variant) for k, variant in enumerate(variants) if k not in few}
+        few = {k: change for k, change in few.items() if k not in forced}
         changed = None
         if few:
             changes = np.stack(list(few.values()), axis=-1)
             changed = ChangedCoefficients(changes, self.coefficients, self.compiled, self.partials)
-        forcings = [self.forcing(variants[k]) for k in others]
-        order = np.argsort([*few, *others])
-        return {name: moved[:, order] for name, moved in self.forced_response(forcings, changed).items()}
+        order = np.argsort([*few, *forced])
+        return {name: moved[:, order] for name, moved in self.forced_response([*forced.values()], changed).items()}
 
     def diverging(self, moved: Mapping[str, np.ndarray]) -> list[int]:
         """The columns of responses (n_samples, k) that are far larger than all that was measured: there the linearised
@@ -184,6 +185,22 @@ class LinearisedRecord:
             moved = np.stack([np.broadcast_to(column, shape) for column in knots], axis=-1) - self.trajectory.knots
             changes |= dict(zip(group, moved, strict=True))
         return changes
+
+    def _forcing_of_divisor(self, change: np.ndarray) -> Forcing | None:
+        """The forcing of a change (m, n_c) of one of `DIVISORS` alone, by as large a share at all knots; None of another.
+
+        Of x' = F/c the answer is d = s - (dc/c) x with s' = A s - (dc/c) A x, and x = 0 at rest: x is as smooth as its
+        rate is not, which the steps of the course would not follow.
+        """
+        moved = np.flatnonzero(change.any(axis=0))
+        names = self.trajectory.model.coefficient_names
+        if len(moved) != 1 or names[moved[0]] not in DIVISORS:
+            return None
+        share = change[0, moved[0]] / self.trajectory.knots[0, moved[0]]
+        k = [channel.name for channel in self.model.state_channels].index(DIVISORS[names[moved[0]]])
+        added = -share * self.active_states[k] / self.tangent.scale[k]
+        direct = {name: slopes[:, k] * added for name, slopes in self.tangent.slopes.items()}
+        return Forcing(0, self.tangent.A[:, :, k] * added[:, None], direct)
 
     def forcing(self, variant: ModelVariant) -> Forcing:
         """What a variant adds to the scaled rates and to the signals along this trajectory."""
@@ -271,7 +288,7 @@ class LinearisedRecord:
         c = tuple(middle(v) if len(v) > 1 else v for v in self.model.valve_coefficients(along))
         model = self.model.with_effects((active.effect,))
         flat = (*c, *active.numbers)
-        at_0, at_1 = (model.rhs((*mid, *(np.full(len(mid[0]), z),) * count), inputs, flat)[-count:] for z in (0.0, 1.0))
+        at_0, at_1 = (model.memory_rates((*mid, *(np.full(len(mid[0]), z),) * count), inputs, flat) for z in (0.0, 1.0))
         memories = []
         for zero, one in zip(at_0, at_1, strict=True):
             a, b = np.broadcast_to(zero, mid[0].shape), np.broadcast_to(zero - one, mid[0].shape)

@@ -229,17 +229,15 @@ def with_nuisance(study: Study, parameters: tuple[NuisanceParameter, ...]) -> St
     return study.with_nominal(replace(study.nominal, parameters=parameters))
 
 
-def _with_edges_searched(nominal: NominalFit) -> NominalFit:
-    """A nominal fit, not fitted again, with edges elsewhere in their intervals where that leaves less."""
-    if not any(isinstance(p.input, EdgeTime) for p in nominal.study.nominal.parameters):
-        return nominal
-    point = searched_edges(nominal.study, nominal.fit)
-    if np.array_equal(point, nominal.fit.point):
-        return nominal
-    moved = evaluate_fit(nominal.study, point, ())
-    if moved.chi_square > nominal.fit.chi_square:
-        return nominal
-    return linearise_nominal(nominal.study, moved)
+def _with_edges_searched(study: Study, fit: Fit) -> Fit:
+    """A fit without candidates, not fitted again, with edges elsewhere in their intervals where that leaves less."""
+    if not any(isinstance(p.input, EdgeTime) for p in study.nominal.parameters):
+        return fit
+    point = searched_edges(study, fit)
+    if np.array_equal(point, fit.point):
+        return fit
+    moved = evaluate_fit(study, point, ())
+    return fit if moved.chi_square > fit.chi_square else moved
 
 
 def _choice_at_start(start: NominalFit) -> InputChoice:
@@ -435,7 +433,7 @@ def fit_nominal_near(prepared: PreparedSession, point: np.ndarray, *, full_weigh
     unless at `full_weight`.
     """
     study, fit = evaluated_under_own_noise(prepared, point)
-    nominal = _with_edges_searched(_tuned(linearise_nominal(study, fit)))
+    nominal = _tuned(linearise_nominal(study, _with_edges_searched(study, fit)))
     for last in (False, True):
         weighted = nominal.study if full_weight else down_weight_peaks(nominal.study, nominal.linearised)
         nominal = _converge(reweighted(weighted, nominal), study.options.fit.nominal_ftol)
@@ -469,7 +467,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     microseconds that a peak takes. What is left at the peaks alone is told by nothing else.
     """
     study = study.with_noise(nominal.study.noise)
-    near = _with_edges_searched(linearise_nominal(study, rescored(study, nominal.fit)))
+    near = linearise_nominal(study, _with_edges_searched(study, rescored(study, nominal.fit)))
     weighted = reweighted(down_weight_peaks(study, near.linearised), near)
     if has_uncertain_inputs(study):
         return _converge(weighted, study.options.fit.nominal_ftol, progress)

@@ -103,10 +103,10 @@ class PredictorOptions:
         "response of the spool, some milliseconds",
     )
     tolerance: float = option(
-        3e-5,
+        1e-4,
         "1",
         "relative tolerance of the solver",
-        "measured: errs by 1e-7 of the span and a chi-square by 0.1; with ten times as much fits get lost",
+        "measured: a chi-square of 11,000 errs by less than 0.1; with three times as much by 0.25, and fits get lost",
     )
     most_steps: int = option(1_000_000, "1", "steps of the solver that any run may take", "runs take thousands")
     steps_per_point: int = option(
@@ -268,11 +268,11 @@ class SensitivityOptions:
     simulated_below: float = option(
         2.5e-4,
         "s",
-        "what acts sooner is simulated: the grid of trajectories does not follow it",
-        "an armature's inertia",
+        "an effect that acts sooner is simulated: the grid of trajectories does not follow it",
+        "air in the chambers",
     )
     simulated_step: float = option(
-        0.3, "1", "prior deviations by which a parameter is moved whose sensitivity is simulated", JUDGEMENT
+        0.3, "1", "prior deviations by which a parameter is moved whose linear answer grows without end", JUDGEMENT
     )
     most_spans: float = option(
         100.0,

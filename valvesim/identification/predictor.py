@@ -310,7 +310,7 @@ class RecordPredictor:
         off = [False] * model.memory_states.start
         return np.array([*off, *(e.name not in given for e in model.effects for _ in e.memory)])
 
-    def reduced(self, model: ValveModel, variant: ModelVariant) -> tuple[ValveModel, np.ndarray]:
+    def reduced(self, model: Model, variant: ModelVariant) -> tuple[Model, np.ndarray]:
         """The model with a variant's own effects alone, and the indices of its states in those of a fuller one."""
         active = {a.effect.name for a in variant.effects}
         own = model.with_effects([e for e in model.effects if e.name in active])

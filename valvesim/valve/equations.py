@@ -36,6 +36,8 @@ from valvesim.valve.laws import (
 
 AT_20 = PartTemperatures.uniform(REFERENCE_TEMPERATURE)
 LEAST_GAP = 1e-8  # m, roughness of nozzle and flapper: no smaller hydraulic diameter is seen by the laminar loss
+DIVISORS = {"armature_inertia": "armature_rate"}
+"""Coefficients that do nothing but divide the rate of a state, and a fast one: of which."""
 FLOW_FORCE_FACTOR = 0.43  # K_f' = 0.43 w (p_s - p_L): 2 C_d C_v cos 69°, paper Eq. 34
 
 
@@ -271,6 +273,12 @@ class Model:
             internal_leakage=q_01 + q_02 + land_leakage + added.internal_leakage,
         )
         return rates, named
+
+    def memory_rates(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple:
+        """The last of the `rhs`, the derivatives of the effects' memories, alone."""
+        x, u, c = State(*state[self.valve_states]), Inputs(*inputs), self.valve_coefficients(coefficients)
+        i, i_rate, _ = self.drive.current(u, x, tuple(state[self.drive_states]), c)
+        return self._effects(_situation(x, u, i, i_rate, c), state, coefficients)[1]
 
     def _effects(self, situation: Situation, state: Sequence, coefficients: Sequence) -> tuple[Ports, tuple]:
         """The sum of what the effects add, and the rates of their memories."""
