@@ -288,7 +288,7 @@ def test_the_way_of_the_commands_by_which_a_cause_explains_far_more_is_taken(mon
     rows = (1e4, 1.2e4)
     study = SimpleNamespace(options=IDENTIFICATION)
     ways = [SimpleNamespace(study=study, way=k) for k in range(2)]
-    fits = [None if more is None else SimpleNamespace(chi_square=n + more, rows=n, way=k)
+    fits = [None if more is None else SimpleNamespace(chi_square=n + more, rows=n, way=k, predicted_reduction=0.0)
             for k, (n, more) in enumerate(zip(rows, left, strict=True))]  # fmt: skip
     monkeypatch.setattr(bench_faults, "under_other_inputs", lambda nominal: ways[1:])
     monkeypatch.setattr(bench_faults, "fit_from_prior", lambda other, start, few: fits[other.way])
@@ -312,8 +312,10 @@ def test_the_ways_of_the_commands_are_run_again_beside_the_best_cause_from_its_f
     study = SimpleNamespace(options=IDENTIFICATION, weights={}, unweighted=lambda: study)
     cause = SimpleNamespace(chi_square=rows + 5e3, rows=rows, point=None, fitted=())
     ways = [SimpleNamespace(study=study, fit=SimpleNamespace(point=k), way=k) for k in range(3)]
-    fits = [None if more is None else SimpleNamespace(chi_square=rows + more, rows=rows, way=k + 1)
-            for k, more in enumerate(left)]  # fmt: skip
+    fits = [
+        None if more is None else SimpleNamespace(chi_square=rows + more, rows=rows, way=k + 1, predicted_reduction=0.0)
+        for k, more in enumerate(left)
+    ]
 
     def under_other(nominal, beside):
         assert (nominal, beside) == (ways[0], cause)
@@ -350,7 +352,7 @@ def test_one_cause_under_another_way_of_the_commands_is_held_against_two_under_t
     ways = [SimpleNamespace(study=study, fit=SimpleNamespace(point=k), way=k) for k in range(3)]
     excess = {(0, 1): left[0], (0, 2): left[1], (2, 1): left[2], (2, 2): left[3]}
     fits = {
-        key: None if more is None else SimpleNamespace(chi_square=rows + more, rows=rows, key=key)
+        key: None if more is None else SimpleNamespace(chi_square=rows + more, rows=rows, predicted_reduction=0.0)
         for key, more in excess.items()
     }
     for name, stub in {
@@ -364,6 +366,39 @@ def test_one_cause_under_another_way_of_the_commands_is_held_against_two_under_t
     found = bench_faults.with_inputs_of_one_cause(ways[0], both, alone, options=DIAGNOSIS)
     ended = {1: (0, 2), 3: (2, 2)}
     assert found == (None if best is None else ((2, False), fits[ended[best]]))
+
+
+@pytest.mark.parametrize(
+    "left, promised, ended, best",
+    [
+        ((4e3, 4e3), (10.0, 3.9e3), (None, 200.0), 1),  # it has stopped far short (991196)
+        ((4e3, 4e3), (3.9e3, 3.9e3), (100.0, 200.0), 0),  # so have both
+        ((4e3, 9e3), (10.0, 3.9e3), (None, None), 0),  # it promises less than the other leaves
+        ((4e3, 4.1e3), (10.0, 25.0), (None, None), 0),  # by less than chance
+    ],
+)
+def test_a_way_of_the_commands_that_promises_to_be_the_best_is_fitted_further(
+    monkeypatch, left, promised, ended, best
+):
+    rows, continued = 1e4, []
+
+    def fit(way, more, promise):
+        return SimpleNamespace(chi_square=rows + more, rows=rows, way=way, predicted_reduction=promise)
+
+    ways = [SimpleNamespace(study=SimpleNamespace(options=IDENTIFICATION), way=k) for k in range(2)]
+
+    def further(way, one):
+        continued.append(way.way)
+        return fit(way.way, ended[way.way], 0.0)
+
+    for name, stub in {
+        "fit_from_prior": lambda way, start, few: fit(way.way, left[way.way], promised[way.way]),
+        "continue_from": further,
+        "chi_square_of_way": lambda study, fit: fit.chi_square,
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    at, _ = bench_faults._best_way(ways, SimpleNamespace(fitted=()), 2, np.inf)
+    assert at.way == best and continued == [k for k in range(2) if ended[k] is not None]
 
 
 @pytest.mark.parametrize(

@@ -276,14 +276,16 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
 
 def _best_way(ways: Sequence[NominalFit], fit: Fit, few: int, least: float) -> tuple[NominalFit, Fit] | None:
     """The way of the commands by which the causes of a fit, fitted a little from within tolerance, leave far less
-    beyond the noise than `least` and than by those before it; None where there is none.
+    beyond the noise than `least` and than by those before it; None where there is none. Fits that promise to be the
+    best are continued: a few steps from there may have stopped far short.
     """
-    best = None
-    for way in ways:
-        tried = fit_from_prior(way, fit.fitted, few)
-        if tried is None:
-            continue
-        options, excess = way.study.options.input, _excess(way.study, tried)
+    pairs = [(way, one) for way in ways if (one := fit_from_prior(way, fit.fitted, few)) is not None]
+    reached, best = min([least, *(_excess(way.study, one) for way, one in pairs)]), None
+    for way, one in pairs:
+        options, tried, promised = way.study.options.input, one, one.predicted_reduction
+        if promised > options.minimum_gain and _excess(way.study, one) - promised < reached:
+            tried = continue_from(way, one) or one
+        excess = _excess(way.study, tried)
         if excess + max(options.minimum_gain, options.gain_share * excess) < least:
             best, least = (way, tried), excess
     return best
