@@ -411,6 +411,20 @@ def test_steps_in_which_a_flapper_touches_are_divided_and_answers_hold_there(cur
     assert max(off[0.1].values()) < most and min(off[0.0].values()) > 0.5
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_an_inertia_answers_as_true_runs_do(seed):
+    """To a command that is new at each sample; by what it adds to the rates, answers err by more than twice as much."""
+    plain, up, down = nominal_variant(), moved_valve(armature_inertia=0.02), moved_valve(armature_inertia=-0.02)
+    predictor = stepped(tuple(np.random.default_rng(seed).uniform(-3e-3, 3e-3, 151)))
+    seen = linearise_record(predictor, plain)
+    high, low = (predictor.readings(predictor.run(variant), variant) for variant in (up, down))
+    small, forced = seen.small_difference([up]), seen.forced_response([seen.forcing(up)])
+    for name in ("spool_position", "armature_angle"):
+        truth = (high[name] - low[name]) / 2.0
+        near, far = (rms(answers[name][:, 0] - truth) / rms(truth) for answers in (small, forced))
+        assert near < 0.03 and far > 2.0 * near, name
+
+
 def test_a_divided_course_holds_the_grid_and_what_a_whole_run_has_between():
     predictor, variant = stepped(), nominal_variant()
     trajectory = predictor.run(variant)

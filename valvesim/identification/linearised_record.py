@@ -187,7 +187,7 @@ class LinearisedRecord:
         return changes
 
     def _forcing_of_divisor(self, change: np.ndarray) -> Forcing | None:
-        """The forcing of a change (m, n_c) of one of `DIVISORS` alone, by as large a share at all knots; None of another.
+        """The forcing of a change (m, n_c) of one of `DIVISORS` alone, of one share at all knots; None of another.
 
         Of x' = F/c the answer is d = s - (dc/c) x with s' = A s - (dc/c) A x, and x = 0 at rest: x is as smooth as its
         rate is not, which the steps of the course would not follow.
