@@ -4,9 +4,10 @@
 
 For bench sessions (by seed), at the likeliest hypothesis of a diagnosis, or at the nominal one where nothing is wrong:
 the sensitivities of the readings to the valve's quantities by the linearised equations, with and without their fast
-steps divided, against central differences of runs (0.05 prior deviations to either side, at a thirtieth of the solver's
-tolerance). Told are the worst column's relative error, and the step of a fit that the errors make with what the records
-leave: the furthest quantity in posterior deviations, and the chi-square of the whole.
+steps divided, against central differences of runs (0.05 prior deviations to either side, at a hundredth of the solver's
+tolerance). Told are the relative errors of the worst column and of the armature's inertia, and the step of a fit that
+the errors make with what the records leave: the furthest quantity in posterior deviations, and the chi-square of the
+whole; at last by how much the chi-square of the fit errs by the solver's tolerance.
 """
 
 from __future__ import annotations
@@ -78,14 +79,17 @@ def central_differences(study: Study, fit: Fit, which: list[int]) -> np.ndarray:
 
 
 def main() -> None:
-    print("| session | linearised | points | worst column | its error | furthest, deviations | chi-square |")
-    print("|---|---|---|---|---|---|---|")
+    heads = ("session", "linearised", "points", "worst column", "its error", "the inertia's", "furthest, deviations",
+             "chi-square", "by the solver")  # fmt: skip
+    print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
     for seed in map(int, sys.argv[1:]):
         ended = isolation_of(seed)
         study, names = ended.nominal.study, [p.name for p in ended.nominal.study.nominal.parameters]
         fit = evaluate_fit(study, ended.final.fit.point, ended.final.fit.fitted)
         of_valve = [k for k, parameter in enumerate(study.nominal.parameters) if parameter.is_of_valve]
-        true = central_differences(with_options(study, tolerance=TOLERANCE), fit, of_valve)
+        fine = with_options(study, tolerance=TOLERANCE)
+        by_solver = fit.chi_square - evaluate_fit(fine, fit.point, fit.fitted).chi_square
+        true = central_differences(fine, fit, of_valve)
         sizes = np.linalg.norm(true, axis=0)
         seen = [k for k, size in enumerate(sizes) if size > 0.0]
         for words, share in (("undivided", 0.0), ("divided", study.options.sensitivity.most_divided)):
@@ -98,7 +102,7 @@ def main() -> None:
             H[: len(names), : len(names)] += np.eye(len(names))
             covariance = np.linalg.inv(H)
             errors = np.linalg.norm(off, axis=0)[seen] / sizes[seen]
-            worst = int(np.argmax(errors))
+            worst, inertia = int(np.argmax(errors)), seen.index(of_valve.index(names.index("armature_inertia")))
             gradient = np.zeros(len(H))
             gradient[of_valve] = off.T @ fit.residual
             moved = covariance @ gradient
@@ -106,7 +110,8 @@ def main() -> None:
             points = sum(len(one.course.times) for one in linearised)
             print(
                 f"| {seed} | {words} | {points} | {names[of_valve[seen[worst]]]} | {100.0 * errors[worst]:.0f} % "
-                f"| {furthest:.2f} | {float(gradient @ moved):.2f} |",
+                f"| {100.0 * errors[inertia]:.0f} % | {furthest:.2f} | {float(gradient @ moved):.2f} "
+                f"| {by_solver:.3f} |",
                 flush=True,
             )
 

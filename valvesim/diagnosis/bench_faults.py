@@ -279,13 +279,14 @@ def _best_way(ways: Sequence[NominalFit], fit: Fit, few: int, least: float) -> t
     beyond the noise than `least` and than by those before it; None where there is none. Fits that promise to be the
     best are continued: a few steps from there may have stopped far short.
     """
-    pairs = [(way, one) for way in ways if (one := fit_from_prior(way, fit.fitted, few)) is not None]
-    reached, best = min([least, *(_excess(way.study, one) for way, one in pairs)]), None
-    for way, one in pairs:
-        options, tried, promised = way.study.options.input, one, one.predicted_reduction
-        if promised > options.minimum_gain and _excess(way.study, one) - promised < reached:
-            tried = continue_from(way, one) or one
-        excess = _excess(way.study, tried)
+    fits = [(way, one) for way in ways if (one := fit_from_prior(way, fit.fitted, few)) is not None]
+    begun = [(way, one, _excess(way.study, one)) for way, one in fits]
+    reached, best = min([least, *(excess for _, _, excess in begun)]), None
+    for way, tried, excess in begun:
+        options, promised = way.study.options.input, tried.predicted_reduction
+        if promised > options.minimum_gain and excess - promised < reached:
+            tried = continue_from(way, tried) or tried
+            excess = _excess(way.study, tried)
         if excess + max(options.minimum_gain, options.gain_share * excess) < least:
             best, least = (way, tried), excess
     return best

@@ -59,7 +59,8 @@ def parameter_sensitivities(
     held = {p.name for p in plant if is_held(p, linear)}
     held |= {p.name for p in plant if p.input is not None and p.input.record != own}
     free = [k for k, p in enumerate(plant) if p.name not in held]
-    moved, run = linear.small_difference([perturbed[k] for k in free]), dict[str, dict[str, np.ndarray]]()
+    moved = linear.small_difference([perturbed[k] for k in free])
+    run = dict[str, dict[str, np.ndarray]]()
     steps = {p.name: _prior_step(p, linear.variant, options=linear.predictor.options) for p in plant}
     size = np.array([abs(steps[plant[k].name]) for k in free])
     for j in linear.diverging({name: each / size for name, each in moved.items()}):

@@ -32,7 +32,7 @@ from valvesim.identification.tangent_linear import (
 )
 from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives, compile_derivatives
 from valvesim.valve.effect import ActiveEffect, Reading
-from valvesim.valve.equations import DIVISORS, Model
+from valvesim.valve.equations import INERTIAS, Model
 from valvesim.valve.thermal_network import TemperaturePath
 
 
@@ -91,7 +91,7 @@ class LinearisedRecord:
     def small_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
         """The same where what the variants change is small: to first order in their coefficients too."""
         few = self._changes_of_coefficients(variants)
-        forced = {k: own for k, change in few.items() if (own := self._forcing_of_divisor(change)) is not None}
+        forced = {k: own for k, change in few.items() if (own := self._forcing_of_inertia(change)) is not None}
         forced |= {k: self.forcing(variant) for k, variant in enumerate(variants) if k not in few}
         few = {k: change for k, change in few.items() if k not in forced}
         changed = None
@@ -186,18 +186,18 @@ class LinearisedRecord:
             changes |= dict(zip(group, moved, strict=True))
         return changes
 
-    def _forcing_of_divisor(self, change: np.ndarray) -> Forcing | None:
-        """The forcing of a change (m, n_c) of one of `DIVISORS` alone, of one share at all knots; None of another.
+    def _forcing_of_inertia(self, change: np.ndarray) -> Forcing | None:
+        """The forcing of a change (m, n_c) of one of `INERTIAS` alone, of one share at all knots; None of another.
 
-        Of x' = F/c the answer is d = s - (dc/c) x with s' = A s - (dc/c) A x, and x = 0 at rest: x is as smooth as its
-        rate is not, which the steps of the course would not follow.
+        Of a velocity x' = F/c the answer is d = s - (dc/c) x with s' = A s - (dc/c) A x, and x = 0 at rest: x is smooth
+        where the steps of the course do not follow its rate.
         """
         moved = np.flatnonzero(change.any(axis=0))
         names = self.trajectory.model.coefficient_names
-        if len(moved) != 1 or names[moved[0]] not in DIVISORS:
+        if len(moved) != 1 or names[moved[0]] not in INERTIAS:
             return None
         share = change[0, moved[0]] / self.trajectory.knots[0, moved[0]]
-        k = [channel.name for channel in self.model.state_channels].index(DIVISORS[names[moved[0]]])
+        k = [channel.name for channel in self.model.state_channels].index(INERTIAS[names[moved[0]]])
         added = -share * self.active_states[k] / self.tangent.scale[k]
         direct = {name: slopes[:, k] * added for name, slopes in self.tangent.slopes.items()}
         return Forcing(0, self.tangent.A[:, :, k] * added[:, None], direct)

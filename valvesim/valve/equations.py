@@ -36,8 +36,8 @@ from valvesim.valve.laws import (
 
 AT_20 = PartTemperatures.uniform(REFERENCE_TEMPERATURE)
 LEAST_GAP = 1e-8  # m, roughness of nozzle and flapper: no smaller hydraulic diameter is seen by the laminar loss
-DIVISORS = {"armature_inertia": "armature_rate"}
-"""Coefficients that do nothing but divide the rate of a state, and a fast one: of which."""
+INERTIAS = {"armature_inertia": "armature_rate"}
+"""Inertias whose motion is fast, and the velocities whose rates they divide: they stand nowhere else."""
 FLOW_FORCE_FACTOR = 0.43  # K_f' = 0.43 w (p_s - p_L): 2 C_d C_v cos 69°, paper Eq. 34
 
 

@@ -63,7 +63,7 @@ class DynamicOptions:
     settle_time: float = option(0.02, "s", "of a sine before it is read", "slowest mode of the reference valve: 1 ms")
     settle_cycles: int = option(1, "1", "whole cycles before it is read, beyond that time", JUDGEMENT)
     samples: int = option(48, "1", "samples of a cycle", JUDGEMENT)
-    tolerance: float = option(3e-5, "1", "relative tolerance of the solver", "as in the prediction of records")
+    tolerance: float = option(3e-5, "1", "relative tolerance of the solver", "a third of that of records")
     decibel_slopes: tuple[float, float] = option(
         (4.0, 60.0), "1", "least and greatest fall in dB per unit of ln f", JUDGEMENT
     )
