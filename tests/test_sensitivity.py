@@ -23,6 +23,7 @@ from valvesim.identification.tangent_linear import (
     ChangedCoefficients,
     Course,
     Forcing,
+    ScaledForcing,
     TangentLinear,
     first_order_response,
     linearise_along,
@@ -168,9 +169,10 @@ def test_compiled_and_plain_responses_are_the_same(monkeypatch):
     times = np.concatenate([[0.0], np.cumsum(steps)])
     reads = {"load_flow": sampled_at(times, times, 0.02), "spool_position": sampled_at(times, times[2:15] + 0.004)}
     forcings = [Forcing(5, rng.normal(size=(9, 6)), {"load_flow": rng.normal(size=9)})]
-    found = tangent.read_responses(reads, forcings, changed)
+    scaled = ScaledForcing(Forcing(0, rng.normal(size=(n, 6)), {}), rng.normal(size=(n, 3)))
+    found = tangent.read_responses(reads, forcings, changed, scaled)
     monkeypatch.setattr(tangent_linear, "compile_response", lambda states: linear_response)
-    for name, plain in tangent.read_responses(reads, forcings, changed).items():
+    for name, plain in tangent.read_responses(reads, forcings, changed, scaled).items():
         assert found[name] == pytest.approx(plain, rel=1e-9, abs=1e-9 * np.abs(plain).max()), name
         assert plain.any(axis=0).sum() > 8  # some coefficients are of another drive
 
@@ -192,6 +194,21 @@ def test_a_forcing_that_begins_late_answers_as_one_of_zeros_before():
     found = tangent.read_responses(reads, forcings)["sum"]
     assert found[:, 0] == pytest.approx(found[:, 1], rel=1e-12)
     assert found[40:, 0].any() and np.abs(found[:31]).max() < 1e-12
+
+
+@pytest.mark.parametrize("count", [1, 8, 11])
+def test_a_scaled_forcing_answers_as_each_share_of_it_by_itself(count):
+    """Beside two other forcings, which leave lanes over."""
+    tangent, rng = system(SYSTEMS["soft"]), np.random.default_rng(count)
+    times = STEP * np.arange(80)
+    reads = {"sum": sampled_at(times, times, 3e-3), "first": sampled_at(times, times[5:] - 0.3 * STEP)}
+    whole = Forcing(0, rng.normal(size=(80, 3)), {"sum": rng.normal(size=80)})
+    shares, others = rng.normal(size=(80, count)), forcings_of(rng.normal(size=(80, 3, 2)), {})
+    found = tangent.read_responses(reads, others, scaled=ScaledForcing(whole, shares))
+    each = [Forcing(0, whole.rates * own[:, None], {"sum": whole.direct["sum"] * own}) for own in shares.T]
+    for name, expected in tangent.read_responses(reads, [*others, *each]).items():
+        assert found[name] == pytest.approx(expected, rel=1e-9, abs=1e-12), name
+        assert found[name].shape == (len(reads[name].first), 2 + count) and expected.any(axis=0).all()
 
 
 def test_an_answer_that_is_read_and_grows_without_end_is_none():

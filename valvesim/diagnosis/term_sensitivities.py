@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from valvesim.identification.linearised_record import LinearisedRecord
-from valvesim.identification.tangent_linear import first_order_response
+from valvesim.identification.tangent_linear import ScaledForcing, first_order_response
 from valvesim.valve.additive_term import LAG, NONE, PATH, TermHypothesis, linear_b_splines, term_effect
 
 DIRECT = ("load_flow", "internal_leakage")
@@ -34,7 +34,7 @@ def term_sensitivities(
             sampled = linear.course.on_grid[:: linear.predictor.oversampling]
             out[port.name][:, columns] = (whole.direct[port.name][:, None] * basis)[sampled]
             continue
-        for name, moved in linear.forced_response([whole.scaled_by(b) for b in basis.T]).items():
+        for name, moved in linear.forced_response((), scaled=ScaledForcing(whole, basis)).items():
             out[name][:, columns] = moved
     return out
 

@@ -24,6 +24,7 @@ from valvesim.identification.tangent_linear import (
     Course,
     Forcing,
     Sampling,
+    ScaledForcing,
     TangentLinear,
     change_of_jacobian,
     first_order_response,
@@ -114,11 +115,15 @@ class LinearisedRecord:
         return [int(k) for k in np.flatnonzero(~np.all(within, axis=0))]
 
     def forced_response(
-        self, forcings: Sequence[Forcing], changed: ChangedCoefficients | None = None
+        self,
+        forcings: Sequence[Forcing],
+        changed: ChangedCoefficients | None = None,
+        scaled: ScaledForcing | None = None,
     ) -> dict[str, np.ndarray]:
-        """The response (n_samples, k) of the readings to changed coefficients, then to forcings."""
+        """The response (n_samples, k) of the readings to changed coefficients, then to forcings, then to a scaled one.
+        """
         times, out = self.course.times, {}
-        if not forcings and changed is None:
+        if not forcings and changed is None and scaled is None:
             return {name: np.empty((len(self.predictor.record.time), 0)) for name in self.trajectory.at_valve}
         reads, late = dict[str, Sampling](), dict[str, list[ActiveEffect]]()
         for name in self.trajectory.at_valve:
@@ -128,7 +133,7 @@ class LinearisedRecord:
                 continue
             at = self._read_times(late[name])[:: self.predictor.oversampling]
             reads[name] = sampled_at(times, at, self.predictor.lags.get(name, 0.0))
-        for name, moved in self.tangent.read_responses(reads, forcings, changed).items():
+        for name, moved in self.tangent.read_responses(reads, forcings, changed, scaled).items():
             out[name] = self._through_sensor(name, moved, late[name]) if self._altered(name) else moved
         return out
 

@@ -95,9 +95,12 @@ class Forcing(NamedTuple):
     rates: np.ndarray
     direct: Mapping[str, np.ndarray]
 
-    def scaled_by(self, share: np.ndarray) -> Forcing:
-        """So much of it (rows,) at each point."""
-        return Forcing(self.start, self.rates * share[:, None], {k: part * share for k, part in self.direct.items()})
+
+class ScaledForcing(NamedTuple):
+    """One forcing (n points, from the first on) times each of the `shares` (n, k) of it: k changes."""
+
+    whole: Forcing
+    shares: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,27 +137,34 @@ class TangentLinear:
         return -np.linalg.lstsq(self.A[0], g, rcond=1e-12)[0]
 
     def read_responses(
-        self, reads: Mapping[str, Sampling], forcings: Sequence[Forcing], changed: ChangedCoefficients | None = None
+        self,
+        reads: Mapping[str, Sampling],
+        forcings: Sequence[Forcing],
+        changed: ChangedCoefficients | None = None,
+        scaled: ScaledForcing | None = None,
     ) -> dict[str, np.ndarray]:
-        """The responses (r, k) of channels as they are read, to changed coefficients, then to forcings. As with
-        `response`, zero where one grows without end.
+        """The responses (r, k) of channels as they are read, to changed coefficients, then to forcings, then to a
+        scaled one. As with `response`, zero where one grows without end.
         """
-        names, s = list(reads), len(self.active)
-        blocks = changed.blocks(self.active, self.scale, names) if changed else ChangedBlocks.none(len(self.A))
-        given = len(blocks.order)
-        count = given + len(forcings)
+        names, n, s = list(reads), len(self.A), len(self.active)
+        blocks = changed.blocks(self.active, self.scale, names) if changed else ChangedBlocks.none(n)
+        given, count = len(blocks.order), len(blocks.order) + len(forcings)
+        first_scaled = LANES * -(-count // LANES)
         lengths = [len(one.rates) for one in forcings]
         forced, forced_at = np.zeros((sum(lengths), s + len(names))), np.cumsum([0, *lengths])
-        start = np.zeros((s, LANES * -(-count // LANES)))
+        shares, whole = np.zeros((0, n, LANES)), np.zeros((n, s + len(names)))
+        if scaled is not None:
+            _fill_forcing(whole, scaled.whole, names)
+            k = scaled.shares.shape[1]
+            padded = np.pad(scaled.shares, ((0, 0), (0, -k % LANES)))
+            shares = np.ascontiguousarray(np.moveaxis(padded.reshape(n, -1, LANES), 1, 0))
+        start = np.zeros((s, first_scaled + LANES * len(shares)))
         start[:, :given] = blocks.forcing_at_first(s)
         for j, one in enumerate(forcings):
-            rows = slice(forced_at[j], forced_at[j + 1])
-            forced[rows, :s] = one.rates
-            for name, part in one.direct.items():
-                if name in reads:
-                    forced[rows, s + names.index(name)] = part
+            _fill_forcing(forced[forced_at[j] : forced_at[j + 1]], one, names)
             if one.start == 0 and lengths[j]:
                 start[:, given + j] = one.rates[0]
+        start[:, first_scaled:] = whole[0, :s, None] * shares[:, 0].reshape(1, -1)
         start = np.ascontiguousarray(np.moveaxis(self._at_rest(start).reshape(s, -1, LANES), 1, 0))
         at = np.cumsum([0, *(len(one.first) for one in reads.values())])
         out, largest = np.full((at[-1], len(start), LANES), np.nan), np.empty((len(start), LANES))
@@ -163,13 +173,25 @@ class TangentLinear:
             self.E, self.early, self.late, start, np.stack([self.slopes[name] for name in names]), blocks.changes,
             blocks.place, blocks.share, blocks.partials, blocks.entries, blocks.rows, blocks.columns, blocks.factors,
             blocks.entries_at, count, forced, np.array([one.start for one in forcings], dtype=np.int64), forced_at,
-            lags, np.concatenate([one.first for one in reads.values()]),
+            whole, shares, lags, np.concatenate([one.first for one in reads.values()]),
             np.concatenate([one.weights for one in reads.values()]), at, out, largest,
         )  # fmt: skip
-        found = out.reshape(len(out), -1)[:, :count]
-        found[:, largest.ravel()[:count] >= DIVERGED] = 0.0
-        own = np.append(np.argsort(blocks.order), np.arange(given, count))
-        return {name: found[at[k] : at[k + 1], own] for k, name in enumerate(names)}
+        last = first_scaled + (scaled.shares.shape[1] if scaled is not None else 0)
+        own = np.concatenate([np.argsort(blocks.order), np.arange(given, count), np.arange(first_scaled, last)])
+        found, grown = out.reshape(len(out), -1), largest.ravel()[own] >= DIVERGED
+        answers = {name: found[at[k] : at[k + 1], own] for k, name in enumerate(names)}
+        for answer in answers.values() if grown.any() else ():
+            answer[:, grown] = 0.0
+        return answers
+
+
+def _fill_forcing(out: np.ndarray, forcing: Forcing, names: Sequence[str]) -> None:
+    """Fill out (rows, s + channels) with what a forcing adds to the scaled rates and to channels of these names."""
+    s = forcing.rates.shape[1]
+    out[:, :s] = forcing.rates
+    for k, name in enumerate(names):
+        if name in forcing.direct:
+            out[:, s + k] = forcing.direct[name]
 
 
 @dataclass(frozen=True, eq=False)

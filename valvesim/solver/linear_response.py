@@ -131,17 +131,18 @@ def propagate(E, early, late, g, d):
 
 def read_responses(
     E, early, late, start, slopes, changes, place, share, partials, entries, rows, columns, factors, entries_at,
-    responses, forced, forced_from, forced_at, lags, first, weights, reads, out, largest,
+    responses, forced, forced_from, forced_at, scaled, shares, lags, first, weights, reads, out, largest,
 ):  # fmt: skip
-    """Fill out (r, blocks, lanes), the responses of channels as they are read, to changes of coefficients and then to
-    forcings, along a course of n points; and `largest` (blocks, lanes), how far the states went, endless where they end
-    as no number.
+    """Fill out (r, blocks, lanes), the responses of channels as they are read, to changes of coefficients, then to
+    forcings, at last to one forcing times shares of it, along a course of n points; and `largest` (blocks, lanes), how
+    far the states went, endless where they end as no number.
 
     `changes` (m, q, lanes) are those of a coefficient in a block, at the knots; `place` and `share` (n,) tell where
     points are among these. Of the entries of block b, `entries_at[b]` to `entries_at[b + 1]`, each is a row
     `entries[e]` of the derivatives `partials` (., n): of target `rows[e]`, a rate (s of them) or a channel, by change
     `columns[e]`, and counts `factors[e]` times. Of so many `responses` the last are to forcings, each the rows
-    `forced_at[j]` to `forced_at[j + 1]` of `forced` (., s + channels) from point `forced_from[j]` on. `start`
+    `forced_at[j]` to `forced_at[j + 1]` of `forced` (., s + channels) from point `forced_from[j]` on. The last blocks
+    are to the forcing `scaled` (n, s + channels) times each of the `shares` (blocks of these, n, lanes). `start`
     (blocks, s, lanes) are the responses at the first point, `slopes` (channels, n, s) those of the channels over the
     states. Channel j follows with a first-order lag, `lags[j, k]` (how much of its distance is left after step k, and
     of a change added to it; zeros without a lag), and is read `reads[j + 1] - reads[j]` times, each by four points from
@@ -152,6 +153,7 @@ def read_responses(
     change, d, moved = np.empty((changes.shape[1], lanes)), start.copy(), np.empty((blocks, s, lanes))
     g, before = np.zeros((blocks, s + channels, lanes)), np.zeros((blocks, s + channels, lanes))
     recent, following = np.empty((channels, 4, blocks, 1, lanes)), reads[:-1].copy()
+    first_scaled = blocks - shares.shape[0]
     distance, value = np.zeros((channels, blocks, lanes)), np.zeros((channels, blocks, lanes))
     largest[:] = 0.0
     for at in range(n):
@@ -170,6 +172,10 @@ def read_responses(
                 response = responses - forced_from.shape[0] + j
                 for i in range(s + channels):
                     g[response // lanes, i, response % lanes] = forced[row, i]
+        for b in range(shares.shape[0]):
+            for i in range(s + channels):
+                if scaled[at, i] != 0.0:
+                    accumulate(scaled[at, i], shares[b, at], g[first_scaled + b, i])
         if at > 0:
             for b in range(blocks):
                 advance(E[at - 1], early[at - 1], late[at - 1], d[b], before[b], g[b], moved[b])
@@ -267,6 +273,6 @@ def _call_once(module: ModuleType, s: int) -> None:
         module.read_responses(
             E, E, E, np.zeros((0, s, LANES)), np.zeros((0, 2, s)), np.zeros((1, 0, LANES)),
             np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros((0, 2)), no, no, no, nothing, at,
-            0, np.zeros((0, s)), no, at, np.zeros((0, 1, 2)), no, np.zeros((0, 4)), at, np.zeros((0, 0, LANES)),
+            0, np.zeros((0, s)), no, at, np.zeros((2, s)), np.zeros((0, 2, LANES)), np.zeros((0, 1, 2)), no, np.zeros((0, 4)), at, np.zeros((0, 0, LANES)),
             np.zeros((0, LANES)),
         )  # fmt: skip
