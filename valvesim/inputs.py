@@ -103,10 +103,11 @@ def piece_motion(row, t):
             turns = frequency * tau if growth == 0.0 else frequency * swelling / growth
             angle = 2.0 * np.pi * (turns + 0.5 * sweep * tau * tau) + phase
             speed = 2.0 * np.pi * (frequency * (1.0 + swelling) + sweep * tau)
-            value += amplitude * np.sin(angle)
-            rate += amplitude * np.cos(angle) * speed
+            sine, cosine = amplitude * np.sin(angle), amplitude * np.cos(angle)
+            value += sine
+            rate += cosine * speed
             quickening = 2.0 * np.pi * (frequency * growth * (1.0 + swelling) + sweep)
-            bend += amplitude * (np.cos(angle) * quickening - np.sin(angle) * speed * speed)
+            bend += cosine * quickening - sine * speed * speed
     return value, rate, bend
 
 

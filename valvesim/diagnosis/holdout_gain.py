@@ -22,7 +22,7 @@ from valvesim.identification.jacobian import parameter_sensitivities, perturbed_
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.nominal_fit import NominalFit
-from valvesim.identification.predictor import ModelVariant, RecordPredictor, prepare_record
+from valvesim.identification.predictor import ModelVariant, RecordPredictor, Trajectory, prepare_record
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.session import Record
 from valvesim.identification.study import Study, residual_of
@@ -52,9 +52,9 @@ def holdout_gain(
         record = settled(record, options=study.options) if fitted_waves(study.nominal) else record
         try:
             predictor = prepare_record(session, record, universe, options=options.identification)
-            read = _read_with_inputs(study, predictor, variants[0])
+            read, near = _read_with_inputs(study, predictor, variants[0])
             same = variants[1] == variants[0]  # without a cause nothing is extended
-            reads = [read, read if same else _read_with_inputs(study, predictor, variants[1])]
+            reads = [read, read if same else _read_with_inputs(study, predictor, variants[1], near)[0]]
         except (InputError, SolveError) as reason:  # what was found in the others stands all the same
             failed.append(f"no gain is measured on a locked record that cannot be simulated: {reason}")
             continue
@@ -87,34 +87,39 @@ def holdout_gain(
     return tuple(gains), claimed, offered and not failed, tuple(traces), failed
 
 
-def _read_with_inputs(study: Study, predictor: RecordPredictor, variant: ModelVariant) -> dict[str, np.ndarray]:
+def _read_with_inputs(
+    study: Study, predictor: RecordPredictor, variant: ModelVariant, near: np.ndarray | None = None
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """What a variant reads in a locked record, its inputs fitted as those of the training records were: when its
-    command jumped, or how its supply rippled, is nothing that a model of the valve could know.
+    command jumped, or how its supply rippled, is nothing that a model of the valve could know. And these inputs (k,) in
+    prior deviations; the fit begins `near` those of another variant, if they are known.
     """
     inputs, record = _own_inputs(study, predictor.record), predictor.record
-    own, point = NominalModel(variant, inputs, options=study.options), np.zeros(len(inputs))
+    own = NominalModel(variant, inputs, options=study.options)
+    point = np.zeros(len(inputs)) if near is None else near
 
-    def left(point: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
-        """The readings at a point, their whitened residual (rows,), and the penalised chi-square."""
+    def left(point: np.ndarray) -> tuple[Trajectory, dict[str, np.ndarray], np.ndarray, float]:
+        """The trajectory at a point, its readings, their whitened residual (rows,), and the penalised chi-square."""
         at = own.at(point)
-        readings = predictor.readings(predictor.run(at), at)
+        trajectory = predictor.run(at)
+        readings = predictor.readings(trajectory, at)
         r = _white(study, record, residual_of(record, readings))[:, 0]
-        return readings, r, float(r @ r + point @ point)
+        return trajectory, readings, r, float(r @ r + point @ point)
 
-    readings, r, chi_square = left(point)
+    trajectory, readings, r, chi_square = left(point)
     for _ in range(study.options.input.holdout_steps if inputs else 0):
         now, before = own.at(point), chi_square
-        linear = linearise_record(predictor, now)
+        linear = linearise_record(predictor, now, trajectory)
         J = _white(study, record, parameter_sensitivities(linear, own, perturbed_variants(own, now)))
         step = bounded_step(J.T @ J + np.eye(len(point)), J.T @ r - point, own.limits - point)
         for share in (1.0, 0.5, 0.25):  # peaks that move are far from linear
             tried = left(point + share * step)
-            if tried[2] < chi_square:
-                point, (readings, r, chi_square) = point + share * step, tried
+            if tried[-1] < chi_square:
+                point, (trajectory, readings, r, chi_square) = point + share * step, tried
                 break
         if before - chi_square < study.options.fit.hypothesis_ftol:
             break
-    return readings
+    return readings, point
 
 
 def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:

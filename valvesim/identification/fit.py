@@ -86,10 +86,14 @@ class Fit:
         return variant
 
 
-def evaluate_fit(study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...]) -> Fit:
-    """The fit at a point, by simulating every training record. Raises SolveError, InputError where that fails."""
+def evaluate_fit(
+    study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...], near: Fit | None = None
+) -> Fit:
+    """The fit at a point, by simulating every training record, from where one `near` it rests if there is one. Raises
+    SolveError, InputError where that fails.
+    """
     fit = Fit(point, fitted, 0.0, (), np.zeros(0), 0.0)
-    did_run = _run(study, fit.variant(study.nominal))
+    did_run = _run(study, fit.variant(study.nominal), near.trajectories if near is not None else ())
     fit = rescored(study, replace(fit, readings=tuple(readings for _, readings in did_run)))
     return fit if study.is_long else replace(fit, trajectories=tuple(trajectory for trajectory, _ in did_run))
 
@@ -99,15 +103,19 @@ def predict_readings(study: PreparedSession, variant: ModelVariant) -> tuple[dic
     return tuple(readings for _, readings in _run(study, variant))
 
 
-def _run(study: PreparedSession, variant: ModelVariant) -> list[tuple[Trajectory, dict[str, np.ndarray]]]:
-    """The trajectory of each training record and what its sensors would read."""
+def _run(
+    study: PreparedSession, variant: ModelVariant, near: Sequence[Trajectory] = ()
+) -> list[tuple[Trajectory, dict[str, np.ndarray]]]:
+    """The trajectory of each training record and what its sensors would read; `near` are trajectories of another
+    variant of all records, or none.
+    """
 
     def run(posed: PosedRun, initial: np.ndarray) -> tuple[Trajectory, dict[str, np.ndarray]]:
         trajectory = posed.trajectory(initial)
         return trajectory, posed.predictor.readings(trajectory, variant)
 
     posed = study.each(lambda predictor: predictor.posed(variant), study.predictors)
-    return study.each(run, posed, at_rest_together(posed))
+    return study.each(run, posed, at_rest_together(posed, near))
 
 
 def is_adequate(fit: Fit, *, options: IdentificationOptions) -> bool:

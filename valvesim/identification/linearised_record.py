@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from valvesim.identification.between_samples import acting_on
 from valvesim.identification.predictor import (
     MEASURED_SIGNALS,
     ModelVariant,
@@ -90,10 +91,13 @@ class LinearisedRecord:
         return {name: np.column_stack([part[name] for part in parts]) for name in self.readings}
 
     def small_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
-        """The same where what the variants change is small: to first order in their coefficients too."""
+        """The same where what the variants change is small: to first order in their coefficients and inputs too."""
         few = self._changes_of_coefficients(variants)
         forced = {k: own for k, change in few.items() if (own := self._forcing_of_inertia(change)) is not None}
-        forced |= {k: self.forcing(variant) for k, variant in enumerate(variants) if k not in few}
+        for k, variant in enumerate(variants):
+            if k not in few:
+                own = self._forcing_of_inputs(variant)
+                forced[k] = self.forcing(variant) if own is None else own
         few = {k: change for k, change in few.items() if k not in forced}
         changed = None
         if few:
@@ -173,7 +177,8 @@ class LinearisedRecord:
 
     def _changes_of_coefficients(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
         """By how much the coefficients (m, n_c) at the knots of the trajectory's path change, of those variants, by
-        their places, that differ in no other way: their valves together, their networks together.
+        their places, that differ in no other way: their valves together, their networks together, each whose oil is
+        warmer.
         """
         own, path, groups = self.variant, self.trajectory.path, list[tuple[list[int], ModelVariant, TemperaturePath]]()
         of_valve = [k for k, one in enumerate(variants) if replace(one, valve=own.valve) == own]
@@ -183,6 +188,8 @@ class LinearisedRecord:
         networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
         if networks and None not in networks and not self.predictor.has_own_knots(own):
             groups.append((of_network, own, self.predictor.temperatures_of(own, [one for one in networks if one])))
+        of_inputs = [k for k, one in enumerate(variants) if replace(one, deviations=own.deviations) == own != one]
+        groups += [([k], own, self.predictor.temperatures(variants[k])) for k in of_inputs if self._is_of_oil(variants[k])]
         changes = dict[int, np.ndarray]()
         for group, batch, along in groups:
             _, knots = self.predictor.coefficients_at_knots(batch, self.trajectory.model, along)
@@ -190,6 +197,12 @@ class LinearisedRecord:
             moved = np.stack([np.broadcast_to(column, shape) for column in knots], axis=-1) - self.trajectory.knots
             changes |= dict(zip(group, moved, strict=True))
         return changes
+
+    def _is_of_oil(self, variant: ModelVariant) -> bool:
+        """Whether of a variant's inputs the oil's temperature alone differs, on the knots of this trajectory."""
+        ways = [acting_on(one.deviations, self.predictor.record.name) for one in (variant, self.variant)]
+        new, old = ([each for each in way if each[0].column != "oil_temperature"] for way in ways)
+        return new == old and not any(map(self.predictor.has_own_knots, (variant, self.variant)))
 
     def _forcing_of_inertia(self, change: np.ndarray) -> Forcing | None:
         """The forcing of a change (m, n_c) of one of `INERTIAS` alone, of one share at all knots; None of another.
@@ -206,6 +219,31 @@ class LinearisedRecord:
         added = -share * self.active_states[k] / self.tangent.scale[k]
         direct = {name: slopes[:, k] * added for name, slopes in self.tangent.slopes.items()}
         return Forcing(0, self.tangent.A[:, :, k] * added[:, None], direct)
+
+    def _forcing_of_inputs(self, variant: ModelVariant) -> Forcing | None:
+        """The forcing of a variant whose inputs differ by little and nothing else does, by the derivatives of the
+        equations with respect to these; None of another.
+        """
+        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
+        same = replace(variant, deviations=self.variant.deviations) == self.variant
+        if added is None or not same or not self.predictor.same_temperatures(variant, self.variant):
+            return None
+        columns = np.flatnonzero(added.any(axis=0))
+        added = self.course.between(added[:, columns])
+        moved = np.flatnonzero(added.any(axis=1))
+        rows = slice(moved[0], moved[-1] + 1) if len(moved) else slice(0, 0)
+        change = np.zeros((self.compiled.states.stop + len(self.compiled.signals), rows.stop - rows.start))
+        for k, by in zip(columns, added[rows].T, strict=True):
+            own = self.compiled.inputs.start + k
+            for e in self.compiled.entries(slice(0, len(change)), slice(own, own + 1)):
+                change[self.compiled.targets[e]] += self.partials[e, rows] * by
+        return self._forcing_of(change, rows.start)
+
+    def _forcing_of(self, change: np.ndarray, start: int) -> Forcing:
+        """The forcing of a change of the rates and signals (targets, rows) of `compiled`."""
+        s = self.compiled.states.stop
+        rates = (change[:s][self.tangent.active] / self.tangent.scale[:, None]).T
+        return Forcing(start, rates, dict(zip(self.compiled.signals, change[s:], strict=True)))
 
     def forcing(self, variant: ModelVariant) -> Forcing:
         """What a variant adds to the scaled rates and to the signals along this trajectory."""
@@ -227,12 +265,7 @@ class LinearisedRecord:
             coefficients = self._coefficients_of(variant)
         inputs = self.course.inputs[rows] if added is None else (self.course.inputs + added)[rows]
         new = self.compiled.values(self.course.states[rows], inputs, coefficients.at(rows))
-        change = new - self.values[:, rows]
-        s = self.compiled.states.stop
-        return Forcing(
-            rows.start or 0, (change[:s][self.tangent.active] / self.tangent.scale[:, None]).T,
-            dict(zip(self.compiled.signals, change[s:], strict=True)),
-        )  # fmt: skip
+        return self._forcing_of(new - self.values[:, rows], rows.start or 0)
 
     def _coefficients_of(self, variant: ModelVariant) -> CoefficientCourse:
         """The coefficients of a variant of the trajectory's model along it."""

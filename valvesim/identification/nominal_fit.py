@@ -62,12 +62,27 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
         progress(reached)
 
     prepared, choice, nominal = _robust_with_inputs(prepared, ahead)
-    full = _finished(with_input_choice(prepared, choice), nominal, ahead)
-    _, _, better = _reviewed_choice(full)
-    if better.name == choice.name:
+    nominal = _with_own_noise(nominal, ahead)
+    if not choice.parameters and choice.name not in (HELD_NAME, READ_BACK_NAME):  # edges may be seen by now
+        choice, nominal = _under_better_choice(prepared, choice, nominal, ahead)
+    full = _in_full(with_input_choice(prepared, choice), nominal, ahead)
+    better, again = _under_better_choice(prepared, choice, full, ahead)
+    if better is choice:
         return replace(full, is_reviewed=True)
+    return _in_full(with_input_choice(prepared, better), again, ahead)
+
+
+def _under_better_choice(
+    prepared: PreparedSession, choice: InputChoice, nominal: NominalFit, ahead: Callable[[float], None]
+) -> tuple[InputChoice, NominalFit]:
+    """The way of the commands that the figures of a fit ask for, and where it is another one the fit at the samples
+    alone under that; else those given.
+    """
+    _, _, better = _reviewed_choice(nominal)
+    if better.name == choice.name:
+        return choice, nominal
     again = with_input_choice(prepared, better)
-    return _finished(again, _robustly_fitted(again, _point_by_name(full), ahead), ahead)
+    return better, _with_own_noise(_robustly_fitted(again, _point_by_name(nominal), ahead), ahead)
 
 
 def _robust_with_inputs(
@@ -180,15 +195,18 @@ def _robustly_fitted(
     return assembled(study, *robust_start(study, rescored(study, fit), ahead))
 
 
-def _finished(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[float], None]) -> NominalFit:
-    """A robust start continued: preliminary, with the noise that it leaves where repeats have not told it, then in
-    full.
-    """
+def _with_own_noise(nominal: NominalFit, ahead: Callable[[float], None]) -> NominalFit:
+    """A robust start continued at the samples alone, with the noise that it leaves where repeats have not told it."""
     nominal = _tuned(_converge_down_weighted(nominal, ahead))
     if not all(one.verified for one in nominal.study.noise.values()):
         for _ in range(2):  # the noise is what the best fit leaves: again with its colour
             noise = identify_noise(nominal.study, nominal.fit.readings)
             nominal = _converge_down_weighted(replace(nominal, study=nominal.study.with_noise(noise)), ahead)
+    return nominal
+
+
+def _in_full(prepared: PreparedSession, nominal: NominalFit, ahead: Callable[[float], None]) -> NominalFit:
+    """A fit at the samples alone continued in full."""
     study = prepared.with_nominal(nominal.study.nominal).with_noise(nominal.study.noise)
     return _retuned(_at_full_weight(study, nominal, ahead))
 
@@ -203,7 +221,7 @@ def _tuned(nominal: NominalFit, enough: float = -np.inf) -> NominalFit:
     if promised <= enough:
         return nominal
     study = with_nuisance(nominal.study, parameters)
-    return linearise_nominal(study, evaluate_fit(study, point, ()))
+    return linearise_nominal(study, evaluate_fit(study, point, (), nominal.fit))
 
 
 def _retuned(nominal: NominalFit) -> NominalFit:
@@ -236,7 +254,7 @@ def _with_edges_searched(study: Study, fit: Fit) -> Fit:
     point = searched_edges(study, fit)
     if np.array_equal(point, fit.point):
         return fit
-    moved = evaluate_fit(study, point, ())
+    moved = evaluate_fit(study, point, (), fit)
     return fit if moved.chi_square > fit.chi_square else moved
 
 
@@ -596,6 +614,7 @@ def within_tolerance(nominal: NominalFit) -> Fit:
         nominal.fit.point
         + bounded_step(*normal_equations(nominal.fit, nominal.J, options=nominal.study.options), limits),
         (),
+        nominal.fit,
     )
 
 

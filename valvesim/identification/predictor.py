@@ -414,11 +414,13 @@ class PosedRun:
         return self.predictor.on_grid(Trajectory(model, fine, fine, oil, at_valve, path, self.knots))
 
 
-def at_rest_together(posed: Sequence[PosedRun]) -> list[np.ndarray]:
-    """The scaled states (n_x,) that runs of one variant start from: records are members of one batch. Raises as
-    `PosedRun.at_rest` does.
+def at_rest_together(posed: Sequence[PosedRun], near: Sequence[Trajectory] = ()) -> list[np.ndarray]:
+    """The scaled states (n_x,) that runs of one variant start from: records are members of one batch, or each starts
+    from where a trajectory of the same model `near` it rests. Raises as `PosedRun.at_rest` does.
     """
     first = posed[0]
+    if near and all(one.model == first.compiled.model for one in near):
+        return [one.at_rest_near(trajectory) for one, trajectory in zip(posed, near, strict=True)]
     if all(one.compiled is first.compiled for one in posed):
         inputs = np.stack([one.under.first_inputs for one in posed])
         with suppress(SolveError):  # which is told of its record below

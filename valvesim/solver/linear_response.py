@@ -49,8 +49,13 @@ def accumulate(slope, change, g):
     g[:] = g + slope * change
 
 
+def extend(d, largest):
+    """Raise a row of sizes (lanes,) to those of a block (s, lanes) where these are larger; no number is none."""
+    largest[:] = np.fmax(largest, np.fmax.reduce(np.abs(d)))
+
+
 def printed(s: int) -> list[str]:
-    """The lines of `product`, `advance`, `channel` and `accumulate` for s states."""
+    """The lines of `product`, `advance`, `channel`, `accumulate` and `extend` for s states."""
     every = range(s)
     lines = ["def product(X, Y, out, diagonal):"]
     for i in every:
@@ -64,6 +69,8 @@ def printed(s: int) -> list[str]:
     lines.append("def channel(slope, d, direct, out):")
     lines.append(f"    out[0] = direct[0] + {' + '.join(f'slope[{i}] * d[{i}]' for i in every)}")
     lines += ["def accumulate(slope, change, g):", "    g[0] = g[0] + slope * change[0]"]
+    lines.append("def extend(d, largest):")
+    lines += [f"    largest[0] = maximum(fabs(d[{i}]), largest[0])" for i in every]
     return lines
 
 
@@ -181,9 +188,7 @@ def read_responses(
                 advance(E[at - 1], early[at - 1], late[at - 1], d[b], before[b], g[b], moved[b])
             d, moved = moved, d
         for b in range(blocks):
-            for i in range(s):
-                for v in range(lanes):
-                    largest[b, v] = max(largest[b, v], abs(d[b, i, v]))
+            extend(d[b], largest[b])
         before, g = g, before
         for j in range(channels):
             for b in range(blocks):
@@ -273,6 +278,6 @@ def _call_once(module: ModuleType, s: int) -> None:
         module.read_responses(
             E, E, E, np.zeros((0, s, LANES)), np.zeros((0, 2, s)), np.zeros((1, 0, LANES)),
             np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros((0, 2)), no, no, no, nothing, at,
-            0, np.zeros((0, s)), no, at, np.zeros((2, s)), np.zeros((0, 2, LANES)), np.zeros((0, 1, 2)), no, np.zeros((0, 4)), at, np.zeros((0, 0, LANES)),
-            np.zeros((0, LANES)),
+            0, np.zeros((0, s)), no, at, np.zeros((2, s)), np.zeros((0, 2, LANES)), np.zeros((0, 1, 2)), no,
+            np.zeros((0, 4)), at, np.zeros((0, 0, LANES)), np.zeros((0, LANES)),
         )  # fmt: skip

@@ -72,6 +72,11 @@ class CompiledDerivatives:
         return slice(0, len(self.model.state_channels))
 
     @property
+    def inputs(self) -> slice:
+        """Where the inputs stand among the arguments."""
+        return slice(self.states.stop, self.states.stop + len(INPUT_CHANNELS))
+
+    @property
     def coefficients(self) -> slice:
         """Where the coefficients stand among the arguments."""
         first = self.states.stop + len(INPUT_CHANNELS)
