@@ -87,13 +87,13 @@ class Fit:
 
 
 def evaluate_fit(
-    study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...], near: Fit | None = None
+    study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...], near: Sequence[Trajectory] = ()
 ) -> Fit:
-    """The fit at a point, by simulating every training record, from where one `near` it rests if there is one. Raises
-    SolveError, InputError where that fails.
+    """The fit at a point, by simulating every training record, from where trajectories of all of them `near` it rest if
+    there are any. Raises SolveError, InputError where that fails.
     """
     fit = Fit(point, fitted, 0.0, (), np.zeros(0), 0.0)
-    did_run = _run(study, fit.variant(study.nominal), near.trajectories if near is not None else ())
+    did_run = _run(study, fit.variant(study.nominal), near)
     fit = rescored(study, replace(fit, readings=tuple(readings for _, readings in did_run)))
     return fit if study.is_long else replace(fit, trajectories=tuple(trajectory for trajectory, _ in did_run))
 

@@ -173,7 +173,7 @@ def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCand
 
     def fall(start: tuple[FittedCandidate, ...]) -> float:
         try:
-            return before - left(evaluate_fit(robust, fit.point, start, fit))
+            return before - left(evaluate_fit(robust, fit.point, start, fit.trajectories))
         except (SolveError, InputError):
             return -np.inf
 
@@ -272,7 +272,7 @@ def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...]) -> Fi
         )
         step = bounded_step(H, gradient, limits)
         fitted = tuple(replace(e, above_neutral=float(a)) for e, a in zip(start, step[p:], strict=True))
-        return evaluate_fit(nominal.study, nominal.fit.point + step[:p], fitted, nominal.fit)
+        return evaluate_fit(nominal.study, nominal.fit.point + step[:p], fitted, nominal.fit.trajectories)
     except (SolveError, InputError):
         return None
 

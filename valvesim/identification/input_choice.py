@@ -26,7 +26,7 @@ from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, pred
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.predictor import RecordPredictor, is_quasi_static
+from valvesim.identification.predictor import RecordPredictor, Trajectory, is_quasi_static
 from valvesim.identification.prior import NominalModel, NuisanceParameter
 from valvesim.identification.session import UNITS, Record, Session, value_text
 from valvesim.identification.study import PreparedSession, Study, residual_of
@@ -174,7 +174,7 @@ def choose_inputs(
     known = [{name: each[:, :p] for name, each in own.items()} for own in columns]
     J = study.stack(known)
     best, least, reached, straight = now, np.inf, np.inf, np.inf
-    delays, starts = are_delays(study.nominal), [point]
+    delays, starts, near = are_delays(study.nominal), [point], [one.trajectory for one in linearised]
     if np.any(np.abs(point[delays]) > study.options.fit.tolerance_deviations):  # a hold is half a sample late
         starts.append(np.where(delays, 0.0, point))
     choices = input_choices(study.session, now.name == READ_BACK_NAME, options=study.options)
@@ -186,7 +186,7 @@ def choose_inputs(
         if choice.parameters:
             more = np.column_stack([more, added_columns(own, linearised, nominal, choice.parameters)])
         added = np.zeros(len(choice.parameters))
-        tried = [_evaluated(own, np.append(start, added), fitted) for start in starts]
+        tried = [_evaluated(own, np.append(start, added), fitted, near) for start in starts]
         H, normalisation = more.T @ more + np.eye(more.shape[1]), own.log_determinant()
         predicted = [
             (_predicted(fit, more, H, nominal) + normalisation, fit.rows, fit.chi_square + normalisation)
@@ -211,10 +211,12 @@ def are_delays(nominal: NominalModel) -> np.ndarray:
     return np.array([p.sensor is not None and p.sensor.name == SENSOR_DELAY.name for p in nominal.parameters])
 
 
-def _evaluated(study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...]) -> Fit | None:
-    """The fit at a point (p,) with candidates; None where it cannot be simulated."""
+def _evaluated(
+    study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...], near: Sequence[Trajectory]
+) -> Fit | None:
+    """The fit at a point (p,) with candidates, `near` trajectories; None where it cannot be simulated."""
     try:
-        return evaluate_fit(study, point, fitted)
+        return evaluate_fit(study, point, fitted, near)
     except (SolveError, InputError):
         return None
 

@@ -54,7 +54,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
                 study,
                 fit.point + step[: len(fit.point)],
                 moved_candidates(fit, step[len(fit.point) :], options=study.options),
-                fit,
+                fit.trajectories,
             )
         except (SolveError, InputError):  # no valve can have these figures
             fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1

@@ -339,7 +339,7 @@ def linearise_record(
 ) -> LinearisedRecord:
     """A record linearised about a variant, along its trajectory where that is known already."""
     trajectory = predictor.run(variant) if trajectory is None else predictor.on_grid(trajectory)
-    predictor = predictor.under(variant.deviations)
+    predictor = predictor.under_inputs_of(trajectory, variant.deviations)
     model, own = predictor.reduced(trajectory.model, variant)
     compiled = compile_derivatives(trajectory.model, MEASURED_SIGNALS)
     course, coefficients, values, partials = _course_of(predictor, variant, trajectory, own, compiled)

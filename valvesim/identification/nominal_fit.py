@@ -65,11 +65,11 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
     nominal = _with_own_noise(nominal, ahead)
     if not choice.parameters and choice.name not in (HELD_NAME, READ_BACK_NAME):  # edges may be seen by now
         choice, nominal = _under_better_choice(prepared, choice, nominal, ahead)
-    full = _in_full(with_input_choice(prepared, choice), nominal, ahead)
+    full = _in_full(with_input_choice(prepared, choice, nominal.study), nominal, ahead)
     better, again = _under_better_choice(prepared, choice, full, ahead)
     if better is choice:
         return replace(full, is_reviewed=True)
-    return _in_full(with_input_choice(prepared, better), again, ahead)
+    return _in_full(with_input_choice(prepared, better, again.study), again, ahead)
 
 
 def _under_better_choice(
@@ -96,17 +96,19 @@ def _robust_with_inputs(
     near = dict[str, float]()
     wave = dominant_wave(start.study, start.fit, start.linearised, start.columns)
     if wave:
-        prepared, near = _with_waves(prepared, choice, wave, ahead)
+        prepared, near = _with_waves(prepared, choice, wave, start.study, ahead)
         prepared = with_parameters(prepared, instrument_errors(prepared.session, options=prepared.options))
-        start = _at_nominal(with_input_choice(prepared, choice), near)
-    choice = _choice_at_start(start)
-    nominal = _robustly_fitted(with_input_choice(prepared, choice), near, ahead)
+        start = _at_nominal(with_input_choice(prepared, choice, start.study), near)
+    better = _choice_at_start(start)
+    known, choice = start.study if better.name == choice.name else None, better
+    nominal = _robustly_fitted(with_input_choice(prepared, choice, known), near, ahead)
     for _ in range(prepared.options.wave.most):
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
             break
         prepared = with_parameters(prepared, wave)
-        nominal = _robustly_fitted(with_input_choice(prepared, choice), _point_by_name(nominal), ahead)
+        again = with_input_choice(prepared, choice, nominal.study)
+        nominal = _robustly_fitted(again, _point_by_name(nominal), ahead)
         weighted = replace(nominal, study=down_weight_peaks(nominal.study, nominal.linearised))
         _, _, better = _reviewed_choice(weighted)
         if better.name != choice.name:
@@ -150,6 +152,7 @@ def _with_waves(
     prepared: PreparedSession,
     choice: InputChoice,
     wave: tuple[NuisanceParameter, ...],
+    known: Study,
     ahead: Callable[[float], None],
 ) -> tuple[PreparedSession, dict[str, float]]:
     """The prepared session with a wave upon its inputs that the nominal valve shows already, and those that show beside
@@ -158,7 +161,7 @@ def _with_waves(
     near = dict[str, float]()
     for _ in range(prepared.options.wave.most):
         prepared = with_parameters(prepared, wave)
-        nominal = _robustly_fitted(with_input_choice(prepared, choice), near, ahead)
+        nominal = _robustly_fitted(with_input_choice(prepared, choice, known), near, ahead)
         near = _point_by_name(nominal)
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
@@ -221,7 +224,7 @@ def _tuned(nominal: NominalFit, enough: float = -np.inf) -> NominalFit:
     if promised <= enough:
         return nominal
     study = with_nuisance(nominal.study, parameters)
-    return linearise_nominal(study, evaluate_fit(study, point, (), nominal.fit))
+    return linearise_nominal(study, evaluate_fit(study, point, (), nominal.fit.trajectories))
 
 
 def _retuned(nominal: NominalFit) -> NominalFit:
@@ -254,7 +257,7 @@ def _with_edges_searched(study: Study, fit: Fit) -> Fit:
     point = searched_edges(study, fit)
     if np.array_equal(point, fit.point):
         return fit
-    moved = evaluate_fit(study, point, (), fit)
+    moved = evaluate_fit(study, point, (), fit.trajectories)
     return fit if moved.chi_square > fit.chi_square else moved
 
 
@@ -268,14 +271,16 @@ def _choice_at_start(start: NominalFit) -> InputChoice:
     return _reviewed_choice(replace(start, study=study))[2]
 
 
-def with_input_choice(prepared: Prepared, choice: InputChoice) -> Prepared:
-    """The prepared session with its commands between their samples as chosen, and notes on it."""
+def with_input_choice(prepared: Prepared, choice: InputChoice, known: Study | None = None) -> Prepared:
+    """The prepared session with its commands between their samples as chosen, and notes on it; a study of it, in which
+    they go so, may be `known`.
+    """
     if choice.name == STRAIGHT.name:
         return prepared
     nominal = prepared.nominal.extended(choice.parameters, choice.deviations)
     notes = input_notes(prepared.session, choice, options=prepared.options)
     found = with_records(prepared, (), notes).with_nominal(nominal)
-    return replace(found, spread=input_spread(found))
+    return replace(found, spread=known.spread if known is not None else input_spread(found))
 
 
 def _without_choice(study: Study) -> tuple[Study, InputChoice]:
@@ -614,7 +619,7 @@ def within_tolerance(nominal: NominalFit) -> Fit:
         nominal.fit.point
         + bounded_step(*normal_equations(nominal.fit, nominal.J, options=nominal.study.options), limits),
         (),
-        nominal.fit,
+        nominal.fit.trajectories,
     )
 
 

@@ -67,7 +67,7 @@ class Trajectory:
 
     `fine` (n_f, n_x) are the states on the finer grid that sensors are read on, `oil` (n_f,) its temperature there,
     and `at_valve` the record's output channels (n_f,) before their sensors; `knots` (m, n_c) are the coefficients at
-    the knots of the temperature `path`.
+    the knots of the temperature `path`. `under` is the predictor under the variant's inputs.
     """
 
     model: Model
@@ -77,6 +77,7 @@ class Trajectory:
     at_valve: dict[str, np.ndarray]
     path: TemperaturePath
     knots: np.ndarray
+    under: RecordPredictor
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,12 @@ class RecordPredictor:
         fine = _with_inputs(self.fine_inputs, changed, self.fine_times)
         coarse = fine if self.sensor_oversampling == 1 else _with_inputs(self.inputs, changed, self.times)
         return replace(self, starts=starts, rows=intervals.rows, inputs=coarse, fine_inputs=fine, deviations=own)
+
+    def under_inputs_of(self, trajectory: Trajectory, deviations: Deviations) -> RecordPredictor:
+        """`under` the deviations of a trajectory, which has been so already if it is of this predictor."""
+        known = trajectory.under
+        own = all(getattr(known, name) is getattr(self, name) for name in ("record", "scenario", "times", "options"))
+        return (known if own else self).under(deviations)
 
     def _deviating(self, column: str, command: Command, deviations: Deviations) -> Command:
         """An input with what deviates of its column."""
@@ -395,9 +402,16 @@ class PosedRun:
         first = self.under.first_inputs
         return state_at_rest(self.compiled, first, self.knots[:1], held=self.off, where=self.under.where)[0]
 
+    def rests_near(self, trajectory: Trajectory) -> bool:
+        """Whether its states at rest are those near a trajectory's, by balances alone: a memory (hysteresis, friction)
+        rests where it was left on the way from zero current.
+        """
+        model = self.compiled.model
+        return trajectory.model == model and bool(self.off[model.memory_states].all())
+
     def at_rest_near(self, trajectory: Trajectory) -> np.ndarray:
         """The same states, by Newton's method from those that a trajectory near it starts from, where that ends."""
-        if trajectory.model == self.compiled.model:
+        if self.rests_near(trajectory):
             first, near = self.under.first_inputs, trajectory.fine[0] / self.compiled.scale
             with suppress(SolveError):  # it is looked for from zero current then
                 return settled_from(self.compiled, near, first, self.knots[0], held=self.off)
@@ -411,7 +425,7 @@ class PosedRun:
         fine = integrate(problem, what=f"{under.where}the simulation", advice=advice)[0]
         at_valve = under._outputs(model, fine, path, self.knots)
         oil = self.predictor.oil_along(path)
-        return self.predictor.on_grid(Trajectory(model, fine, fine, oil, at_valve, path, self.knots))
+        return self.predictor.on_grid(Trajectory(model, fine, fine, oil, at_valve, path, self.knots, under))
 
 
 def at_rest_together(posed: Sequence[PosedRun], near: Sequence[Trajectory] = ()) -> list[np.ndarray]:
@@ -419,8 +433,9 @@ def at_rest_together(posed: Sequence[PosedRun], near: Sequence[Trajectory] = ())
     from where a trajectory of the same model `near` it rests. Raises as `PosedRun.at_rest` does.
     """
     first = posed[0]
-    if near and all(one.model == first.compiled.model for one in near):
-        return [one.at_rest_near(trajectory) for one, trajectory in zip(posed, near, strict=True)]
+    pairs = list(zip(posed, near, strict=True)) if near else []
+    if pairs and all(one.rests_near(trajectory) for one, trajectory in pairs):
+        return [one.at_rest_near(trajectory) for one, trajectory in pairs]
     if all(one.compiled is first.compiled for one in posed):
         inputs = np.stack([one.under.first_inputs for one in posed])
         with suppress(SolveError):  # which is told of its record below
