@@ -10,6 +10,7 @@ from test_prediction import FRICTION, HYSTERESIS, UNIVERSE, bench_of, course_of,
 
 from valvesim.errors import SolveError
 from valvesim.identification import tangent_linear
+from valvesim.identification.between_samples import InputShift, Wave
 from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
 from valvesim.identification.predictor import (
@@ -37,6 +38,7 @@ from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.equations import Model
 from valvesim.valve.laws import lagged
 
+LAG = CATALOGUE["eddy_current_lag"](share=0.3, time_constant=2e-4)
 STEP = 1e-3
 SYSTEMS = {
     "soft": np.array([[0.0, 1.0, 0.0], [-400.0, -3.0, 5.0], [1.0, 0.0, -2.0]]),
@@ -360,6 +362,60 @@ def test_answers_to_small_changes_are_those_to_their_forcings(name):
     for channel, columns in small.items():
         assert columns == pytest.approx(finite[channel], rel=1e-4, abs=1e-4 * np.abs(finite[channel]).max()), channel
         assert not columns[:, 4].any()
+
+
+@pytest.mark.parametrize("name", ["fast", "slow"])
+def test_answers_to_small_changes_of_inputs_are_those_to_their_forcings_and_of_true_runs(name):
+    record = bench_of(name).record
+    changes = [
+        (InputShift(record.name, "supply_pressure"), 1e4),
+        (InputShift(record.name, "supply_pressure", growing=True), 1e4),
+        (InputShift(record.name, record.command), 1e-6),
+        (Wave(record.name, record.command, 0.05 * record.rate, 0.4), 1e-6),
+        (Wave(record.name, "load_pressure", 0.03 * record.rate, 1.0), 1e4),
+        (InputShift(record.name, "oil_temperature"), 1e-3),
+        (InputShift("another record", "supply_pressure"), 1e5),
+    ]
+    up, down, little = (
+        [replace(nominal_variant(), deviations=((one, share * by),)) for one, by in changes]
+        for share in (1.0, -1.0, 0.01)
+    )
+    small, forced = (
+        {channel: 100.0 * columns for channel, columns in answers.items()}
+        for answers in (linear(name).small_difference(little), linear(name).linear_difference(little))
+    )
+    for k, (high, low) in enumerate(zip(up, down, strict=True)):
+        for channel, truth in central(name, high, low).items():
+            size = np.abs(forced[channel][:, k]).max()
+            assert small[channel][:, k] == pytest.approx(forced[channel][:, k], abs=2e-3 * size), (k, channel)
+            seen = rms(truth) > 1e-4 * np.ptp(seen_readings(name)[channel])  # by more than the integrator errs
+            if seen and channel not in ("load_flow", "internal_leakage"):  # they bend where lands pass null
+                assert rms(small[channel][:, k] - truth) < 0.05 * rms(truth), (k, channel)
+        assert small["spool_position"][:, k].any() == (changes[k][0].record == record.name), k
+
+
+def test_a_run_rests_near_another_where_its_balances_alone_tell():
+    """A hysteresis rests where the way from zero current has left it: near another valve it would be off."""
+    for effects in ((), (FRICTION,), (HYSTERESIS,)):
+        one, other = (replace(moved_valve(null_gap=by), effects=effects) for by in (0.0, 0.02))
+        posed, trajectory = bench_of("fast").posed(other), bench_of("fast").run(one)
+        assert posed.rests_near(trajectory) == (not effects)
+        assert not posed.rests_near(course_of("fast", nominal_variant().with_effect(LAG)))  # of another model
+        assert at_rest_together([posed], [trajectory])[0] == pytest.approx(posed.at_rest(), rel=1e-9, abs=1e-12)
+        assert posed.at_rest_near(trajectory) == pytest.approx(posed.at_rest(), rel=1e-9, abs=1e-12)
+
+
+def test_inputs_that_a_trajectory_ran_under_are_not_worked_out_again():
+    predictor = bench_of("fast")
+    wave = Wave(predictor.record.name, "supply_pressure", 60.0, 0.0)
+    some, others = (((wave, by),) for by in (1e5, 2e5))
+    trajectory = predictor.run(replace(nominal_variant(), deviations=some))
+    assert predictor.under_inputs_of(trajectory, some) is trajectory.under
+    for own in (predictor, replace(predictor, options=replace(predictor.options)), predictor.without_oversampling()):
+        for deviations in (some, others, ()):
+            found, expected = own.under_inputs_of(trajectory, deviations), own.under(deviations)
+            assert np.array_equal(found.inputs, expected.inputs) and found.options is own.options
+            assert np.array_equal(found.rows, expected.rows) and np.array_equal(found.fine_inputs, expected.fine_inputs)
 
 
 def test_records_that_rest_together_rest_as_they_do_alone():

@@ -358,7 +358,7 @@ def test_a_refit_begun_far_off_begins_small_and_great_where_the_small_does_not_s
     (candidate,) = [c for c in nominal.study.candidates if c.label == "sensor_bias@load_flow"]
     asked, begun, predicted_reduction = [], [], 0.0
 
-    def evaluate_fit(study, point, fitted):
+    def evaluate_fit(study, point, fitted, near=()):
         asked.append(fitted[0].above_neutral / bias)
         return replace(
             nominal.fit, fitted=fitted, chi_square=nominal.fit.chi_square * (30.0 if asked[-1] > 0.5 else 0.9)
@@ -394,7 +394,7 @@ def test_at_typical_amplitudes_the_hidden_bias_explains_most(biased, monkeypatch
     assert falls[0] > 100.0 and falls[0] > 2.0 * falls[1:].max()
     assert reductions_from_prior(nominal, [(*right, *others[0])])[0] > 0.5 * falls[0]  # two at once
 
-    def evaluate_fit(study, point, fitted):
+    def evaluate_fit(study, point, fitted, near=()):
         if fitted:
             raise SolveError("no such valve")
         return nominal.fit

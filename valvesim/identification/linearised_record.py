@@ -188,8 +188,8 @@ class LinearisedRecord:
         networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
         if networks and None not in networks and not self.predictor.has_own_knots(own):
             groups.append((of_network, own, self.predictor.temperatures_of(own, [one for one in networks if one])))
-        of_inputs = [k for k, one in enumerate(variants) if replace(one, deviations=own.deviations) == own != one]
-        groups += [([k], own, self.predictor.temperatures(variants[k])) for k in of_inputs if self._is_of_oil(variants[k])]
+        of_oil = [k for k, one in enumerate(variants) if self._is_of_oil(one)]
+        groups += [([k], own, self.predictor.temperatures(variants[k])) for k in of_oil]
         changes = dict[int, np.ndarray]()
         for group, batch, along in groups:
             _, knots = self.predictor.coefficients_at_knots(batch, self.trajectory.model, along)
@@ -199,7 +199,9 @@ class LinearisedRecord:
         return changes
 
     def _is_of_oil(self, variant: ModelVariant) -> bool:
-        """Whether of a variant's inputs the oil's temperature alone differs, on the knots of this trajectory."""
+        """Whether of a variant the oil's temperature alone differs, on the knots of this trajectory."""
+        if not replace(variant, deviations=self.variant.deviations) == self.variant != variant:
+            return False
         ways = [acting_on(one.deviations, self.predictor.record.name) for one in (variant, self.variant)]
         new, old = ([each for each in way if each[0].column != "oil_temperature"] for way in ways)
         return new == old and not any(map(self.predictor.has_own_knots, (variant, self.variant)))
