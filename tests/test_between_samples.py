@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import valvesim as vs
+from valvesim.diagnosis.holdout_gain import _read_with_inputs
 from valvesim.identification.between_samples import (
     EdgeTime,
     Held,
@@ -26,7 +27,10 @@ from valvesim.identification.between_samples import (
     undersampled_share,
 )
 from valvesim.identification.input_choice import HELD_NAME, are_delays, edge_time, input_choices
+from valvesim.identification.input_waves import wave_parameters, with_parameters
+from valvesim.identification.instrument_errors import instrument_errors
 from valvesim.identification.linearised_record import linearise_record
+from valvesim.identification.noise_estimation import initial_noise
 from valvesim.identification.nominal_fit import (
     _at_nominal,
     _plain_choice,
@@ -294,6 +298,20 @@ def test_after_jumps_that_are_too_many_to_be_fitted_noise_counts_as_larger(stepp
     assert not any("too many" in note for note in every.session.notes) and first < second
 
 
+def test_what_readings_hang_on_the_way_of_the_commands_is_the_same_beside_waves_and_errors_of_instruments(stepped):
+    """So that a study in which they go so tells it, see `with_input_choice`."""
+    _, session = stepped
+    plain = prepare_session(session)
+    wave = wave_parameters(session.training, "supply_pressure", 37.0, 1e6)
+    more = with_parameters(plain, (*wave, *instrument_errors(session, options=OPTIONS)))
+    for choice in input_choices(session, options=OPTIONS)[1:]:
+        anew, other = (with_input_choice(prepared, choice) for prepared in (plain, more))
+        assert len(other.nominal.parameters) > len(anew.nominal.parameters) and anew.spread
+        for key, spread in anew.spread.items():
+            np.testing.assert_allclose(other.spread[key], spread, rtol=1e-6, atol=1e-6 * np.max(spread))
+        assert with_input_choice(more, choice, other.with_noise({})).spread is other.spread
+
+
 def test_a_command_that_goes_straight_is_left_as_it_is(tmp_path):
     case, bench = draw_bench(505, "none", duration=0.3)
     write_bench_session(case, bench, tmp_path)
@@ -388,3 +406,20 @@ def test_linear_answers_from_far_off_do_not_take_a_command_for_held(tmp_path):
     found = vs.diagnose(tmp_path)
     assert found.verdict == "no_discrepancy"
     assert not any(HELD_NAME in note for note in found.notes)
+
+
+def test_inputs_of_a_record_that_is_held_out_are_found_from_those_of_another_variant_as_from_nothing(stepped):
+    _, session = stepped
+    prepared = prepare_session(session)
+    edges = next(choice for choice in input_choices(session, options=OPTIONS) if choice.parameters)
+    study = with_input_choice(prepared, edges).with_noise(initial_noise(prepared))
+    record = next(r for r in session.records if len(command_jumps(r.values[r.command], options=OPTIONS)) > 2)
+    predictor = prepare_record(session, record, (), options=OPTIONS)
+    plain = study.nominal.variant
+    other = replace(plain, valve=replace(plain.valve, spool_area=1.01 * plain.valve.spool_area))
+    _, near = _read_with_inputs(study, predictor, plain)
+    (anew, point), (read, found) = (_read_with_inputs(study, predictor, other, start) for start in (None, near))
+    assert np.abs(point).max() > 0.1 and not np.array_equal(near, point)
+    for name, expected in anew.items():
+        np.testing.assert_allclose(read[name], expected, atol=2e-3 * np.ptp(expected))
+    np.testing.assert_allclose(found, point, atol=0.05)
