@@ -286,8 +286,11 @@ class SensitivityOptions:
         "by which the Jacobian times the step may change within a step of the trajectory's grid: it is divided else",
         "measured: 0.02 where motion is smooth, 3 where a land passes null, 20 where friction turns, 90 at a contact",
     )
-    divisions: int = option(
-        16, "1", "parts that such a step is divided into", "time; 64 are some times as exact where a flapper touches"
+    most_parts: int = option(
+        16,
+        "1",
+        "parts at most that such a step is divided into, so that it changes by no more in each",
+        "time; 64 are some times as exact where a flapper touches",
     )
     most_divided: float = option(
         0.1, "1", "share of the steps of a trajectory's grid that are divided, the fastest of them", "time"
