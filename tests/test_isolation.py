@@ -248,7 +248,7 @@ def test_what_the_bench_did_that_a_cause_leaves_joins_before_a_second_cause_is_s
         return nominal, scores, found, scores
 
     same = lambda nominal, found, *more, options: []  # noqa: E731
-    for name in ("restarted", "plainer_hypotheses", "alike_hypotheses"):
+    for name in ("restarted", "plainer_hypotheses", "alike_hypotheses", "hypotheses_at_other_shapes"):
         monkeypatch.setattr(isolation, name, same)
     for name in ("refined_hypotheses", "without_corrections_of_laws", "reduced_hypotheses"):
         monkeypatch.setattr(isolation, name, lambda nominal, found, options: found)

@@ -9,7 +9,14 @@ import pytest
 from valvesim.diagnosis import refits, second_cause, starts
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
-from valvesim.diagnosis.refits import alike_hypotheses, fit_starts, plainer_hypotheses, reduced_hypotheses, restarted
+from valvesim.diagnosis.refits import (
+    alike_hypotheses,
+    fit_starts,
+    hypotheses_at_other_shapes,
+    plainer_hypotheses,
+    reduced_hypotheses,
+    restarted,
+)
 from valvesim.diagnosis.score_test import ScoreTest, search_size
 from valvesim.diagnosis.second_cause import at_full_weight, with_other_pairs, with_second_cause
 from valvesim.diagnosis.starts import is_of_one_effect, likeliest_starts, start_points, typical_starts
@@ -249,6 +256,43 @@ def test_an_effect_alike_that_stopped_short_is_fitted_from_the_figures_of_the_be
     fitted.begun.clear()
     alike_hypotheses(nominal, [coulomb, short], {silting.label}, options=DIAGNOSIS)
     assert fitted.begun == [stribeck.label]  # but not what has been fitted from there
+
+
+def test_what_is_looked_for_at_several_shapes_is_fitted_at_each_in_the_place_of_the_best(monkeypatch):
+    near, far = (
+        Candidate("spool_thermal_pinch", CATALOGUE["spool_thermal_pinch"], (("free_clearance", at),))
+        for at in (3e-6, 5e-6)
+    )
+    fast, slow = (
+        Candidate("eddy_current_lag", CATALOGUE["eddy_current_lag"], (("time_constant", at),)) for at in (5e-4, 2e-2)
+    )
+    study = SimpleNamespace(candidates=(LAP, FRICTION, near, far, *SIDES, fast, slow))
+    nominal, begun = SimpleNamespace(fit=NOMINAL.fit, study=study), []
+
+    def from_prior(nominal, start):
+        begun.extend(start)
+        return replace(hypothesis(900.0).fit, fitted=start)
+
+    monkeypatch.setattr(refits, "fit_from_prior", from_prior)
+    best = FittedHypothesis(
+        replace(hypothesis(1000.0).fit, fitted=(FittedCandidate(FRICTION, 0.5, (("presliding_distance", 2e-6),)),)),
+        options=DIAGNOSIS,
+    )
+    known = hypothesis(1001.0, far)
+    (other,) = hypotheses_at_other_shapes(nominal, [best, known], options=DIAGNOSIS)
+    (member,) = begun
+    assert other.candidates == (near,) and member.above_neutral == pytest.approx(0.5 * near.typical)
+    assert dict(member.shapes) == {"free_clearance": 3e-6, "presliding_distance": 2e-6}
+    assert hypotheses_at_other_shapes(nominal, [best, known, hypothesis(1002.0, near)], options=DIAGNOSIS) == []
+    assert hypotheses_at_other_shapes(nominal, [best, known], {near.label}, options=DIAGNOSIS) == []
+    assert hypotheses_at_other_shapes(nominal, [hypothesis(1000.0, fast)], options=DIAGNOSIS) == []  # none is plainer
+    assert hypotheses_at_other_shapes(nominal, [hypothesis(1e6, FRICTION)], options=DIAGNOSIS) == []  # far off
+    assert hypotheses_at_other_shapes(nominal, [], options=DIAGNOSIS) == []
+    begun.clear()
+    stopped = FittedCandidate(far, 0.1 * far.typical, (("free_clearance", 4.9e-6), ("presliding_distance", 1e-6)))
+    pinch = FittedHypothesis(replace(hypothesis(1000.0).fit, fitted=(stopped,)), options=DIAGNOSIS)
+    hypotheses_at_other_shapes(nominal, [pinch], options=DIAGNOSIS)
+    assert [dict(one.shapes)["free_clearance"] for one in begun] == [3e-6]  # not where the other one has gone
 
 
 def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatch):

@@ -48,6 +48,7 @@ from valvesim.diagnosis.refits import (
     alike_hypotheses,
     far_off,
     fit_starts,
+    hypotheses_at_other_shapes,
     largest_shift,
     plainer_hypotheses,
     reduced_hypotheses,
@@ -326,6 +327,7 @@ def _fitted_further(
     found = [*found, *restarted(nominal, found, likeliest, options=options)]
     found += plainer_hypotheses(nominal, found, left_out, options=options)
     found += alike_hypotheses(nominal, found, left_out, options=options)
+    found += hypotheses_at_other_shapes(nominal, found, left_out, options=options)
     left_out = left_out | far_off(found, options=options)
     found = refined_hypotheses(nominal, found, options=options)
     plainer = plainer_hypotheses(nominal, found, left_out, options=options)

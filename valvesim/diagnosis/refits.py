@@ -178,6 +178,37 @@ def alike_hypotheses(
     return _fitted_in_place(nominal, starts, distinct(found, options=options)[0], options=options)
 
 
+def hypotheses_at_other_shapes(
+    nominal: NominalFit,
+    found: Sequence[FittedHypothesis],
+    left_out: Set[str] = frozenset(),
+    *,
+    options: DiagnosisOptions,
+) -> list[FittedHypothesis]:
+    """The best with an effect in the place of each that is the same plainer one with a feature of its own, from the
+    values of a shape at which it is looked for and from which it was not fitted: elsewhere it may have ended as the
+    plainer one. From within the tolerances, for the best's figures make up for the feature. Labels `left_out` have been
+    fitted from there.
+    """
+    best = distinct(found, options=options)[0] if found else None
+    if best is None or not is_adequate(best.fit, options=options.identification):
+        return []
+    starts = list[tuple[FittedCandidate, ...]]()
+    for k, member in enumerate(best.fit.fitted):
+        others = _others(best, k)
+        begun = {c.key for one in found for j, c in enumerate(one.candidates) if _others(one, j) == others}
+        starts += [
+            _in_its_place(best, k, candidate)
+            for candidate in nominal.study.candidates
+            if _plainer(candidate) == member.candidate.plainest
+            and any(p.sought for p in candidate.shapes())
+            and candidate.key not in begun
+            and candidate.name not in others
+        ]
+    fits = [fit_from_prior(nominal, start) for start in _without(left_out, starts)]
+    return [FittedHypothesis(fit, options=options) for fit in fits if fit is not None]
+
+
 def _fitted_in_place(
     nominal: NominalFit,
     starts: Sequence[tuple[FittedCandidate, ...]],
@@ -236,10 +267,12 @@ def _alike_in_place(
 
 
 def _in_its_place(best: FittedHypothesis, k: int, candidate: Candidate) -> tuple[FittedCandidate, ...]:
-    """The start of a candidate in the place of the best's k-th, in the same amount, with the shapes that both have."""
+    """The start of a candidate in the place of the best's k-th, in the same amount, with the shapes that both have but
+    for those at which it is looked for.
+    """
     member = best.fit.fitted[k]
-    share = member.above_neutral / member.candidate.typical
-    return _in_place(best, k, with_shapes(candidate, share * candidate.typical, dict(member.shapes)))
+    share, shapes = member.above_neutral / member.candidate.typical, dict(member.shapes) | dict(candidate.fixed)
+    return _in_place(best, k, with_shapes(candidate, share * candidate.typical, shapes))
 
 
 def _plainer(candidate: Candidate) -> str:
