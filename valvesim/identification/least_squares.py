@@ -29,16 +29,19 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
 
     It ends where the predicted reduction is below `ftol`, or where steps no longer bring what is predicted. Between
     linearisations the Jacobian (rows, n) is updated by each step (Broyden 1965). One step uphill is allowed: the
-    next may lead back into a curved valley, further down.
+    next may lead back into a curved valley, further down. Where no step has led down, a share of the first one is the
+    last that is tried: what the records tell far better than the priors, damping in their metric does not shorten.
     """
     metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.layout])
     jacobian, gram = jacobian.copy(), jacobian.T @ jacobian
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
+    first = np.zeros(len(metric))
     for _ in range(study.options.fit.steps):
         H, gradient = normal_equations(fit, jacobian, gram, options=study.options)
         limits = step_limits(fit, study.nominal, options=study.options)
         if fit is best:
-            best = fit = replace(fit, predicted_reduction=predict_reduction(H, gradient, limits))
+            known = replace(fit, predicted_reduction=predict_reduction(H, gradient, limits))
+            start, best, fit = known if best is start else start, known, known
             lasting = study.options.fit.patience if study.is_long else 0
             stale = best.chi_square < start.chi_square and (
                 failures > lasting or _linearisation_expired(start, best, options=study.options)
@@ -49,6 +52,10 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
         while np.max(np.abs(step[: len(fit.point)])) > study.options.fit.longest_step:
             held = max(2.0 * held, 0.01)
             step = bounded_step(H + held * np.diag(metric), gradient, limits)
+        if fit is start and failures == 0:
+            first = step
+        elif best is start and failures == study.options.fit.failures - 1:
+            step = study.options.fit.short_step * first
         try:
             new = evaluate_fit(
                 study,

@@ -398,6 +398,9 @@ class FitOptions:
     )
     steps: int = option(20, "1", "steps with one linearisation", JUDGEMENT)
     failures: int = option(4, "1", "steps in a row that bring much less than predicted", JUDGEMENT)
+    short_step: float = option(
+        0.1, "1", "share of the first step that is tried last where none has led down: valleys are narrow", JUDGEMENT
+    )
     robust_scale: float = option(3.0, "1", "times the median residual at which a sample counts less", JUDGEMENT)
     peak_share: float = option(
         3.0,
