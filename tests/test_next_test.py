@@ -70,7 +70,12 @@ def nominal():
 
 @pytest.fixture(scope="module")
 def fits(nominal):
-    return fit_of(nominal, LABELS[0], 0.5), fit_of(nominal, LABELS[1], 0.5)
+    return alike(fit_of(nominal, LABELS[0], 0.5), fit_of(nominal, LABELS[1], 0.5))
+
+
+def alike(first, second, ahead=0.0):
+    """Two fits of which the first is ahead by so much in the session."""
+    return first, replace(second, chi_square=first.chi_square + ahead)
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +101,27 @@ def test_the_inputs_are_the_whole_test_inside_the_limits(nominal, found):
 
 
 def test_a_hypothesis_is_not_told_from_itself(nominal, fits):
-    alike = design(nominal, fits[0], fits[0], (LABELS[0],) * 2, plain_six, options=DIAGNOSIS)
-    assert alike is not None and alike.power < 0.01  # the best there is, and no good
+    same = design(nominal, fits[0], fits[0], (LABELS[0],) * 2, plain_six, options=DIAGNOSIS)
+    assert same is not None and same.power < 0.01  # the best there is, and no good
+
+
+def test_what_the_session_says_already_counts(nominal, fits, found):
+    def asked(more):
+        return found.distance**2
+
+    level = design(nominal, *fits, LABELS, asked, options=DIAGNOSIS)
+    ahead = design(nominal, *alike(*fits, 0.9 * asked(0.0)), LABELS, asked, options=DIAGNOSIS)
+    assert level.power == pytest.approx(separation_power(level.distance, asked(0.0)))
+    sure = 1.0 / (1.0 + np.exp(-0.9 * DIAGNOSIS.selection.answer_ratio / 2.0))
+    both = separation_power(ahead.distance, asked(0.0), 0.9 * asked(0.0), sure)
+    assert ahead.power == pytest.approx(both)
+
+
+def test_figures_of_the_magnet_are_told_apart_by_a_fast_and_large_command(nominal):
+    names = ("magnet_demagnetization", "parameter:armature_arm")
+    pair = alike(fit_of(nominal, names[0], 0.3), fit_of(nominal, names[1], 0.3))
+    test = design(nominal, *pair, names, plain_six, options=DIAGNOSIS)
+    assert test.description.startswith("fast chirp of large") and test.power >= DIAGNOSIS.design.power
 
 
 def test_what_a_refit_can_make_up_does_not_count(nominal, fits):
@@ -170,6 +194,12 @@ def test_a_session_driven_by_voltage_gets_a_voltage():
     values = experiment_values(session, library(session, options=DIAGNOSIS)[0])
     assert "current" not in values
     assert np.abs(values["voltage"]).max() <= session.valve.rated_current * session.valve.coil_resistance
+
+
+def test_the_power_is_that_of_either_being_true():
+    first, second = (separation_power(4.0, 12.0, 5.0, p) for p in (1.0, 0.0))
+    assert first == pytest.approx(separation_power(4.0, 7.0)) and second == pytest.approx(separation_power(4.0, 17.0))
+    assert separation_power(4.0, 12.0, 5.0, 0.8) == pytest.approx(0.8 * first + 0.2 * second)
 
 
 def test_the_power_rises_with_the_distance():

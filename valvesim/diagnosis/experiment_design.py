@@ -6,9 +6,11 @@ one of them to the records of the session and of the new test together could not
 Symbols
     delta whitened difference of the two predictions in the new test, A its sensitivities to what a refit moves (base
     parameters, amplitude, shapes), P the precision that the session has on these; n how often the test is repeated
-    d^2 = n delta'delta - n delta'A (P/n + A'A)^-1 A'delta;  power = Phi((d^2 - w)/(2 d)): the likelihood ratio of
-    two hypotheses d apart is normal with mean d^2 and deviation 2 d, and w is what the answer set will ask for: no
-    model is the plant, so the more there is to explain, the more
+    d^2 = n delta'delta - n delta'A (P/n + A'A)^-1 A'delta: by so much the chi-square of the wrong one of the two will
+    rise more than that of the true one, with deviation 2 d. The first is ahead by b in the session already; w is what
+    the answer set will ask for: no model is the plant, so the more there is to explain, the more
+    power = p Phi((d^2 + b - w)/(2 d)) + (1 - p) Phi((d^2 - b - w)/(2 d)), p the probability of the first by what it is
+    ahead, tempered as the answer set is
 """
 
 from __future__ import annotations
@@ -87,14 +89,15 @@ def design(
     furthest = np.sqrt(max(options.design.replicates))
     if not run:
         return None
+    power = _power_of(first, second, asked, options=options)
     run = [
         one
         for one in run[: options.design.examined]
-        if separation_power(furthest * float(np.linalg.norm(one.second)), asked(0.0)) >= options.design.least_power
+        if power(furthest * float(np.linalg.norm(one.second)), 0.0) >= options.design.least_power
     ] or run[:1]  # not even where nothing is refitted: then the one that shows most
     fits = (first, second, nominal.fit)
     known = [_known(nominal, fit, options=options) for fit in fits]
-    chosen = [judged for one in run for judged in _judge(study, one, fits, known, asked, options=options)]
+    chosen = [judged for one in run for judged in _judge(study, one, fits, known, power, options=options)]
     enough = [one for one in chosen if one.power >= options.design.power]
     if enough:
         best = min(enough, key=lambda one: (one.duration, -one.power))
@@ -133,6 +136,18 @@ def experiment_record(session: Session, trial: Experiment) -> Record:
     n = len(trial.time)
     values = {**{name: np.zeros(n) for name in channels}, **experiment_values(session, trial)}
     return Record(trial.description, trial.time, values, {name: np.ones(n, dtype=bool) for name in channels})
+
+
+def _power_of(
+    first: Fit, second: Fit, asked: Callable[[float], float], *, options: DiagnosisOptions
+) -> Callable[[float, float], float]:
+    """The power by distance and by what the first explains more there."""
+    from scipy.special import expit
+
+    ahead = second.chi_square - first.chi_square
+    temperature = asked(0.0) / options.selection.answer_ratio
+    probability = float(expit(ahead / (2.0 * temperature)))
+    return lambda distance, more: separation_power(distance, asked(more), ahead, probability)
 
 
 def _differ(
@@ -198,7 +213,7 @@ def _judge(
     tried: SimulatedExperiment,
     fits: tuple[Fit, Fit, Fit],
     known: Sequence[np.ndarray],
-    asked: Callable[[float], float],
+    power: Callable[[float, float], float],
     *,
     options: DiagnosisOptions,
 ) -> list[ExperimentPower]:
@@ -227,7 +242,7 @@ def _judge(
     for n in options.design.replicates:
         distance = float(np.sqrt(min(left(n, 0), left(n, 1))))
         more = min(left(n, 2), float(n * len(tried.nominal)))  # a fall beyond the noise itself is no measure
-        found.append(ExperimentPower(tried.trial, n, distance, separation_power(distance, asked(more))))
+        found.append(ExperimentPower(tried.trial, n, distance, power(distance, more)))
     return found
 
 

@@ -39,12 +39,15 @@ def library(session: Session, *, options: DiagnosisOptions) -> tuple[Experiment,
     def full(t: np.ndarray) -> np.ndarray:
         return options.design.full * _triangle(t, 0.5)
 
-    chirp, steps = _chirp(options.design.chirp), _random_steps(rng, options=options)
+    chirp, large = _chirp(options.design.chirp), _chirp(options.design.full)
+    steps = _random_steps(rng, options=options)
     add("fast chirp of medium size, 2 to 150 Hz", 1.0, chirp)
     add("slow full triangle", 2.0, full)
     add("slow small triangle about null", 2.0, lambda t: options.design.small * _triangle(t, 1.0))
     add("filtered random steps", 1.0, steps)
     add("fast chirp at low supply pressure", 1.0, chirp, supply=options.design.low_supply * supply)
+    add("fast chirp of large size, 2 to 150 Hz", 1.0, large)
+    add("fast chirp of large size at low supply pressure", 1.0, large, supply=options.design.low_supply * supply)
     add("slow full triangle at low supply pressure", 2.0, full, supply=options.design.low_supply * supply)
     add("slow full triangle under load pressure", 2.0, full, load=options.design.load * supply)
     add("holds with small releases", 2.0, _holds)

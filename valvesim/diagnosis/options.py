@@ -287,13 +287,13 @@ class DesignOptions:
     )
     replicates: tuple[int, ...] = option((1, 2, 4, 8, 16), "1", "numbers of replicates that are thought of", JUDGEMENT)
     examined: int = option(
-        3, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
+        4, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
     )
     alternatives: int = option(
         2, "1", "members of the answer set from which an experiment is sought that tells the likeliest", JUDGEMENT
     )
     rate: float = option(1000.0, "Hz", "sampling rate", JUDGEMENT)
-    full: float = option(0.9, "1", "share of the rated command of a full triangle", JUDGEMENT)
+    full: float = option(0.9, "1", "share of the rated command of a full triangle and of a large chirp", JUDGEMENT)
     chirp: float = option(0.45, "1", "share of the rated command of a chirp", JUDGEMENT)
     small: float = option(0.06, "1", "share of the rated command of a small triangle about null", JUDGEMENT)
     low_supply: float = option(0.4, "1", "share of the nominal supply pressure", JUDGEMENT)

@@ -5,7 +5,8 @@ Symbols
     w the difference of chi-squares that tells two hypotheses apart; z(0.9) = 1.2816, z(0.95) = 1.6449
     detected with 0.9: d' = level + z(0.9);  named: d'^2 beyond level^2 by w, so that noise is no rival
     power to tell apart = Phi((d^2 - w)/(2 d)): the likelihood ratio of two hypotheses d apart is normal with mean d^2
-    and deviation 2 d
+    and deviation 2 d; with the difference b by which the first is ahead already, Phi((d^2 + b - w)/(2 d)) where the
+    first is true and Phi((d^2 - b - w)/(2 d)) where the second is
 """
 
 from __future__ import annotations
@@ -34,11 +35,16 @@ def detection_power(distance: float, level: float) -> float:
     return float(norm.cdf(distance - level))
 
 
-def separation_power(distance: float, asked: float) -> float:
-    """How surely two hypotheses that far apart are told apart where a difference of chi-squares is asked."""
+def separation_power(distance: float, asked: float, ahead: float = 0.0, probability: float = 0.5) -> float:
+    """How surely two hypotheses that far apart are told apart where a difference of chi-squares is asked, the first of
+    which is `ahead` by so much before, and true with that probability.
+    """
     from scipy.stats import norm
 
-    return float(norm.cdf((distance**2 - asked) / (2.0 * distance))) if distance > 0.0 else 0.0
+    if distance <= 0.0:
+        return 0.0
+    first, second = norm.cdf((distance**2 + np.array([ahead, -ahead]) - asked) / (2.0 * distance))
+    return float(probability * first + (1.0 - probability) * second)
 
 
 def asked_difference(explained: float, law_error: float, *, options: SelectionOptions) -> float:
