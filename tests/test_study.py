@@ -468,26 +468,31 @@ def test_a_fit_that_starts_beyond_the_bounds_comes_back_into_them_step_by_step(b
     assert fit.chi_square < start.chi_square and fit.point[k] < point[k]
 
 
-@pytest.mark.parametrize("product, far", [(100.0, -0.95), (100.0, -0.8), (1000.0, -0.5)])
-def test_where_no_step_leads_down_a_share_of_the_first_does(monkeypatch, product, far):
-    """Records tell a product (1 + a)(1 + b) = 1 well and a = `far` badly: whole steps leave that valley, however damped.
+@pytest.mark.parametrize("product, far", [(100.0, -0.9), (100.0, -0.8), (300.0, -0.5)])
+def test_where_no_step_with_a_candidate_leads_down_a_share_of_the_first_does(monkeypatch, product, far):
+    """Records tell a product (1 + a)(1 + b) = 1 of a parameter and an amplitude well and a = `far` badly: whole steps
+    leave that valley, however damped.
     """
-    nominal = SimpleNamespace(limits=np.array([[-10.0, -10.0], [10.0, 10.0]]))
+    candidate = SimpleNamespace(typical=1.0, limits=(-10.0, 10.0), one_sided=False)
 
     def evaluated(study, point, fitted, near=()):
-        a, b = point
-        residual = np.array([product * (1.0 - (1.0 + a) * (1.0 + b)), 30.0 * (far - a)])
+        a, b = point[0], fitted[0].above_neutral if fitted else point[1]
+        residual = np.array([product * (1.0 - (1.0 + a) * (1.0 + b)), 10.0 * (far - a)])
         return Fit(point, fitted, float(residual @ residual + point @ point), (), residual, 2.0)
 
-    def reached(share):
+    def reached(share, *fitted):
+        p = 2 - len(fitted)
+        nominal = SimpleNamespace(limits=np.array([[-10.0] * p, [10.0] * p]))
         options = replace(OPTIONS, fit=replace(OPTIONS.fit, short_step=share))
         study = SimpleNamespace(options=options, nominal=nominal, is_long=False)
-        start = evaluated(study, np.zeros(2), ())
-        jacobian = np.array([[product, product], [30.0, 0.0]])
+        start = evaluated(study, np.zeros(p), fitted)
+        jacobian = np.array([[product, product], [10.0, 0.0]])
         return levenberg_marquardt(study, start, jacobian, 0.1)[0].chi_square / start.chi_square
 
     monkeypatch.setattr(least_squares, "evaluate_fit", evaluated)
-    assert reached(OPTIONS.fit.short_step) < 0.95 and reached(1.0) == 1.0
+    one = FittedCandidate(candidate, 0.0)
+    assert reached(OPTIONS.fit.short_step, one) < 0.9 and reached(1.0, one) == 1.0
+    assert reached(OPTIONS.fit.short_step) == 1.0  # without a cause it would take what a cause does for itself
 
 
 def test_normal_equations_follow_the_updates_of_the_jacobian(biased, monkeypatch):

@@ -29,8 +29,9 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
 
     It ends where the predicted reduction is below `ftol`, or where steps no longer bring what is predicted. Between
     linearisations the Jacobian (rows, n) is updated by each step (Broyden 1965). One step uphill is allowed: the
-    next may lead back into a curved valley, further down. Where no step has led down, a share of the first one is the
-    last that is tried: what the records tell far better than the priors, damping in their metric does not shorten.
+    next may lead back into a curved valley, further down. Where no step of a fit with candidates has led down, a share
+    of the first one is the last that is tried: amplitudes and shapes make narrow valleys, and what the records tell far
+    better than the priors, damping in their metric does not shorten.
     """
     metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.layout])
     jacobian, gram = jacobian.copy(), jacobian.T @ jacobian
@@ -54,7 +55,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
             step = bounded_step(H + held * np.diag(metric), gradient, limits)
         if fit is start and failures == 0:
             first = step
-        elif best is start and failures == study.options.fit.failures - 1:
+        elif best is start and fit.fitted and failures == study.options.fit.failures - 1:
             step = study.options.fit.short_step * first
         try:
             new = evaluate_fit(
