@@ -177,8 +177,8 @@ class LinearisedRecord:
 
     def _changes_of_coefficients(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
         """By how much the coefficients (m, n_c) at the knots of the trajectory's path change, of those variants, by
-        their places, that differ in no other way: their valves together, their networks together, each whose oil is
-        warmer.
+        their places, that differ in no other way: their valves together, their networks together, one by one those with
+        another oil temperature.
         """
         own, path, groups = self.variant, self.trajectory.path, list[tuple[list[int], ModelVariant, TemperaturePath]]()
         of_valve = [k for k, one in enumerate(variants) if replace(one, valve=own.valve) == own]
@@ -226,9 +226,11 @@ class LinearisedRecord:
         """The forcing of a variant whose inputs differ by little and nothing else does, by the derivatives of the
         equations with respect to these; None of another.
         """
-        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
         same = replace(variant, deviations=self.variant.deviations) == self.variant
-        if added is None or not same or not self.predictor.same_temperatures(variant, self.variant):
+        if not same or not self.predictor.same_temperatures(variant, self.variant):
+            return None
+        added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
+        if added is None:
             return None
         columns = np.flatnonzero(added.any(axis=0))
         added = self.course.between(added[:, columns])
