@@ -6,6 +6,7 @@
     .venv/bin/python benchmarks/bench_sessions.py run --set ninth --no-distances # d' is left to the next
     .venv/bin/python benchmarks/bench_sessions.py distances --set ninth            # d' where it is missing
     .venv/bin/python benchmarks/bench_sessions.py distances --set third --engine COMMIT  # d' of its rows, anew
+    .venv/bin/python benchmarks/bench_sessions.py again --set tenth --part 1/25 # opened ones by the engine at hand
     .venv/bin/python benchmarks/bench_sessions.py report --set third    # docs/bench_sessions.md from what there is
 
 `--part 1/2` takes every second session from the first on, so that two processes share a set.
@@ -167,6 +168,22 @@ def run(
             print(row["seed"], hidden_words(row), row["outcome"], row.get("set"), flush=True)
 
 
+def again(name: str, part: tuple[int, int], results: Path) -> None:
+    """Diagnose opened sessions by the engine at hand, and print answers and times beside those of the results, which
+    stay as they are. With PYTHONPATH set to the worktree of another engine its times of the same hour stand beside.
+    """
+    opened, seconds = {row["seed"]: row for row in read_rows(results)}, list[tuple[float, float]]()
+    for spec in list(sessions(name))[part[0] - 1 :: part[1]]:
+        if (before := opened.get(spec[0])) is None:
+            continue
+        row = diagnosed(*spec, measured=False)
+        seconds.append((before.get("processor_seconds", 0.0), row.get("processor_seconds", 0.0)))
+        answers = [f"{one['outcome']} {one.get('set')}" for one in (before, row)]
+        told = answers[0] if answers[0] == answers[1] else " -> ".join(answers)
+        print(f"{row['seed']} {hidden_words(row)} {told} {seconds[-1][0]} -> {seconds[-1][1]} s", flush=True)
+    print(f"{len(seconds)} sessions, {sum(one for one, _ in seconds):.1f} -> {sum(new for _, new in seconds):.1f} s")
+
+
 def hidden_words(row: dict[str, Any]) -> str:
     """What a session hides, and its imperfections."""
     return f"{row['hidden'] or '-'} | {'+'.join(row['imperfections']) or '-'}"
@@ -313,7 +330,7 @@ def _share(hits: list[bool]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("run", "distances", "report"))
+    parser.add_argument("what", choices=("run", "again", "distances", "report"))
     parser.add_argument("--set", choices=tuple(SETS), default="working", dest="name")
     parser.add_argument("--start", type=int, default=0, help="the first of them")
     parser.add_argument("--count", type=int, help="the first so many of the set")
@@ -324,8 +341,10 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT)
     given = parser.parse_args()
-    if given.what == "run":
-        k, n = map(int, given.part.split("/"))
+    k, n = map(int, given.part.split("/"))
+    if given.what == "again":
+        again(given.name, (k, n), given.results)
+    elif given.what == "run":
         run(given.name, given.start, given.count, given.one_by_one, (k, n), given.results, given.distances)
     elif given.what == "distances":
         measure_distances(given.name, given.results, given.engine)
