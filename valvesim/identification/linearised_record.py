@@ -394,8 +394,9 @@ def _course_of(
     fast = change > max(options.most_change, float(np.partition(change, -most - 1)[-most - 1]))
     if not fast.any():
         return plain
-    parts = np.clip(np.ceil(change / options.most_change), 1, options.most_parts).astype(int)
-    on_grid = np.concatenate([[0], np.cumsum(np.where(fast, parts, 1))])
+    parts = np.ones(len(steps), dtype=int)
+    parts[fast] = np.clip(np.ceil(change[fast] / options.most_change), 1, options.most_parts)
+    on_grid = np.concatenate([[0], np.cumsum(parts)])
     times = np.interp(np.arange(on_grid[-1] + 1), on_grid, predictor.times)  # even within each step
     new = np.ones(len(times), dtype=bool)
     new[on_grid] = False
