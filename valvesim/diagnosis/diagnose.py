@@ -25,7 +25,7 @@ from valvesim.diagnosis.answer_tables import (
 )
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
 from valvesim.diagnosis.conclusion import Conclusion, conclude, gain_of_term
-from valvesim.diagnosis.experiment_design import design
+from valvesim.diagnosis.experiment_design import design, simulate_library
 from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain, traces_of
 from valvesim.diagnosis.intervals import confidence_intervals
@@ -269,10 +269,11 @@ def _propose_experiment(
     """The test that tells the likeliest from the next of the others, by label, or where none does so surely, from the
     one after it.
     """
+    trials = simulate_library(nominal, first.fit, options=options)
     tests = (
         design(
             nominal,
-            first.fit,
+            trials,
             other,
             (first.label, label),
             lambda more: answer_set_width(nominal, first, more),
