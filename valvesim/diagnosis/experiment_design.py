@@ -20,7 +20,7 @@ Symbols
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -89,14 +89,18 @@ class SimulatedExperiment:
     def refit(self) -> LinearisedRefit:
         return _linearised_refit(self.study, self.predictor, self.fit, self.known[0])
 
+    @cached_property
+    def base_refit(self) -> LinearisedRefit:
+        """That of the nominal model, by the sensitivities of the fit."""
+        readings = _readings(self.study, self.predictor, self.nominal)
+        return LinearisedRefit(self.nominal, readings, self.refit.A[:, : len(self.fit.point)], self.known[1])
+
     def explained(self, repeats: int) -> float:
         """By how much more the fit explains than the nominal model, fitted again: at most what noise has in it, for a
         fall beyond that is no measure.
         """
-        base = replace(self.refit, A=self.refit.A[:, : len(self.fit.point)], known=self.known[1])
-        base = replace(base, fit=self.nominal, readings=_readings(self.study, self.predictor, self.nominal))
         delta = -self.beyond(self.nominal)
-        return min(_distance(self, base, delta, repeats) ** 2, float(repeats * len(delta)))
+        return min(_distance(self, self.base_refit, delta, repeats) ** 2, float(repeats * len(delta)))
 
     def beyond(self, fit: Fit) -> np.ndarray:
         """What another fit reads there more, white (rows,)."""
@@ -318,16 +322,19 @@ def _judge(
     fit is refitted. The second is not, where the first leaves too little already.
     """
 
-    def judged(distances: Sequence[float]) -> list[ExperimentPower]:
-        return [
-            ExperimentPower(tried.trial, n, d, power(d, tried.explained(n), n * tried.error))
-            for n, d in zip(options.design.replicates, distances, strict=True)
-        ]
+    replicates = options.design.replicates
 
     def distances(refit: LinearisedRefit, delta: np.ndarray) -> list[float]:
-        return [_distance(tried, refit, delta, n) for n in options.design.replicates]
+        return [_distance(tried, refit, delta, n) for n in replicates]
+
+    def judged(distances: Sequence[float]) -> list[ExperimentPower]:
+        return [
+            ExperimentPower(tried.trial, n, d, power(d, more, n * tried.error))
+            for n, d, more in zip(replicates, distances, explained, strict=True)
+        ]
 
     try:
+        explained = [tried.explained(n) for n in replicates]
         by_first = distances(tried.refit, delta)
         found = judged(by_first)
         if max(one.power for one in found) < options.design.uninformative_power:
