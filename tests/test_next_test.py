@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from valvesim.diagnosis.experiment_design import design, separation_power
-from valvesim.diagnosis.experiments import experiment_values, library
+from valvesim.channels import State
+from valvesim.diagnosis import experiment_design
+from valvesim.diagnosis.experiment_design import ExperimentPower, design, separation_power, simulate_library
+from valvesim.diagnosis.experiments import Experiment, experiment_values, library
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.errors import SolveError
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit
@@ -19,11 +22,14 @@ from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session import Record, Sensor, Session
 from valvesim.identification.study import prepare_session
 from valvesim.simulation.scenario import Thermal
+from valvesim.valve.coefficients import Coefficients
 from valvesim.valve.fluid import MIL_PRF_5606
 from valvesim.valve.parameters import Valve
 
 NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
 LABELS = ("spool_coulomb_friction", "spool_lap")
+EXACT = replace(DIAGNOSIS, design=replace(DIAGNOSIS.design, model_error=0.0, contact_error=0.0))
+"""Options for a model that is the plant."""
 
 
 def plain_six(more):
@@ -78,9 +84,14 @@ def alike(first, second, ahead=0.0):
     return first, replace(second, chi_square=first.chi_square + ahead)
 
 
+def designed(nominal, first, second, labels, asked, options=EXACT):
+    trials = simulate_library(nominal, first, options=options)
+    return design(nominal, trials, second, labels, asked, options=options)
+
+
 @pytest.fixture(scope="module")
 def found(nominal, fits):
-    return design(nominal, *fits, LABELS, plain_six, options=DIAGNOSIS)
+    return designed(nominal, *fits, LABELS, plain_six)
 
 
 def test_two_effects_that_differ_elsewhere_are_told_apart(found):
@@ -101,7 +112,7 @@ def test_the_inputs_are_the_whole_test_inside_the_limits(nominal, found):
 
 
 def test_a_hypothesis_is_not_told_from_itself(nominal, fits):
-    same = design(nominal, fits[0], fits[0], (LABELS[0],) * 2, plain_six, options=DIAGNOSIS)
+    same = designed(nominal, fits[0], fits[0], (LABELS[0],) * 2, plain_six)
     assert same is not None and same.power < 0.01  # the best there is, and no good
 
 
@@ -109,8 +120,8 @@ def test_what_the_session_says_already_counts(nominal, fits, found):
     def asked(more):
         return found.distance**2
 
-    level = design(nominal, *fits, LABELS, asked, options=DIAGNOSIS)
-    ahead = design(nominal, *alike(*fits, 0.9 * asked(0.0)), LABELS, asked, options=DIAGNOSIS)
+    level = designed(nominal, *fits, LABELS, asked)
+    ahead = designed(nominal, *alike(*fits, 0.9 * asked(0.0)), LABELS, asked)
     assert level.power == pytest.approx(separation_power(level.distance, asked(0.0)))
     sure = 1.0 / (1.0 + np.exp(-0.9 * DIAGNOSIS.selection.answer_ratio / 2.0))
     both = separation_power(ahead.distance, asked(0.0), 0.9 * asked(0.0), sure)
@@ -120,7 +131,7 @@ def test_what_the_session_says_already_counts(nominal, fits, found):
 def test_figures_of_the_magnet_are_told_apart_by_a_fast_and_large_command(nominal):
     names = ("magnet_demagnetization", "parameter:armature_arm")
     pair = alike(fit_of(nominal, names[0], 0.3), fit_of(nominal, names[1], 0.3))
-    test = design(nominal, *pair, names, plain_six, options=DIAGNOSIS)
+    test = designed(nominal, *pair, names, plain_six)
     assert test.description.startswith("fast chirp of large") and test.power >= DIAGNOSIS.design.power
 
 
@@ -132,9 +143,9 @@ def test_what_a_refit_can_make_up_does_not_count(nominal, fits):
     )
     assert candidate.name == LABELS[0]
     # one effect at two amplitudes that the session cannot tell
-    assert design(nominal, fits[0], other, LABELS, plain_six, options=DIAGNOSIS).power < DIAGNOSIS.design.least_power
+    assert designed(nominal, fits[0], other, LABELS, plain_six).power < DIAGNOSIS.design.least_power
     assert (
-        design(nominal, fits[0], plain, LABELS, plain_six, options=DIAGNOSIS) is not None
+        designed(nominal, fits[0], plain, LABELS, plain_six) is not None
     )  # but the effect itself is told from none at all
 
 
@@ -145,10 +156,10 @@ def test_the_more_there_is_to_explain_the_more_is_asked(nominal, fits, found):
         told.append(more)
         return 6.0 + 0.04 * more
 
-    careful = design(nominal, *fits, LABELS, asked, options=DIAGNOSIS)
+    careful = designed(nominal, *fits, LABELS, asked)
     assert max(told) > 0.0  # the test would show the first effect itself
     assert careful is None or careful.power < found.power or careful.duration > found.duration
-    hopeless = design(nominal, *fits, LABELS, lambda more: 1e9, options=DIAGNOSIS)
+    hopeless = designed(nominal, *fits, LABELS, lambda more: 1e9)
     assert hopeless is not None and hopeless.power < DIAGNOSIS.design.least_power
     assert hopeless.uninformative and not found.uninformative
 
@@ -158,7 +169,7 @@ def test_a_test_that_cannot_be_run_is_left_out(nominal, fits, monkeypatch):
         raise SolveError("no")
 
     monkeypatch.setattr("valvesim.identification.predictor.RecordPredictor.run", fails)
-    assert design(nominal, *fits, LABELS, plain_six, options=DIAGNOSIS) is None
+    assert designed(nominal, *fits, LABELS, plain_six) is None
 
 
 @pytest.mark.parametrize("oil", [-20.0, 5.0, 40.0, 85.0, 120.0])
@@ -206,3 +217,56 @@ def test_the_power_rises_with_the_distance():
     powers = [separation_power(d, 6.0) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
     assert powers == sorted(powers) and powers[0] == 0.0 and powers[2] == pytest.approx(0.5, abs=0.01)
     assert powers[1] < DIAGNOSIS.design.least_power and powers[-1] > 0.99
+
+
+def test_what_the_plant_does_otherwise_counts_with_each_repeat(nominal, fits, found):
+    erring = replace(EXACT, design=replace(EXACT.design, model_error=5e-3, contact_error=5e-3))
+    test = designed(nominal, *fits, LABELS, plain_six, options=erring)
+    assert test.power < found.power or test.duration > found.duration
+    trials = simulate_library(nominal, fits[0], options=erring)
+    assert all(one.error > 0.0 for one in trials)
+    assert all(one.error == 0.0 for one in simulate_library(nominal, fits[0], options=EXACT))
+
+
+def test_what_linear_answers_miss_does_not_count(nominal, fits, monkeypatch):
+    tried = simulate_library(nominal, fits[0], options=EXACT)[0]
+    delta = tried.beyond(fits[1])
+    refit = tried.refit
+    linear = experiment_design._distance(tried, refit, delta, 1)
+    assert 0.0 < linear <= np.linalg.norm(delta)
+
+    def bent(study, predictor, fit):
+        return {name: column + 1e3 * NOISE[name] for name, column in tried.readings.items()}
+
+    monkeypatch.setattr(experiment_design, "_readings", bent)
+    assert experiment_design._distance(tried, refit, delta, 1) < 0.1 * linear
+
+    def fails(study, predictor, fit):
+        raise SolveError("no")
+
+    monkeypatch.setattr(experiment_design, "_readings", fails)
+    assert experiment_design._distance(tried, refit, delta, 1) == 0.0
+
+
+@pytest.mark.parametrize(("angle", "touches"), [(9e-4, False), (1.1e-3, True), (-1.1e-3, True)])
+def test_a_flapper_touches_a_nozzle_beyond_its_gap(angle, touches):
+    figures = {"nozzle_arm": 0.03, "null_gap_1": 3e-5, "null_gap_2": 3e-5}
+    knots = np.array([[figures.get(name, 0.0) for name in Coefficients._fields]] * 2)
+    states = np.zeros((3, len(State._fields)))
+    states[1, State._fields.index("armature_angle")] = angle
+    assert experiment_design._touches(SimpleNamespace(knots=knots, fine=states)) is touches
+
+
+def judged(power, repeats, duration=1.0):
+    time = np.linspace(0.0, duration, 3)
+    return ExperimentPower(Experiment("a", time, time, time, 1.0, 0.0), repeats, 1.0, power)
+
+
+def test_the_shortest_that_is_hardly_less_sure_is_chosen():
+    enough = [judged(0.96, 4), judged(0.97, 2), judged(1.0, 8)]
+    assert experiment_design._chosen(enough, options=DIAGNOSIS) is enough[1]
+    none = [judged(0.003, 1), judged(0.01, 16), judged(0.004, 2)]
+    assert experiment_design._chosen(none, options=DIAGNOSIS) is none[0]
+    some = [judged(0.5, 1), judged(0.6, 2), judged(0.62, 16)]
+    assert experiment_design._chosen(some, options=DIAGNOSIS) is some[1]
+    assert experiment_design._chosen([], options=DIAGNOSIS) is None
