@@ -9,9 +9,10 @@ import pytest
 
 from valvesim.channels import State
 from valvesim.diagnosis import experiment_design
-from valvesim.diagnosis.experiment_design import ExperimentPower, design, separation_power, simulate_library
+from valvesim.diagnosis.experiment_design import ExperimentPower, design, nested_rival, rival_beside, simulate_library
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.power import nested_power, separation_power
 from valvesim.errors import SolveError
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit
 from valvesim.identification.fit_jacobian import linearise_study
@@ -28,7 +29,7 @@ from valvesim.valve.parameters import Valve
 
 NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
 LABELS = ("spool_coulomb_friction", "spool_lap")
-EXACT = replace(DIAGNOSIS, design=replace(DIAGNOSIS.design, model_error=0.0, contact_error=0.0))
+EXACT = replace(DIAGNOSIS, design=replace(DIAGNOSIS.design, model_error=0.0, contact_error=0.0, examined=4))
 """Options for a model that is the plant."""
 
 
@@ -86,7 +87,8 @@ def alike(first, second, ahead=0.0):
 
 def designed(nominal, first, second, labels, asked, options=EXACT):
     trials = simulate_library(nominal, first, options=options)
-    return design(nominal, trials, second, labels, asked, options=options)
+    rival = rival_beside(first, labels[1], second, asked, options=options)
+    return design(nominal, trials, labels[0], rival, options=options)
 
 
 @pytest.fixture(scope="module")
@@ -270,3 +272,30 @@ def test_the_shortest_that_is_hardly_less_sure_is_chosen():
     some = [judged(0.5, 1), judged(0.6, 2), judged(0.62, 16)]
     assert experiment_design._chosen(some, options=DIAGNOSIS) is some[1]
     assert experiment_design._chosen([], options=DIAGNOSIS) is None
+
+
+def test_a_hypothesis_that_holds_another_is_told_from_it_by_what_the_other_leaves(nominal, fits):
+    effect, none = fits[0], alike(nominal.fit, nominal.fit, 20.0)[1]
+    trials = simulate_library(nominal, effect, options=EXACT)
+    levels = (26.0, 20.0, 16.0)
+    rival = nested_rival(effect, "nothing but noise", none, lambda more: levels, is_larger=False)
+    assert rival.refitted == (False, True)
+    test = design(nominal, trials, LABELS[0], rival, options=EXACT)
+    gain = none.chi_square - effect.chi_square
+    probability = 1.0 / (1.0 + np.exp(-(gain - levels[1]) / 2.0))
+    assert test.power == pytest.approx(nested_power(test.distance, gain, levels[0], levels[2], probability))
+    other_way = nested_rival(none, LABELS[0], effect, lambda more: levels, is_larger=True)
+    assert other_way.refitted == (True, False)
+    assert other_way.power(3.0, 0.0, 0.0) == pytest.approx(rival.power(3.0, 0.0, 0.0))
+
+
+def test_nested_hypotheses_are_told_apart_by_how_the_gain_goes_on():
+    asked, forgone = 26.0, 16.0
+    assert nested_power(0.1, 20.0, asked, forgone, 0.5) < 1e-6  # a test that shows nothing leaves both
+    rng, gain, d = np.random.default_rng(3), 20.0, 4.0
+    whole = gain + d**2
+    for probability, mean in ((1.0, whole), (0.0, gain)):
+        after = (mean + d * rng.normal(size=200_000)) ** 2 / whole
+        told = np.mean(after > asked) if probability else np.mean(after < forgone)
+        assert nested_power(d, gain, asked, forgone, probability) == pytest.approx(told, abs=0.005)
+    assert nested_power(30.0, gain, asked, forgone, 0.5) > 0.95

@@ -14,7 +14,8 @@ Symbols
     which the plant will do otherwise than any model of it; s what the readings move, e `DesignOptions.model_error`, or
     `contact_error` where the flapper touches a nozzle
     power = p Phi((d^2 + b - w)/(2 d)) + (1 - p) Phi((d^2 - b - w)/(2 d)), p the probability of the first by what it is
-    ahead, tempered as the answer set is
+    ahead, tempered as the answer set is; of two of which one holds the other see `nested_power`: it can follow the
+    other in any test, so that d is what the smaller of them leaves
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numpy as np
 from valvesim.channels import State
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.power import separation_power
+from valvesim.diagnosis.power import nested_power, separation_power
 from valvesim.diagnosis.result import NextTest
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, moved_fit, predict_readings
@@ -135,31 +136,74 @@ def simulate_library(
     return tuple(one for one in each(simulate, library(study.session, options=options)) if one is not None)
 
 
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A hypothesis to be told from the likeliest: `power` by distance, by what the likeliest explains more in a test,
+    and by what any model errs there; `refitted` tells which of both may follow the other, the likeliest first.
+    """
+
+    label: str
+    fit: Fit
+    power: Callable[[float, float, float], float]
+    refitted: tuple[bool, bool] = (True, True)
+
+
+def rival_beside(
+    first: Fit, label: str, second: Fit, asked: Callable[[float], float], *, options: DiagnosisOptions
+) -> Rival:
+    """A rival of another cause than the first's. `asked(more)` is the difference of chi-squares that tells them apart
+    where the first explains so much more than in this session.
+    """
+    from scipy.special import expit
+
+    ahead = second.chi_square - first.chi_square
+    temperature = asked(0.0) / options.selection.answer_ratio
+    probability = float(expit(ahead / (2.0 * temperature)))
+
+    def power(distance: float, more: float, error: float) -> float:
+        return separation_power(distance, asked(more) + error, ahead, probability)
+
+    return Rival(label, second, power)
+
+
+def nested_rival(
+    first: Fit, label: str, second: Fit, levels: Callable[[float], tuple[float, float, float]], *, is_larger: bool
+) -> Rival:
+    """A rival that has all that the first has and more, or the other way about. `levels(more)` is what the larger must
+    explain beyond the smaller to stand alone, to be as likely, and to stand at all.
+    """
+    from scipy.special import expit
+
+    gain = (first.chi_square - second.chi_square) * (1.0 if is_larger else -1.0)
+    probability = float(expit((gain - levels(0.0)[1]) / 2.0))
+
+    def power(distance: float, more: float, error: float) -> float:
+        alone, _, beside = levels(more)
+        return nested_power(distance, gain, alone + error, beside, probability)
+
+    return Rival(label, second, power, (is_larger, not is_larger))
+
+
 def design(
     nominal: NominalFit,
     trials: Sequence[SimulatedExperiment],
-    second: Fit,
-    labels: tuple[str, str],
-    asked: Callable[[float], float],
+    label: str,
+    rival: Rival,
     *,
     options: DiagnosisOptions,
 ) -> NextTest | None:
-    """The shortest of the `trials` of a fit that tells it from a second with a power of 0.95, else the most powerful,
-    whatever its power.
+    """The shortest of the `trials` of a fit, by its label, that tells it from a rival with a power of 0.95, else the
+    most powerful, whatever its power.
 
     None where no test can be run.
-
-    `labels` are the names of the two hypotheses, as the answer has them; `asked(more)` the difference of chi-squares
-    that tells them apart where the first explains so much more than in this session.
     """
     study = nominal.study
-    run = [pair for pair in each(lambda one: _beyond(one, second), trials) if pair is not None]
+    run = [pair for pair in each(lambda one: _beyond(one, rival.fit), trials) if pair is not None]
     if not run:
         return None
-    power = _power_of(run[0][0].fit, second, asked, options=options)
-    run = _most_promising(run, power, options=options)
-    known = _known(nominal, second)
-    chosen = [judged for one, delta in run for judged in _judge(one, delta, second, known, power, options=options)]
+    run = _most_promising(run, rival.power, options=options)
+    known = _known(nominal, rival.fit)
+    chosen = [judged for one, delta in run for judged in _judge(one, delta, rival, known, options=options)]
     best = _chosen(chosen, options=options) or ExperimentPower(run[0][0].trial, 1, 0.0, 0.0)
     others = dict.fromkeys(
         one.trial.description for one in sorted(chosen, key=lambda one: -one.power)
@@ -169,7 +213,7 @@ def design(
         description=best.trial.description + (f", {best.repeats} times" if best.repeats > 1 else ""),
         settings=_settings(study.session, best),
         duration=best.duration,
-        separates=labels,
+        separates=(label, rival.label),
         distance=best.distance,
         power=best.power,
         alternatives=tuple(others),
@@ -192,18 +236,6 @@ def experiment_record(session: Session, trial: Experiment) -> Record:
     n = len(trial.time)
     values = {**{name: np.zeros(n) for name in channels}, **experiment_values(session, trial)}
     return Record(trial.description, trial.time, values, {name: np.ones(n, dtype=bool) for name in channels})
-
-
-def _power_of(
-    first: Fit, second: Fit, asked: Callable[[float], float], *, options: DiagnosisOptions
-) -> Callable[[float, float, float], float]:
-    """The power by distance, by what the first explains more there, and by what the model may err by there."""
-    from scipy.special import expit
-
-    ahead = second.chi_square - first.chi_square
-    temperature = asked(0.0) / options.selection.answer_ratio
-    probability = float(expit(ahead / (2.0 * temperature)))
-    return lambda distance, more, error: separation_power(distance, asked(more) + error, ahead, probability)
 
 
 def _beyond(tried: SimulatedExperiment, second: Fit) -> tuple[SimulatedExperiment, np.ndarray] | None:
@@ -310,18 +342,11 @@ def _with_fitted(
 
 
 def _judge(
-    tried: SimulatedExperiment,
-    delta: np.ndarray,
-    second: Fit,
-    known: np.ndarray,
-    power: Callable[[float, float, float], float],
-    *,
-    options: DiagnosisOptions,
+    tried: SimulatedExperiment, delta: np.ndarray, rival: Rival, known: np.ndarray, *, options: DiagnosisOptions
 ) -> list[ExperimentPower]:
     """A trial at each number of repeats: the smaller of the distances that remain of a difference (rows,) when either
-    fit is refitted. The second is not, where the first leaves too little already.
+    fit is refitted. The rival is not, where the first leaves too little already.
     """
-
     replicates = options.design.replicates
 
     def distances(refit: LinearisedRefit, delta: np.ndarray) -> list[float]:
@@ -329,20 +354,22 @@ def _judge(
 
     def judged(distances: Sequence[float]) -> list[ExperimentPower]:
         return [
-            ExperimentPower(tried.trial, n, d, power(d, more, n * tried.error))
+            ExperimentPower(tried.trial, n, d, rival.power(d, more, n * tried.error))
             for n, d, more in zip(replicates, distances, explained, strict=True)
         ]
 
+    found, least = list[ExperimentPower](), [np.inf] * len(replicates)
     try:
         explained = [tried.explained(n) for n in replicates]
-        by_first = distances(tried.refit, delta)
-        found = judged(by_first)
-        if max(one.power for one in found) < options.design.uninformative_power:
-            return found
-        refit = _linearised_refit(tried.study, tried.predictor, second, known)
-        return judged(list(map(min, by_first, distances(refit, -delta))))
+        if rival.refitted[0]:
+            least = distances(tried.refit, delta)
+            found = judged(least)
+        if rival.refitted[1] and max((one.power for one in found), default=1.0) >= options.design.uninformative_power:
+            refit = _linearised_refit(tried.study, tried.predictor, rival.fit, known)
+            found = judged(list(map(min, least, distances(refit, -delta))))
     except (SolveError, InputError):
         return []
+    return found
 
 
 def _linearised_refit(
