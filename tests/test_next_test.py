@@ -1,6 +1,7 @@
 """The next test: inside the valve's limits, and only where it tells two hypotheses apart."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from valvesim.channels import State
 from valvesim.diagnosis import experiment_design
 from valvesim.diagnosis.experiment_design import ExperimentPower, design, nested_rival, rival_beside, simulate_library
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
+from valvesim.diagnosis.model_selection import FittedHypothesis, least_gain_of_second, nested_levels
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.power import nested_power, separation_power
 from valvesim.errors import SolveError
@@ -85,8 +87,13 @@ def alike(first, second, ahead=0.0):
     return first, replace(second, chi_square=first.chi_square + ahead)
 
 
+@cache
+def trials_of(nominal, first, options=EXACT):
+    return simulate_library(nominal, first, options=options)
+
+
 def designed(nominal, first, second, labels, asked, options=EXACT):
-    trials = simulate_library(nominal, first, options=options)
+    trials = trials_of(nominal, first, options)
     rival = rival_beside(first, labels[1], second, asked, options=options)
     return design(nominal, trials, labels[0], rival, options=options)
 
@@ -170,8 +177,10 @@ def test_a_test_that_cannot_be_run_is_left_out(nominal, fits, monkeypatch):
     def fails(predictor, variant):
         raise SolveError("no")
 
+    known = trials_of(nominal, fits[0])  # linearised where they run
     monkeypatch.setattr("valvesim.identification.predictor.RecordPredictor.run", fails)
-    assert designed(nominal, *fits, LABELS, plain_six) is None
+    assert simulate_library(nominal, fits[0], options=EXACT) == ()
+    assert known and designed(nominal, *fits, LABELS, plain_six) is None  # where the second alone cannot
 
 
 @pytest.mark.parametrize("oil", [-20.0, 5.0, 40.0, 85.0, 120.0])
@@ -225,13 +234,12 @@ def test_what_the_plant_does_otherwise_counts_with_each_repeat(nominal, fits, fo
     erring = replace(EXACT, design=replace(EXACT.design, model_error=5e-3, contact_error=5e-3))
     test = designed(nominal, *fits, LABELS, plain_six, options=erring)
     assert test.power < found.power or test.duration > found.duration
-    trials = simulate_library(nominal, fits[0], options=erring)
-    assert all(one.error > 0.0 for one in trials)
-    assert all(one.error == 0.0 for one in simulate_library(nominal, fits[0], options=EXACT))
+    assert all(one.error > 0.0 for one in trials_of(nominal, fits[0], erring))
+    assert all(one.error == 0.0 for one in trials_of(nominal, fits[0]))
 
 
 def test_what_linear_answers_miss_does_not_count(nominal, fits, monkeypatch):
-    tried = simulate_library(nominal, fits[0], options=EXACT)[0]
+    tried = trials_of(nominal, fits[0])[0]
     delta = tried.beyond(fits[1])
     refit = tried.refit
     linear = experiment_design._distance(tried, refit, delta, 1)
@@ -276,7 +284,7 @@ def test_the_shortest_that_is_hardly_less_sure_is_chosen():
 
 def test_a_hypothesis_that_holds_another_is_told_from_it_by_what_the_other_leaves(nominal, fits):
     effect, none = fits[0], alike(nominal.fit, nominal.fit, 20.0)[1]
-    trials = simulate_library(nominal, effect, options=EXACT)
+    trials = trials_of(nominal, effect)
     levels = (26.0, 20.0, 16.0)
     rival = nested_rival(effect, "nothing but noise", none, lambda more: levels, is_larger=False)
     assert rival.refitted == (False, True)
@@ -287,6 +295,20 @@ def test_a_hypothesis_that_holds_another_is_told_from_it_by_what_the_other_leave
     other_way = nested_rival(none, LABELS[0], effect, lambda more: levels, is_larger=True)
     assert other_way.refitted == (True, False)
     assert other_way.power(3.0, 0.0, 0.0) == pytest.approx(rival.power(3.0, 0.0, 0.0))
+
+
+def test_what_a_larger_hypothesis_must_explain_is_what_the_answer_set_asks(nominal, fits):
+    none, one, other = (FittedHypothesis(fit, DIAGNOSIS) for fit in (nominal.fit, *fits))
+    pair = FittedHypothesis(replace(one.fit, fitted=(*one.fit.fitted, *other.fit.fitted)), DIAGNOSIS)
+    level, second, selection = 4.0, 5.0, DIAGNOSIS.selection
+    shapes = len(one.fit.layout) - 1
+    against_noise = nested_levels(nominal, none, one, level, second)
+    assert against_noise == (16.0 + shapes + selection.answer_ratio, 16.0 + shapes, 16.0 * selection.minimum_gain)
+    beside = nested_levels(nominal, one, pair, level, second)
+    assert beside[1] == beside[2] == least_gain_of_second(nominal, one, second) >= second**2
+    assert beside[0] >= selection.second_gain
+    further = nested_levels(nominal, one, pair, level, second, 1e6)
+    assert further[0] > beside[0] and further[1] > beside[1]  # no model is the plant
 
 
 def test_nested_hypotheses_are_told_apart_by_how_the_gain_goes_on():
