@@ -133,7 +133,7 @@ def test_what_the_session_says_already_counts(nominal, fits, found):
     ahead = designed(nominal, *alike(*fits, 0.9 * asked(0.0)), LABELS, asked)
     assert level.power == pytest.approx(separation_power(level.distance, asked(0.0)))
     sure = 1.0 / (1.0 + np.exp(-0.9 * DIAGNOSIS.selection.answer_ratio / 2.0))
-    both = separation_power(ahead.distance, asked(0.0), 0.9 * asked(0.0), sure)
+    both = separation_power(ahead.distance, asked(0.0), (0.9 * asked(0.0),) * 2, sure)
     assert ahead.power == pytest.approx(both)
 
 
@@ -219,9 +219,18 @@ def test_a_session_driven_by_voltage_gets_a_voltage():
 
 
 def test_the_power_is_that_of_either_being_true():
-    first, second = (separation_power(4.0, 12.0, 5.0, p) for p in (1.0, 0.0))
+    first, second = (separation_power(4.0, 12.0, (5.0, 5.0), p) for p in (1.0, 0.0))
     assert first == pytest.approx(separation_power(4.0, 7.0)) and second == pytest.approx(separation_power(4.0, 17.0))
-    assert separation_power(4.0, 12.0, 5.0, 0.8) == pytest.approx(0.8 * first + 0.2 * second)
+    assert separation_power(4.0, 12.0, (5.0, 5.0), 0.8) == pytest.approx(0.8 * first + 0.2 * second)
+
+
+def test_a_lead_that_has_not_told_them_apart_yet_does_not_either(fits):
+    first, second = alike(*fits, 20.0)
+    levelled = rival_beside(first, LABELS[1], second, plain_six, 1.0, options=EXACT)
+    led = rival_beside(first, LABELS[1], second, plain_six, options=EXACT)
+    assert led.power(0.1, 0.0, 0.0) > 0.95 and levelled.power(0.1, 0.0, 0.0) < 0.01
+    assert separation_power(4.0, 12.0, (1.0, 5.0), 1.0) == pytest.approx(separation_power(4.0, 11.0))
+    assert separation_power(4.0, 12.0, (1.0, 5.0), 0.0) == pytest.approx(separation_power(4.0, 17.0))
 
 
 def test_the_power_rises_with_the_distance():

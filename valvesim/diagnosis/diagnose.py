@@ -30,7 +30,7 @@ from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain, traces_of
 from valvesim.diagnosis.intervals import confidence_intervals
 from valvesim.diagnosis.isolation import Isolation, isolate
-from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, nested_levels
+from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, nested_levels, temperature_of
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
@@ -222,13 +222,14 @@ def _rival(conclusion: Conclusion, first: FittedHypothesis, other: FittedHypothe
     """Another hypothesis of the answer set as a rival of the likeliest."""
     isolation = conclusion.isolation
     nominal = isolation.nominal
-    is_larger = first.is_within(other)
+    is_larger, temperature = first.is_within(other), temperature_of(nominal, first)
     if not is_larger and not other.is_within(first):
         return rival_beside(
             first.fit,
             other.label,
             other.fit,
             lambda more: answer_set_width(nominal, first, more),
+            other.tempered(temperature) - first.tempered(temperature),
             options=isolation.scores.options,
         )
     smaller, larger = (first, other) if is_larger else (other, first)

@@ -9,10 +9,11 @@ Symbols
     m what A misses of the answer to the step of that refit: where answers are not linear, at a stop or a turn, they
     hang on what no model has right, and repeats do not tell it better; W = 1/(1/n + m^2) of each row
     d^2 = delta'W delta - delta'W A (P + A'W A)^-1 A'W delta: by so much the chi-square of the wrong one of the two will
-    rise more than that of the true one, with deviation 2 d. The first is ahead by b in the session already; w is what
-    the answer set will ask for, no model is the plant: the more there is to explain, the more, and n e^2 s's besides,
-    which the plant will do otherwise than any model of it; s what the readings move, e `DesignOptions.model_error`, or
-    `contact_error` where the flapper touches a nozzle
+    rise more than that of the true one, with deviation 2 d. The first is ahead by b in the session already, by the
+    chi-square and by the evidence, of which the one that helps less counts; w is what the answer set will ask for, no
+    model is the plant: the more there is to explain, the more, and n e^2 s's besides, which the plant will do otherwise
+    than any model of it; s what the readings move, e `DesignOptions.model_error`, or `contact_error` where the flapper
+    touches a nozzle
     power = p Phi((d^2 + b - w)/(2 d)) + (1 - p) Phi((d^2 - b - w)/(2 d)), p the probability of the first by what it is
     ahead, tempered as the answer set is; of two of which one holds the other see `nested_power`: it can follow the
     other in any test, so that d is what the smaller of them leaves
@@ -149,19 +150,27 @@ class Rival:
 
 
 def rival_beside(
-    first: Fit, label: str, second: Fit, asked: Callable[[float], float], *, options: DiagnosisOptions
+    first: Fit,
+    label: str,
+    second: Fit,
+    asked: Callable[[float], float],
+    ahead: float | None = None,
+    *,
+    options: DiagnosisOptions,
 ) -> Rival:
     """A rival of another cause than the first's. `asked(more)` is the difference of chi-squares that tells them apart
-    where the first explains so much more than in this session.
+    where the first explains so much more than in this session, and asked of the evidence likewise, in which the first
+    is `ahead` by so much (if it is not given, as in the chi-square).
     """
     from scipy.special import expit
 
-    ahead = second.chi_square - first.chi_square
+    by_fit = second.chi_square - first.chi_square
+    lead = sorted((by_fit, by_fit if ahead is None else ahead))
     temperature = asked(0.0) / options.selection.answer_ratio
-    probability = float(expit(ahead / (2.0 * temperature)))
+    probability = float(expit(by_fit / (2.0 * temperature)))
 
     def power(distance: float, more: float, error: float) -> float:
-        return separation_power(distance, asked(more) + error, ahead, probability)
+        return separation_power(distance, asked(more) + error, (lead[0], lead[1]), probability)
 
     return Rival(label, second, power)
 

@@ -6,7 +6,7 @@ Symbols
     detected with 0.9: d' = level + z(0.9);  named: d'^2 beyond level^2 by w, so that noise is no rival
     power to tell apart = Phi((d^2 - w)/(2 d)): the likelihood ratio of two hypotheses d apart is normal with mean d^2
     and deviation 2 d; with the difference b by which the first is ahead already, Phi((d^2 + b - w)/(2 d)) where the
-    first is true and Phi((d^2 - b - w)/(2 d)) where the second is
+    first is true and Phi((d^2 - b - w)/(2 d)) where the second is; b the least and the most of several that count
     nested: the larger of two has all that the smaller has and something besides, by which it explains g more so far,
     and which is d in further records. Of these the larger explains more, N standard normal,
     (g + d^2 + d N)^2/(g + d^2) if it is true as fitted, and (g + d N)^2/(g + d^2) if the smaller is
@@ -38,15 +38,19 @@ def detection_power(distance: float, level: float) -> float:
     return float(norm.cdf(distance - level))
 
 
-def separation_power(distance: float, asked: float, ahead: float = 0.0, probability: float = 0.5) -> float:
-    """How surely two hypotheses that far apart are told apart where a difference of chi-squares is asked, the first of
-    which is `ahead` by so much before, and true with that probability.
+def separation_power(
+    distance: float, asked: float, lead: tuple[float, float] = (0.0, 0.0), probability: float = 0.5
+) -> float:
+    """How surely two hypotheses that far apart are told apart where a difference of chi-squares is asked. The `lead` of
+    the first before is the least and the most of what counts: it must be ahead by all of that, and so must the second.
+    The first is true with that probability.
     """
     from scipy.stats import norm
 
     if distance <= 0.0:
         return 0.0
-    first, second = norm.cdf((distance**2 + np.array([ahead, -ahead]) - asked) / (2.0 * distance))
+    least, most = lead
+    first, second = norm.cdf((distance**2 + np.array([least, -most]) - asked) / (2.0 * distance))
     return float(probability * first + (1.0 - probability) * second)
 
 
