@@ -36,7 +36,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
     metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.layout])
     jacobian, gram = jacobian.copy(), jacobian.T @ jacobian
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
-    first = np.zeros(len(metric))
+    first, longest = np.zeros(len(metric)), study.nominal.longest_step
     for _ in range(study.options.fit.steps):
         H, gradient = normal_equations(fit, jacobian, gram, options=study.options)
         limits = step_limits(fit, study.nominal, options=study.options)
@@ -50,7 +50,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
             if best.predicted_reduction < enough or stale or failures == study.options.fit.failures:
                 break
         step, held = bounded_step(H + damping * np.diag(metric), gradient, limits), damping
-        while np.max(np.abs(step[: len(fit.point)])) > study.options.fit.longest_step:
+        while np.any(np.abs(step[: len(fit.point)]) > longest):
             held = max(2.0 * held, 0.01)
             step = bounded_step(H + held * np.diag(metric), gradient, limits)
         if fit is start and failures == 0:

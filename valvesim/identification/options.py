@@ -390,6 +390,9 @@ class FitOptions:
         3.0, "1", "prior deviations from the linearisation at which it is renewed", JUDGEMENT
     )
     longest_step: float = option(3.0, "1", "step of a nuisance parameter, in prior deviations", JUDGEMENT)
+    longest_delay_step: float = option(
+        10.0, "1", "step of when a sensor reads, in prior deviations", "half a millisecond, little of a valve's rise"
+    )
     patience: int = option(
         2,
         "1",
