@@ -404,6 +404,9 @@ class FitOptions:
     short_step: float = option(
         0.1, "1", "share of the first step that is tried last where none has led down: valleys are narrow", JUDGEMENT
     )
+    most_bend: float = option(
+        0.4, "1", "share of its length by which a valley that is followed may bend", "Transtrum and Sethna 2012: 0.75, twice as defined there"
+    )
     robust_scale: float = option(3.0, "1", "times the median residual at which a sample counts less", JUDGEMENT)
     peak_share: float = option(
         3.0,
