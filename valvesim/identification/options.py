@@ -437,6 +437,9 @@ class FitOptions:
         1.0, "1", "reduction of the chi-square that ends the fit of the nominal model", JUDGEMENT
     )
     linearisations: int = option(4, "1", "linearisations of a hypothesis that does not come near", JUDGEMENT)
+    hoped_promises: float = option(
+        3.0, "1", "times the predicted reduction that such a one may still be hoped to bring", JUDGEMENT
+    )
     most_linearisations: int = option(12, "1", "linearisations of a hypothesis that does", JUDGEMENT)
     refinements: int = option(3, "1", "times that a fit is linearised anew and continued at last", JUDGEMENT)
     refined_gain: float = option(
