@@ -168,7 +168,7 @@ def _continued_if_other_valve(
     """
     if fit is None or not is_other_valve(nominal, fit, options=options):
         return fit
-    return continue_from(at, fit) or fit
+    return continue_from(at, fit, np.inf) or fit
 
 
 def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -> bool:

@@ -47,18 +47,21 @@ class TriedForm:
 
 def one_parameter_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None:
     """The term of one parameter that explains most of what the nominal fit leaves; None where none explains more than
-    it costs. `scores` is the nominal fit looked at with its term hypotheses (`score_test`).
+    it costs. `scores` is the nominal fit looked at with its term hypotheses (`score_test`). A form that does not come
+    near the records is given up early.
     """
     options = scores.options.missing_term
     tried = sorted(_tried_forms(scores, options=scores.options), key=lambda one: -one.reduction)
     least = nominal.fit.chi_square - options.minimum_gain - float(np.log(len(nominal.fit.residual)))
+    near = scores.options.identification.fit.inadequate_ratio * nominal.fit.rows
     best = None
     for one in tried[: options.estimated]:
         knots = np.linspace(*one.span, options.knots)
         port, variable = one.hypothesis.port.name, one.hypothesis.variable.name
         effect = term_effect(port, variable, tuple(knots), tuple(one.values(knots)), name=RECOVERED_TERM)
         fixed = tuple((p.name, p.default) for p in effect.parameters if p is not effect.amplitude)
-        fit = fit_hypothesis(nominal, (FittedCandidate(Candidate(effect.name, effect, fixed), 1.0),))
+        start = (FittedCandidate(Candidate(effect.name, effect, fixed), 1.0),)
+        fit = fit_hypothesis(nominal, start, worthwhile=near)
         penalty = options.complexity_penalty * one.hypothesis.complexity
         if fit is not None and fit.chi_square + penalty < least:
             least, best = fit.chi_square + penalty, (one, knots, fit)

@@ -23,17 +23,17 @@ def as_catalogue_entry(isolation: Isolation, recovered: RecoveredTerm) -> Isolat
     the law of a likeliest cause may err by is no other entry's doing.
     """
     nominal, options = isolation.nominal, isolation.scores.options
-    limits = nominal.study.nominal.limits
-    fits = [
-        fit_hypothesis(nominal, start, np.clip(recovered.point, *limits))
-        for start in _entries_at(isolation.scores, recovered.term.port)
-    ]
     gained = nominal.fit.chi_square - recovered.chi_square
     most = recovered.chi_square + max(options.selection.answer_ratio, options.selection.answer_share * gained)
     if isolation.answer_set:
         likeliest = isolation.answer_set[0]
         may_err = likeliest.law_error * (nominal.fit.chi_square - likeliest.fit.chi_square)
         most = min(most, likeliest.fit.chi_square - may_err) if may_err > 0.0 else most
+    near = max(most, options.identification.fit.inadequate_ratio * nominal.fit.rows)
+    fits = [
+        fit_hypothesis(nominal, start, np.clip(recovered.point, *nominal.study.nominal.limits), worthwhile=near)
+        for start in _entries_at(isolation.scores, recovered.term.port)
+    ]
     entries = [
         FittedHypothesis(fit, options=options)
         for fit in fits

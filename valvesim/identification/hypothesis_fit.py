@@ -135,8 +135,8 @@ def evaluated_beside(nominal: NominalFit, fit: Fit) -> Fit:
     return replace(evaluate_fit(nominal.study, point, fit.fitted), occam_factor=fit.occam_factor)
 
 
-def continue_from(nominal: NominalFit, fit: Fit) -> Fit | None:
-    """The same for a fit that has been simulated in the same study."""
+def continue_from(nominal: NominalFit, fit: Fit, worthwhile: float | None = None) -> Fit | None:
+    """The same for a fit that has been simulated in the same study; `worthwhile` as in `fit_hypothesis`."""
     study = nominal.study
     try:
         jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
@@ -148,7 +148,7 @@ def continue_from(nominal: NominalFit, fit: Fit) -> Fit | None:
         jacobian,
         _ending(nominal),
         nominal.study.options.fit.most_linearisations,
-        _worthwhile(nominal),
+        _worthwhile(nominal) if worthwhile is None else worthwhile,
     )
 
 
@@ -240,12 +240,9 @@ def _iterate(
         enough = ending(fit)
         new, jacobian = levenberg_marquardt(study, fit, jacobian, enough)
         stuck, fit = iteration > 1 and new.chi_square > fit.chi_square - enough, new
-        if (
-            fit.predicted_reduction < enough
-            or stuck
-            or iteration == linearisations
-            or (iteration >= study.options.fit.linearisations and fit.chi_square > good)
-        ):
+        hoped = study.options.fit.hoped_promises if iteration < study.options.fit.linearisations else 0.0
+        hopeless = iteration > 1 and fit.chi_square - hoped * fit.predicted_reduction > good
+        if fit.predicted_reduction < enough or stuck or hopeless or iteration == linearisations:
             break
         jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
     return replace(

@@ -28,55 +28,53 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
     Jacobian.
 
     It ends where the predicted reduction is below `ftol`, or where steps no longer bring what is predicted. Between
-    linearisations the Jacobian (rows, n) is updated by each step (Broyden 1965). One step uphill is allowed: the
-    next may lead back into a curved valley, further down. Where no step of a fit with candidates has led down, a share
-    of the first one is the last that is tried: amplitudes and shapes make narrow valleys, and what the records tell far
-    better than the priors, damping in their metric does not shorten.
+    linearisations the Jacobian (rows, n) is updated by each step (Broyden 1965). A first step that leads up tells how
+    the valley bends: the next one follows that, and the linearisation is renewed where it arrives. Where it bends too
+    much for that, one step uphill is allowed: the next may lead back into the valley, further down. Where no step of a
+    fit with candidates has led down, a share of the first one is the last that is tried: amplitudes and shapes make
+    narrow valleys, and what the records tell far better than the priors, damping in their metric does not shorten.
     """
-    metric = np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.layout])
+    options, metric = study.options.fit, _metric_of(fit)
     jacobian, gram = jacobian.copy(), jacobian.T @ jacobian
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
-    first = np.zeros(len(metric))
-    for _ in range(study.options.fit.steps):
+    first, bent, is_around = np.zeros(len(metric)), None, False
+    for _ in range(options.steps):
         H, gradient = normal_equations(fit, jacobian, gram, options=study.options)
         limits = step_limits(fit, study.nominal, options=study.options)
         if fit is best:
             known = replace(fit, predicted_reduction=predict_reduction(H, gradient, limits))
             start, best, fit = known if best is start else start, known, known
-            lasting = study.options.fit.patience if study.is_long else 0
+            lasting = options.patience if study.is_long else 0
             stale = best.chi_square < start.chi_square and (
-                failures > lasting or _linearisation_expired(start, best, options=study.options)
+                failures > lasting or is_around or _linearisation_expired(start, best, options=study.options)
             )
-            if best.predicted_reduction < enough or stale or failures == study.options.fit.failures:
+            if best.predicted_reduction < enough or stale or failures == options.failures:
                 break
-        step, held = bounded_step(H + damping * np.diag(metric), gradient, limits), damping
-        while np.max(np.abs(step[: len(fit.point)])) > study.options.fit.longest_step:
-            held = max(2.0 * held, 0.01)
-            step = bounded_step(H + held * np.diag(metric), gradient, limits)
+        damped = H + damping * np.diag(metric)
+        step = bent if bent is not None else _step_within(study, damped, gradient, limits, metric)
         if fit is start and failures == 0:
             first = step
-        elif best is start and fit.fitted and failures == study.options.fit.failures - 1:
-            step = study.options.fit.short_step * first
+        elif best is start and fit.fitted and failures == options.failures - 1:
+            step = options.short_step * first
         try:
-            new = evaluate_fit(
-                study,
-                fit.point + step[: len(fit.point)],
-                moved_candidates(fit, step[len(fit.point) :], options=study.options),
-                fit.trajectories,
-            )
+            new = _moved_by(study, fit, step)
         except (SolveError, InputError):  # no valve can have these figures
-            fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
+            fit, bent, damping, failures = best, None, max(10.0 * damping, 0.1), failures + 1
             continue
         moved, changed = new.vector - fit.vector, fit.residual - new.residual
-        if (length := float(moved @ (metric * moved))) > 0.0 and float(
-            changed @ changed
-        ) > study.options.fit.update_threshold:
+        gained = best.chi_square - new.chi_square
+        if gained <= 0.0 and fit is best and failures == 0:
+            bent = _bent_step(fit, jacobian, damped, moved, changed, limits, metric, options=study.options)
+            if bent is not None:
+                failures = 1
+                continue
+        if (length := float(moved @ (metric * moved))) > 0.0 and float(changed @ changed) > options.update_threshold:
             left, along = (changed - jacobian @ moved) / length, metric * moved
             crossed = np.outer(jacobian.T @ left, along)
             gram = gram + crossed + crossed.T + float(left @ left) * np.outer(along, along)
             jacobian = dger(1.0, along, left, a=jacobian.T, overwrite_a=True).T
-        gained = best.chi_square - new.chi_square
         if gained > 0.0:
+            is_around = bent is not None
             failures = 0 if gained > 0.5 * best.predicted_reduction else failures + 1
             damping = 0.0 if damping <= 0.1 or gained > 0.5 * best.predicted_reduction else damping / 10.0
             best = fit = new
@@ -84,7 +82,64 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
             fit = new  # a bent valley: the next step may lead back into it, further down
         else:
             fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
+        bent = None
     return best, jacobian
+
+
+def _metric_of(fit: Fit) -> np.ndarray:
+    """(n,): the precisions of the priors, of the nuisance parameters and then of the fitted candidates."""
+    return np.array([1.0] * len(fit.point) + [1.0 if shape else e.candidate.typical**-2 for e, shape in fit.layout])
+
+
+def _step_within(
+    study: Study, damped: np.ndarray, gradient: np.ndarray, limits: np.ndarray, metric: np.ndarray
+) -> np.ndarray:
+    """The step of damped normal equations, damped further until no nuisance parameter goes too far."""
+    longest, more = study.nominal.longest_step, 0.0
+    step = bounded_step(damped, gradient, limits)
+    while np.any(np.abs(step[: len(longest)]) > longest):
+        more = max(2.0 * more, 0.01)
+        step = bounded_step(damped + more * np.diag(metric), gradient, limits)
+    return step
+
+
+def _moved_by(study: Study, fit: Fit, step: np.ndarray) -> Fit:
+    """The fit at a step from another one, simulated."""
+    p = len(fit.point)
+    candidates = moved_candidates(fit, step[p:], options=study.options)
+    return evaluate_fit(study, fit.point + step[:p], candidates, fit.trajectories)
+
+
+def _bent_step(
+    fit: Fit,
+    jacobian: np.ndarray,
+    damped: np.ndarray,
+    moved: np.ndarray,
+    changed: np.ndarray,
+    limits: np.ndarray,
+    metric: np.ndarray,
+    *,
+    options: IdentificationOptions,
+) -> np.ndarray | None:
+    """The best step along the parabola that a step `moved` (n,) tells of which `changed` the residual (rows,)
+    otherwise than the linearised equations say (geodesic acceleration, Transtrum and Sethna 2012).
+
+    None where the parabola bends by more than a given share of its length: the equations are of second order no longer.
+    """
+    straight, p = jacobian @ moved, len(fit.point)
+    curvature = changed - straight
+    bend = -solve_normal(damped, jacobian.T @ curvature)
+    if bend @ (metric * bend) > options.fit.most_bend**2 * (moved @ (metric * moved)):
+        return None
+    bent = curvature + jacobian @ bend
+
+    def left(share: float) -> float:
+        residual = fit.residual - share * straight - share**2 * bent
+        point = fit.point + share * moved[:p] + share**2 * bend[:p]
+        return float(residual @ residual + point @ point)
+
+    best = min(np.linspace(0.05, 1.0, 20), key=left)
+    return np.clip(best * moved + best**2 * bend, *limits)
 
 
 def predict_reduction(H: np.ndarray, gradient: np.ndarray, limits: np.ndarray) -> float:

@@ -390,6 +390,9 @@ class FitOptions:
         3.0, "1", "prior deviations from the linearisation at which it is renewed", JUDGEMENT
     )
     longest_step: float = option(3.0, "1", "step of a nuisance parameter, in prior deviations", JUDGEMENT)
+    longest_delay_step: float = option(
+        10.0, "1", "step of when a sensor reads, in prior deviations", "half a millisecond, little of a valve's rise"
+    )
     patience: int = option(
         2,
         "1",
@@ -400,6 +403,9 @@ class FitOptions:
     failures: int = option(4, "1", "steps in a row that bring much less than predicted", JUDGEMENT)
     short_step: float = option(
         0.1, "1", "share of the first step that is tried last where none has led down: valleys are narrow", JUDGEMENT
+    )
+    most_bend: float = option(
+        0.4, "1", "share of its length by which a valley that is followed may bend", "Transtrum and Sethna 2012: 0.75, twice as defined there"
     )
     robust_scale: float = option(3.0, "1", "times the median residual at which a sample counts less", JUDGEMENT)
     peak_share: float = option(
@@ -431,6 +437,9 @@ class FitOptions:
         1.0, "1", "reduction of the chi-square that ends the fit of the nominal model", JUDGEMENT
     )
     linearisations: int = option(4, "1", "linearisations of a hypothesis that does not come near", JUDGEMENT)
+    hoped_promises: float = option(
+        3.0, "1", "times the predicted reduction that such a one may still be hoped to bring", JUDGEMENT
+    )
     most_linearisations: int = option(12, "1", "linearisations of a hypothesis that does", JUDGEMENT)
     refinements: int = option(3, "1", "times that a fit is linearised anew and continued at last", JUDGEMENT)
     refined_gain: float = option(

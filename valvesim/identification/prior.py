@@ -54,6 +54,11 @@ class NuisanceParameter:
         """Whether it is a figure of the thermal network."""
         return self.name.startswith(NETWORK)
 
+    @property
+    def of_reading(self) -> bool:
+        """Whether it scales or shifts a reading and moves nothing else, so that a linearisation knows it for good."""
+        return self.sensor is not None and not isinstance(self.sensor, ToleratedTimeError)
+
     def at(self, where: float, more: float = 0.0) -> float:
         """Its value at so many prior deviations, and `more` in its unit (in its logarithm), within its bounds."""
         moved = where * self.deviation + more
@@ -142,6 +147,14 @@ class NominalModel:
         ]
         reach = [self.options.prior.reach if p.is_of_valve else np.inf for p in self.parameters]
         return np.clip(np.transpose(ends), -np.array(reach), reach)
+
+    @property
+    def longest_step(self) -> np.ndarray:
+        """(p,): how far each parameter may go in one step of a fit, in prior deviations."""
+        fit = self.options.fit
+        longest = [np.inf if p.of_reading else fit.longest_delay_step if p.sensor is not None else fit.longest_step
+                   for p in self.parameters]  # fmt: skip
+        return np.array(longest)
 
     def extended(self, parameters: Sequence[NuisanceParameter], deviations: Deviations = ()) -> NominalModel:
         """The same with more nuisance parameters, after its own, and with what inputs do beside their samples."""
