@@ -3,12 +3,10 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from valvesim.channels import State
 from valvesim.diagnosis import experiment_design
 from valvesim.diagnosis.experiment_design import ExperimentPower, design, nested_rival, rival_beside, simulate_library
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
@@ -25,13 +23,12 @@ from valvesim.identification.predictor import ModelVariant, prepare_record
 from valvesim.identification.session import Record, Sensor, Session
 from valvesim.identification.study import prepare_session
 from valvesim.simulation.scenario import Thermal
-from valvesim.valve.coefficients import Coefficients
 from valvesim.valve.fluid import MIL_PRF_5606
 from valvesim.valve.parameters import Valve
 
 NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
 LABELS = ("spool_coulomb_friction", "spool_lap")
-EXACT = replace(DIAGNOSIS, design=replace(DIAGNOSIS.design, model_error=0.0, contact_error=0.0, examined=4))
+EXACT = replace(DIAGNOSIS, design=replace(DIAGNOSIS.design, model_error=0.0, examined=4))
 """Options for a model that is the plant."""
 
 
@@ -240,7 +237,7 @@ def test_the_power_rises_with_the_distance():
 
 
 def test_what_the_plant_does_otherwise_counts_with_each_repeat(nominal, fits, found):
-    erring = replace(EXACT, design=replace(EXACT.design, model_error=5e-3, contact_error=5e-3))
+    erring = replace(EXACT, design=replace(EXACT.design, model_error=5e-3))
     test = designed(nominal, *fits, LABELS, plain_six, options=erring)
     assert test.power < found.power or test.duration > found.duration
     assert all(one.error > 0.0 for one in trials_of(nominal, fits[0], erring))
@@ -265,15 +262,6 @@ def test_what_linear_answers_miss_does_not_count(nominal, fits, monkeypatch):
 
     monkeypatch.setattr(experiment_design, "_readings", fails)
     assert experiment_design._distance(tried, refit, delta, 1) == 0.0
-
-
-@pytest.mark.parametrize(("angle", "touches"), [(9e-4, False), (1.1e-3, True), (-1.1e-3, True)])
-def test_a_flapper_touches_a_nozzle_beyond_its_gap(angle, touches):
-    figures = {"nozzle_arm": 0.03, "null_gap_1": 3e-5, "null_gap_2": 3e-5}
-    knots = np.array([[figures.get(name, 0.0) for name in Coefficients._fields]] * 2)
-    states = np.zeros((3, len(State._fields)))
-    states[1, State._fields.index("armature_angle")] = angle
-    assert experiment_design._touches(SimpleNamespace(knots=knots, fine=states)) is touches
 
 
 def judged(power, repeats, duration=1.0):

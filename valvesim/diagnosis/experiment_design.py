@@ -12,8 +12,7 @@ Symbols
     rise more than that of the true one, with deviation 2 d. The first is ahead by b in the session already, by the
     chi-square and by the evidence, of which the one that helps less counts; w is what the answer set will ask for, no
     model is the plant: the more there is to explain, the more, and n e^2 s's besides, which the plant will do otherwise
-    than any model of it; s what the readings move, e `DesignOptions.model_error`, or `contact_error` where the flapper
-    touches a nozzle
+    than any model of it; s what the readings move, e `DesignOptions.model_error`
     power = p Phi((d^2 + b - w)/(2 d)) + (1 - p) Phi((d^2 - b - w)/(2 d)), p the probability of the first by what it is
     ahead, tempered as the answer set is; of two of which one holds the other see `nested_power`: it can follow the
     other in any test, so that d is what the smaller of them leaves
@@ -27,7 +26,6 @@ from functools import cached_property
 
 import numpy as np
 
-from valvesim.channels import State
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.power import nested_power, separation_power
@@ -40,12 +38,11 @@ from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.noise_model import NoiseModel
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.predictor import RecordPredictor, Trajectory, prepare_record
+from valvesim.identification.predictor import RecordPredictor, prepare_record
 from valvesim.identification.prior import measured_channels
 from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import Record, Session
 from valvesim.identification.study import Study, each
-from valvesim.valve.coefficients import Coefficients
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,20 +290,11 @@ def _simulated(
     record, universe = experiment_record(study.session, trial), study.predictors[0].universe
     predictor = prepare_record(study.session, record, universe, options=options.identification)
     variant = first.variant(study.nominal)
-    trajectory = predictor.run(variant)
-    readings = predictor.readings(trajectory, variant)
+    readings = predictor.readings(predictor.run(variant), variant)
     still = {name: np.full_like(column, column.mean()) for name, column in readings.items()}
     motion = _difference(study, predictor, readings, still)
-    share = options.design.contact_error if _touches(trajectory) else options.design.model_error
-    error = share**2 * float(motion @ motion)
+    error = options.design.model_error**2 * float(motion @ motion)
     return SimulatedExperiment(study, trial, predictor, first, readings, nominal.fit, error, known)
-
-
-def _touches(trajectory: Trajectory) -> bool:
-    """Whether the flapper touches a nozzle."""
-    c = dict(zip(Coefficients._fields, trajectory.knots.T, strict=False))
-    flapper = trajectory.fine[:, State._fields.index("armature_angle")] * c["nozzle_arm"].mean()
-    return bool(flapper.max() > c["null_gap_1"].min() or -flapper.min() > c["null_gap_2"].min())
 
 
 def _difference(

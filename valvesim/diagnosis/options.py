@@ -294,9 +294,6 @@ class DesignOptions:
         "share of what the readings move by which the plant does otherwise than its model, refitted",
         "measured on plants that are not the model: 1e-4 to 6e-4",
     )
-    contact_error: float = option(
-        1.5e-3, "1", "the same where the flapper touches a nozzle", "measured likewise: 4e-4 to 3e-3"
-    )
     replicates: tuple[int, ...] = option((1, 2, 4, 8, 16), "1", "numbers of replicates that are thought of", JUDGEMENT)
     examined: int = option(
         8, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
