@@ -634,14 +634,7 @@ def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> Row:
     records = [*tuned.records, *responses(replace(tuned.case, runs=(run,)))]
     write(replace(tuned.case, runs=(*tuned.case.runs, run)), records, folder)
     found = engine.diagnose(folder)
-    in_set = [one.label for one in found.candidates if one.in_set]
-    left = {_members(label) for label in test.separates} & {_members(label) for label in in_set}
-    return {"verdict": found.verdict, "in_set": in_set, "resolved": found.verdict == "cause" or len(left) < 2}
-
-
-def _members(label: str) -> frozenset[str]:
-    """The causes of a label, in whatever order they stand."""
-    return frozenset(label.split(" + "))
+    return {"verdict": found.verdict, "in_set": [one.label for one in found.candidates if one.in_set]}
 
 
 def _of_case(case: Case) -> Row:

@@ -10,11 +10,13 @@ import platform
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from datetime import date
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effects.motor import MOTOR
 from valvesim.valve.effects.pilot import PILOT
@@ -31,6 +33,8 @@ SAME = {f"parameter:{e.figure}": e.name for e in CATALOGUE.values() if e.figure 
 TABLE_SEEDS = 130_000
 STRONG = 8.0  # d' from which the right cause must come first
 FORM_TARGET, FORM_ERROR = 40.0, 0.1
+LIKELY = DEFAULT_DIAGNOSIS.design.least_power  # a next test foretold to resolve so surely should
+POWER_BANDS = (0.0, 0.05, 0.3, LIKELY, 1.0)
 LEAST_ROOM = 0.05  # noise deviations between base and oracle: where there is less, nothing can be gained
 SINGLES = ("effect", "sensor", "parameter")
 BANDS = ((0.0, 6.5), (6.5, 11.0), (11.0, 25.0), (25.0, np.inf))
@@ -60,6 +64,11 @@ def plain(label: str) -> str:
 def known(labels: Iterable[str]) -> list[str]:
     """Labels in order, each by the effect that it is by definition."""
     return sorted(SAME.get(label, label) for label in labels)
+
+
+def causes_of(label: str) -> list[str]:
+    """The causes of a hypothesis by its label, in order: in whatever order they stand there, they are the same."""
+    return known(label.split(" + "))
 
 
 def found_first(row: Row) -> bool:
@@ -94,9 +103,14 @@ def detected(row: Row) -> bool:
 
 def resolved(row: Row) -> bool:
     """Whether the test made one of the two leave the answer set, and not the truth, where it was in the set before."""
-    after = row["after_next_test"]
-    kept = any(known(label.split(" + ")) == known(row["labels"]) for label in after["in_set"])
-    return after["resolved"] and (kept or not in_set(row))
+    left = [causes_of(label) for label in row["after_next_test"]["in_set"]]
+    both_left = all(causes_of(label) in left for label in row["next_test"]["separates"])
+    return not both_left and (known(row["labels"]) in left or not in_set(row))
+
+
+def foretold(row: Row) -> float:
+    """The power with which the next test was foretold to resolve."""
+    return float(row["next_test"]["power"])
 
 
 def covered(row: Row) -> list[bool]:
@@ -263,10 +277,9 @@ def _goals(done: Sequence[Row], failed: Sequence[Row]) -> str:
         if not gains
         else (f"median {np.median(gains):.3f} of {len(gains)} extended; {np.median(of_all):.3f} of all {len(of_all)}")
     )
-    tests = [row for row in done if row["verdict"] == "ambiguous"]
-    offered = [row["next_test"]["power"] for row in tests if row["next_test"]]
-    made = [row for row in tests if row.get("after_next_test")]
-    parted = share(made, resolved)
+    made = _made(done)
+    parted, likely = share(made, resolved), share([row for row in made if foretold(row) >= LIKELY], resolved)
+    mean = float(np.mean([foretold(row) for row in made])) if made else 0.0
     lines = [
         ("false alarms on empty sessions", "at most 2 %", false, _at_most(false, 0.02)),
         (f"right cause first, d' >= {STRONG:g}, one hidden", "95 %", first, _at_least(first, 0.95)),
@@ -293,12 +306,16 @@ def _goals(done: Sequence[Row], failed: Sequence[Row]) -> str:
             _verdict(coverage.count, 0.9 <= coverage.hits / max(coverage.count, 1) <= 0.98),
         ),
         (
-            "designed next test resolves the pair",
-            "85 %",
-            f"{parted}; offered in {len(offered)} of {len(tests)} ambiguous, predicted power {np.mean(offered):.2f}"
-            if offered
-            else f"offered in 0 of {len(tests)} ambiguous",
-            _at_least(parted, 0.85),
+            f"next test resolves the two, of those foretold to with {LIKELY:g} and more",
+            "90 %",
+            likely,
+            _at_least(likely, 0.9),
+        ),
+        (
+            "the same of all next tests",
+            f"{mean:.2f}, as foretold" if made else "as foretold",
+            parted,
+            _verdict(parted.count, wilson(*parted)[0] <= mean <= wilson(*parted)[1]),
         ),
         (
             "time of a session of four records of 1 s, s",
@@ -309,6 +326,11 @@ def _goals(done: Sequence[Row], failed: Sequence[Row]) -> str:
         ("cases that failed with an exception", "0", len(failed), "met" if not failed else "missed"),
     ]
     return "## Reached\n\n" + table(("", "to reach", "measured (95 % interval after Wilson)", ""), lines)
+
+
+def _made(done: Sequence[Row]) -> list[Row]:
+    """The cases whose causes could not be told apart and whose next test was made on the plant."""
+    return [row for row in done if row["verdict"] == "ambiguous" and row.get("after_next_test")]
 
 
 def _definitions() -> str:
@@ -336,6 +358,8 @@ def _definitions() -> str:
   another variable or memory is not recovered. Only of forms that are a function of one variable.
 - **resolved**: the plant is put through the test and the longer session diagnosed: one of the two causes is out of the
   answer set, and the truth, where it was in the set before, is still in it.
+- **foretold**: the power that the answer states for its next test, the probability that it resolves. That is
+  calibrated where the mean foretold lies within the interval of the share that resolved.
 - **seconds**: of `diagnose` on the wall clock, a worker a core, BLAS on one thread; beside it what the processor
   worked."""
 
@@ -676,15 +700,30 @@ def _next_tests(done: Sequence[Row]) -> str:
             _case(row),
             " / ".join(row["next_test"]["separates"]),
             row["next_test"]["description"],
-            f"{row['next_test']['power']:.2f}",
-            ", ".join(row.get("after_next_test", {}).get("in_set", ())),
+            f"{foretold(row):.2f}",
+            ", ".join(row["after_next_test"]["in_set"]) if row.get("after_next_test") else "",
+            ("yes" if resolved(row) else "no") if row.get("after_next_test") else "",
         )
         for row in rows
     ]
     return (
-        "## Next tests\n\nProposed where causes could not be told apart, with the predicted power, and what was left "
+        "## Next tests\n\nProposed where causes could not be told apart, with the power foretold, and what was left "
         "in the answer set once the test had been made on the plant.\n\n"
-    ) + table(("case", "to tell apart", "test", "power", "left"), lines)
+        + _by_power(_made(done))
+        + "\n\n"
+        + table(("case", "to tell apart", "test", "foretold", "left", "resolved"), lines)
+    )
+
+
+def _by_power(made: Sequence[Row]) -> str:
+    """How many resolved of those foretold alike."""
+    lines = []
+    for low, high in pairwise(POWER_BANDS):
+        rows = [row for row in made if low <= foretold(row) < high or foretold(row) == high == POWER_BANDS[-1]]
+        if rows:
+            mean = f"{np.mean([foretold(row) for row in rows]):.2f}"
+            lines.append((f"{low:g} to {high:g}", len(rows), mean, share(rows, resolved)))
+    return table(("foretold", "tests", "on average", "resolved"), lines)
 
 
 def _times(done: Sequence[Row]) -> str:

@@ -1,14 +1,18 @@
 """The next test: inside the valve's limits, and only where it tells two hypotheses apart."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from valvesim.diagnosis.experiment_design import design, separation_power
-from valvesim.diagnosis.experiments import experiment_values, library
+from valvesim.diagnosis import experiment_design
+from valvesim.diagnosis.experiment_design import ExperimentPower, design, nested_rival, rival_beside, simulate_library
+from valvesim.diagnosis.experiments import Experiment, experiment_values, library
+from valvesim.diagnosis.model_selection import FittedHypothesis, least_gain_of_second, nested_levels
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.power import nested_power, separation_power
 from valvesim.errors import SolveError
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit
 from valvesim.identification.fit_jacobian import linearise_study
@@ -24,6 +28,8 @@ from valvesim.valve.parameters import Valve
 
 NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
 LABELS = ("spool_coulomb_friction", "spool_lap")
+EXACT = replace(DIAGNOSIS, design=replace(DIAGNOSIS.design, model_error=0.0, examined=4))
+"""Options for a model that is the plant."""
 
 
 def plain_six(more):
@@ -78,9 +84,20 @@ def alike(first, second, ahead=0.0):
     return first, replace(second, chi_square=first.chi_square + ahead)
 
 
+@cache
+def trials_of(nominal, first, options=EXACT):
+    return simulate_library(nominal, first, options=options)
+
+
+def designed(nominal, first, second, labels, asked, options=EXACT):
+    trials = trials_of(nominal, first, options)
+    rival = rival_beside(first, labels[1], second, asked, options=options)
+    return design(nominal, trials, labels[0], rival, options=options)
+
+
 @pytest.fixture(scope="module")
 def found(nominal, fits):
-    return design(nominal, *fits, LABELS, plain_six, options=DIAGNOSIS)
+    return designed(nominal, *fits, LABELS, plain_six)
 
 
 def test_two_effects_that_differ_elsewhere_are_told_apart(found):
@@ -101,7 +118,7 @@ def test_the_inputs_are_the_whole_test_inside_the_limits(nominal, found):
 
 
 def test_a_hypothesis_is_not_told_from_itself(nominal, fits):
-    same = design(nominal, fits[0], fits[0], (LABELS[0],) * 2, plain_six, options=DIAGNOSIS)
+    same = designed(nominal, fits[0], fits[0], (LABELS[0],) * 2, plain_six)
     assert same is not None and same.power < 0.01  # the best there is, and no good
 
 
@@ -109,18 +126,18 @@ def test_what_the_session_says_already_counts(nominal, fits, found):
     def asked(more):
         return found.distance**2
 
-    level = design(nominal, *fits, LABELS, asked, options=DIAGNOSIS)
-    ahead = design(nominal, *alike(*fits, 0.9 * asked(0.0)), LABELS, asked, options=DIAGNOSIS)
+    level = designed(nominal, *fits, LABELS, asked)
+    ahead = designed(nominal, *alike(*fits, 0.9 * asked(0.0)), LABELS, asked)
     assert level.power == pytest.approx(separation_power(level.distance, asked(0.0)))
     sure = 1.0 / (1.0 + np.exp(-0.9 * DIAGNOSIS.selection.answer_ratio / 2.0))
-    both = separation_power(ahead.distance, asked(0.0), 0.9 * asked(0.0), sure)
+    both = separation_power(ahead.distance, asked(0.0), (0.9 * asked(0.0),) * 2, sure)
     assert ahead.power == pytest.approx(both)
 
 
 def test_figures_of_the_magnet_are_told_apart_by_a_fast_and_large_command(nominal):
     names = ("magnet_demagnetization", "parameter:armature_arm")
     pair = alike(fit_of(nominal, names[0], 0.3), fit_of(nominal, names[1], 0.3))
-    test = design(nominal, *pair, names, plain_six, options=DIAGNOSIS)
+    test = designed(nominal, *pair, names, plain_six)
     assert test.description.startswith("fast chirp of large") and test.power >= DIAGNOSIS.design.power
 
 
@@ -132,9 +149,9 @@ def test_what_a_refit_can_make_up_does_not_count(nominal, fits):
     )
     assert candidate.name == LABELS[0]
     # one effect at two amplitudes that the session cannot tell
-    assert design(nominal, fits[0], other, LABELS, plain_six, options=DIAGNOSIS).power < DIAGNOSIS.design.least_power
+    assert designed(nominal, fits[0], other, LABELS, plain_six).power < DIAGNOSIS.design.least_power
     assert (
-        design(nominal, fits[0], plain, LABELS, plain_six, options=DIAGNOSIS) is not None
+        designed(nominal, fits[0], plain, LABELS, plain_six) is not None
     )  # but the effect itself is told from none at all
 
 
@@ -145,10 +162,10 @@ def test_the_more_there_is_to_explain_the_more_is_asked(nominal, fits, found):
         told.append(more)
         return 6.0 + 0.04 * more
 
-    careful = design(nominal, *fits, LABELS, asked, options=DIAGNOSIS)
+    careful = designed(nominal, *fits, LABELS, asked)
     assert max(told) > 0.0  # the test would show the first effect itself
     assert careful is None or careful.power < found.power or careful.duration > found.duration
-    hopeless = design(nominal, *fits, LABELS, lambda more: 1e9, options=DIAGNOSIS)
+    hopeless = designed(nominal, *fits, LABELS, lambda more: 1e9)
     assert hopeless is not None and hopeless.power < DIAGNOSIS.design.least_power
     assert hopeless.uninformative and not found.uninformative
 
@@ -157,8 +174,10 @@ def test_a_test_that_cannot_be_run_is_left_out(nominal, fits, monkeypatch):
     def fails(predictor, variant):
         raise SolveError("no")
 
+    known = trials_of(nominal, fits[0])  # linearised where they run
     monkeypatch.setattr("valvesim.identification.predictor.RecordPredictor.run", fails)
-    assert design(nominal, *fits, LABELS, plain_six, options=DIAGNOSIS) is None
+    assert simulate_library(nominal, fits[0], options=EXACT) == ()
+    assert known and designed(nominal, *fits, LABELS, plain_six) is None  # where the second alone cannot
 
 
 @pytest.mark.parametrize("oil", [-20.0, 5.0, 40.0, 85.0, 120.0])
@@ -197,12 +216,105 @@ def test_a_session_driven_by_voltage_gets_a_voltage():
 
 
 def test_the_power_is_that_of_either_being_true():
-    first, second = (separation_power(4.0, 12.0, 5.0, p) for p in (1.0, 0.0))
+    first, second = (separation_power(4.0, 12.0, (5.0, 5.0), p) for p in (1.0, 0.0))
     assert first == pytest.approx(separation_power(4.0, 7.0)) and second == pytest.approx(separation_power(4.0, 17.0))
-    assert separation_power(4.0, 12.0, 5.0, 0.8) == pytest.approx(0.8 * first + 0.2 * second)
+    assert separation_power(4.0, 12.0, (5.0, 5.0), 0.8) == pytest.approx(0.8 * first + 0.2 * second)
+
+
+def test_a_lead_that_has_not_told_them_apart_yet_does_not_either(fits):
+    first, second = alike(*fits, 20.0)
+    levelled = rival_beside(first, LABELS[1], second, plain_six, 1.0, options=EXACT)
+    led = rival_beside(first, LABELS[1], second, plain_six, options=EXACT)
+    assert led.power(0.1, 0.0, 0.0) > 0.95 and levelled.power(0.1, 0.0, 0.0) < 0.01
+    assert separation_power(4.0, 12.0, (1.0, 5.0), 1.0) == pytest.approx(separation_power(4.0, 11.0))
+    assert separation_power(4.0, 12.0, (1.0, 5.0), 0.0) == pytest.approx(separation_power(4.0, 17.0))
 
 
 def test_the_power_rises_with_the_distance():
     powers = [separation_power(d, 6.0) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
     assert powers == sorted(powers) and powers[0] == 0.0 and powers[2] == pytest.approx(0.5, abs=0.01)
     assert powers[1] < DIAGNOSIS.design.least_power and powers[-1] > 0.99
+
+
+def test_what_the_plant_does_otherwise_counts_with_each_repeat(nominal, fits, found):
+    erring = replace(EXACT, design=replace(EXACT.design, model_error=5e-3))
+    test = designed(nominal, *fits, LABELS, plain_six, options=erring)
+    assert test.power < found.power or test.duration > found.duration
+    assert all(one.error > 0.0 for one in trials_of(nominal, fits[0], erring))
+    assert all(one.error == 0.0 for one in trials_of(nominal, fits[0]))
+
+
+def test_what_linear_answers_miss_does_not_count(nominal, fits, monkeypatch):
+    tried = trials_of(nominal, fits[0])[0]
+    delta = tried.beyond(fits[1])
+    refit = tried.refit
+    linear = experiment_design._distance(tried, refit, delta, 1)
+    assert 0.0 < linear <= np.linalg.norm(delta)
+
+    def bent(study, predictor, fit):
+        return {name: column + 1e3 * NOISE[name] for name, column in tried.readings.items()}
+
+    monkeypatch.setattr(experiment_design, "_readings", bent)
+    assert experiment_design._distance(tried, refit, delta, 1) < 0.1 * linear
+
+    def fails(study, predictor, fit):
+        raise SolveError("no")
+
+    monkeypatch.setattr(experiment_design, "_readings", fails)
+    assert experiment_design._distance(tried, refit, delta, 1) == 0.0
+
+
+def judged(power, repeats, duration=1.0):
+    time = np.linspace(0.0, duration, 3)
+    return ExperimentPower(Experiment("a", time, time, time, 1.0, 0.0), repeats, 1.0, power)
+
+
+def test_the_shortest_that_is_hardly_less_sure_is_chosen():
+    enough = [judged(0.96, 4), judged(0.97, 2), judged(1.0, 8)]
+    assert experiment_design._chosen(enough, options=DIAGNOSIS) is enough[1]
+    none = [judged(0.003, 1), judged(0.01, 16), judged(0.004, 2)]
+    assert experiment_design._chosen(none, options=DIAGNOSIS) is none[0]
+    some = [judged(0.5, 1), judged(0.6, 2), judged(0.62, 16)]
+    assert experiment_design._chosen(some, options=DIAGNOSIS) is some[1]
+    assert experiment_design._chosen([], options=DIAGNOSIS) is None
+
+
+def test_a_hypothesis_that_holds_another_is_told_from_it_by_what_the_other_leaves(nominal, fits):
+    effect, none = fits[0], alike(nominal.fit, nominal.fit, 20.0)[1]
+    trials = trials_of(nominal, effect)
+    levels = (26.0, 20.0, 16.0)
+    rival = nested_rival(effect, "nothing but noise", none, lambda more: levels, is_larger=False)
+    assert rival.refitted == (False, True)
+    test = design(nominal, trials, LABELS[0], rival, options=EXACT)
+    gain = none.chi_square - effect.chi_square
+    probability = 1.0 / (1.0 + np.exp(-(gain - levels[1]) / 2.0))
+    assert test.power == pytest.approx(nested_power(test.distance, gain, levels[0], levels[2], probability))
+    other_way = nested_rival(none, LABELS[0], effect, lambda more: levels, is_larger=True)
+    assert other_way.refitted == (True, False)
+    assert other_way.power(3.0, 0.0, 0.0) == pytest.approx(rival.power(3.0, 0.0, 0.0))
+
+
+def test_what_a_larger_hypothesis_must_explain_is_what_the_answer_set_asks(nominal, fits):
+    none, one, other = (FittedHypothesis(fit, DIAGNOSIS) for fit in (nominal.fit, *fits))
+    pair = FittedHypothesis(replace(one.fit, fitted=(*one.fit.fitted, *other.fit.fitted)), DIAGNOSIS)
+    level, second, selection = 4.0, 5.0, DIAGNOSIS.selection
+    shapes = len(one.fit.layout) - 1
+    against_noise = nested_levels(nominal, none, one, level, second)
+    assert against_noise == (16.0 + shapes + selection.answer_ratio, 16.0 + shapes, 16.0 * selection.minimum_gain)
+    beside = nested_levels(nominal, one, pair, level, second)
+    assert beside[1] == beside[2] == least_gain_of_second(nominal, one, second) >= second**2
+    assert beside[0] >= selection.second_gain
+    further = nested_levels(nominal, one, pair, level, second, 1e6)
+    assert further[0] > beside[0] and further[1] > beside[1]  # no model is the plant
+
+
+def test_nested_hypotheses_are_told_apart_by_how_the_gain_goes_on():
+    asked, forgone = 26.0, 16.0
+    assert nested_power(0.1, 20.0, asked, forgone, 0.5) < 1e-6  # a test that shows nothing leaves both
+    rng, gain, d = np.random.default_rng(3), 20.0, 4.0
+    whole = gain + d**2
+    for probability, mean in ((1.0, whole), (0.0, gain)):
+        after = (mean + d * rng.normal(size=200_000)) ** 2 / whole
+        told = np.mean(after > asked) if probability else np.mean(after < forgone)
+        assert nested_power(d, gain, asked, forgone, probability) == pytest.approx(told, abs=0.005)
+    assert nested_power(30.0, gain, asked, forgone, 0.5) > 0.95

@@ -25,12 +25,12 @@ from valvesim.diagnosis.answer_tables import (
 )
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
 from valvesim.diagnosis.conclusion import Conclusion, conclude, gain_of_term
-from valvesim.diagnosis.experiment_design import design
+from valvesim.diagnosis.experiment_design import Rival, design, nested_rival, rival_beside, simulate_library
 from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain, traces_of
 from valvesim.diagnosis.intervals import confidence_intervals
 from valvesim.diagnosis.isolation import Isolation, isolate
-from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width
+from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, nested_levels, temperature_of
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
@@ -205,11 +205,41 @@ def _next_test(conclusion: Conclusion, term: Term | None) -> NextTest | None:
     if conclusion.verdict != AMBIGUOUS:
         return None
     nominal, recovered = conclusion.isolation.nominal, conclusion.recovered
+    options = conclusion.isolation.scores.options
     first, *rest = conclusion.answer_set
-    others = [(other.label, other.fit) for other in rest]
-    if not others and term is not None and recovered is not None:
-        others = [("none of the known causes", recovered.as_fit(nominal.study))]
-    return _propose_experiment(nominal, first, others, options=conclusion.isolation.scores.options)
+    rivals = [_rival(conclusion, first, other) for other in rest]
+    if not rivals and term is not None and recovered is not None:
+        fit = recovered.as_fit(nominal.study)
+
+        def asked(more: float) -> float:
+            return answer_set_width(nominal, first, more)
+
+        rivals = [rival_beside(first.fit, "none of the known causes", fit, asked, options=options)]
+    return _propose_experiment(nominal, first, rivals, options=options)
+
+
+def _rival(conclusion: Conclusion, first: FittedHypothesis, other: FittedHypothesis) -> Rival:
+    """Another hypothesis of the answer set as a rival of the likeliest."""
+    isolation = conclusion.isolation
+    nominal = isolation.nominal
+    is_larger, temperature = first.is_within(other), temperature_of(nominal, first)
+    if not is_larger and not other.is_within(first):
+        return rival_beside(
+            first.fit,
+            other.label,
+            other.fit,
+            lambda more: answer_set_width(nominal, first, more),
+            other.tempered(temperature) - first.tempered(temperature),
+            options=isolation.scores.options,
+        )
+    smaller, larger = (first, other) if is_larger else (other, first)
+    return nested_rival(
+        first.fit,
+        other.label,
+        other.fit,
+        lambda more: nested_levels(nominal, smaller, larger, isolation.level, isolation.second_level, more),
+        is_larger=is_larger,
+    )
 
 
 def _oscillates(found: SelfOscillation) -> str:
@@ -264,24 +294,15 @@ def _noise_found(study: Study) -> tuple[NoiseFound, ...]:
 
 
 def _propose_experiment(
-    nominal: NominalFit, first: FittedHypothesis, others: Sequence[tuple[str, Fit]], *, options: DiagnosisOptions
+    nominal: NominalFit, first: FittedHypothesis, rivals: Sequence[Rival], *, options: DiagnosisOptions
 ) -> NextTest | None:
-    """The test that tells the likeliest from the next of the others, by label, or where none does so surely, from the
-    one after it.
+    """The test that tells the likeliest from the next of its rivals, or where none does so surely, from the one after
+    it.
     """
-    tests = (
-        design(
-            nominal,
-            first.fit,
-            other,
-            (first.label, label),
-            lambda more: answer_set_width(nominal, first, more),
-            options=options,
-        )
-        for label, other in others[: options.design.alternatives]
-    )
+    trials = simulate_library(nominal, first.fit, options=options)
     best: NextTest | None = None
-    for test in tests:
+    for rival in rivals[: options.design.alternatives]:
+        test = design(nominal, trials, first.label, rival, options=options)
         if test is not None and (best is None or test.power > best.power):
             best = test
         if best is not None and best.power >= options.design.least_power:

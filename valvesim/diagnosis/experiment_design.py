@@ -5,33 +5,40 @@ one of them to the records of the session and of the new test together could not
 
 Symbols
     delta whitened difference of the two predictions in the new test, A its sensitivities to what a refit moves (base
-    parameters, amplitude, shapes), P the precision that the session has on these; n how often the test is repeated
-    d^2 = n delta'delta - n delta'A (P/n + A'A)^-1 A'delta: by so much the chi-square of the wrong one of the two will
-    rise more than that of the true one, with deviation 2 d. The first is ahead by b in the session already; w is what
-    the answer set will ask for: no model is the plant, so the more there is to explain, the more
+    parameters, amplitude, shapes), P the precision that the session has on these; n how often the test is repeated;
+    m what A misses of the answer to the step of that refit: where answers are not linear, at a stop or a turn, they
+    hang on what no model has right, and repeats do not tell it better; W = 1/(1/n + m^2) of each row
+    d^2 = delta'W delta - delta'W A (P + A'W A)^-1 A'W delta: by so much the chi-square of the wrong one of the two will
+    rise more than that of the true one, with deviation 2 d. The first is ahead by b in the session already, by the
+    chi-square and by the evidence, of which the one that helps less counts; w is what the answer set will ask for, no
+    model is the plant: the more there is to explain, the more, and n e^2 s's besides, which the plant will do otherwise
+    than any model of it; s what the readings move, e `DesignOptions.model_error`
     power = p Phi((d^2 + b - w)/(2 d)) + (1 - p) Phi((d^2 - b - w)/(2 d)), p the probability of the first by what it is
-    ahead, tempered as the answer set is
+    ahead, tempered as the answer set is; of two of which one holds the other see `nested_power`: it can follow the
+    other in any test, so that d is what the smaller of them leaves
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.power import separation_power
+from valvesim.diagnosis.power import nested_power, separation_power
 from valvesim.diagnosis.result import NextTest
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import Fit, predict_readings
-from valvesim.identification.fit_jacobian import perturbed_fits
+from valvesim.identification.fit import Fit, moved_fit, predict_readings
+from valvesim.identification.fit_jacobian import perturbed_fits, step_sizes
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.noise_model import NoiseModel
 from valvesim.identification.nominal_fit import NominalFit
-from valvesim.identification.predictor import ModelVariant, RecordPredictor, prepare_record
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.predictor import RecordPredictor, prepare_record
 from valvesim.identification.prior import measured_channels
 from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import Record, Session
@@ -39,15 +46,64 @@ from valvesim.identification.study import Study, each
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedExperiment:
-    """A trial on its predictor, and what the second fit and the nominal model read there less what the first does,
-    white (rows,).
+class LinearisedRefit:
+    """A fit in a new record: what it reads there, whitened sensitivities A (rows, k) to `Fit.vector`, and the precision
+    (k, k) that the session has on that.
     """
 
+    fit: Fit
+    readings: dict[str, np.ndarray]
+    A: np.ndarray
+    known: np.ndarray
+
+    def step(self, delta: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """The step (k,) of `Fit.vector` that explains most of a difference (rows,), at weights (rows,) of the rows."""
+        weighted = self.A * weights[:, None]
+        return inverse_of(self.known + weighted.T @ self.A) @ (weighted.T @ delta)
+
+    def left(self, delta: np.ndarray, weights: np.ndarray) -> float:
+        """The chi-square of a difference that such a step leaves."""
+        weighted = weights * delta
+        return max(float(weighted @ (delta - self.A @ self.step(delta, weights))), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedExperiment:
+    """A trial of a fit on its predictor, beside the nominal one: what it reads there, and the chi-square `error` that
+    the plant will leave of any model there.
+
+    `known` are the precisions that the session has on the fit and on the nominal one.
+    """
+
+    study: Study
     trial: Experiment
     predictor: RecordPredictor
-    second: np.ndarray
-    nominal: np.ndarray
+    fit: Fit
+    readings: dict[str, np.ndarray]
+    nominal: Fit
+    error: float
+    known: tuple[np.ndarray, np.ndarray]
+
+    @cached_property
+    def refit(self) -> LinearisedRefit:
+        return _linearised_refit(self.study, self.predictor, self.fit, self.known[0])
+
+    @cached_property
+    def base_refit(self) -> LinearisedRefit:
+        """That of the nominal model, by the sensitivities of the fit."""
+        readings = _readings(self.study, self.predictor, self.nominal)
+        return LinearisedRefit(self.nominal, readings, self.refit.A[:, : len(self.fit.point)], self.known[1])
+
+    def explained(self, repeats: int) -> float:
+        """By how much more the fit explains than the nominal model, fitted again: at most what noise has in it, for a
+        fall beyond that is no measure.
+        """
+        delta = -self.beyond(self.nominal)
+        return min(_distance(self, self.base_refit, delta, repeats) ** 2, float(repeats * len(delta)))
+
+    def beyond(self, fit: Fit) -> np.ndarray:
+        """What another fit reads there more, white (rows,)."""
+        return _difference(self.study, self.predictor, _readings(self.study, self.predictor, fit), self.readings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,49 +118,99 @@ class ExperimentPower:
         return self.repeats * float(self.trial.time[-1])
 
 
+def simulate_library(
+    nominal: NominalFit, first: Fit, *, options: DiagnosisOptions
+) -> tuple[SimulatedExperiment, ...]:
+    """The tests of the library that can be run, under a fit."""
+    study = nominal.study
+    known = _known(nominal, first), _known(nominal, nominal.fit)
+
+    def simulate(trial: Experiment) -> SimulatedExperiment | None:
+        try:
+            return _simulated(nominal, trial, first, known, options=options)
+        except (SolveError, InputError):
+            return None
+
+    return tuple(one for one in each(simulate, library(study.session, options=options)) if one is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A hypothesis to be told from the likeliest: `power` by distance, by what the likeliest explains more in a test,
+    and by what any model errs there; `refitted` tells which of both may follow the other, the likeliest first.
+    """
+
+    label: str
+    fit: Fit
+    power: Callable[[float, float, float], float]
+    refitted: tuple[bool, bool] = (True, True)
+
+
+def rival_beside(
+    first: Fit,
+    label: str,
+    second: Fit,
+    asked: Callable[[float], float],
+    ahead: float | None = None,
+    *,
+    options: DiagnosisOptions,
+) -> Rival:
+    """A rival of another cause than the first's. `asked(more)` is the difference of chi-squares that tells them apart
+    where the first explains so much more than in this session, and asked of the evidence likewise, in which the first
+    is `ahead` by so much (if it is not given, as in the chi-square).
+    """
+    from scipy.special import expit
+
+    by_fit = second.chi_square - first.chi_square
+    lead = sorted((by_fit, by_fit if ahead is None else ahead))
+    temperature = asked(0.0) / options.selection.answer_ratio
+    probability = float(expit(by_fit / (2.0 * temperature)))
+
+    def power(distance: float, more: float, error: float) -> float:
+        return separation_power(distance, asked(more) + error, (lead[0], lead[1]), probability)
+
+    return Rival(label, second, power)
+
+
+def nested_rival(
+    first: Fit, label: str, second: Fit, levels: Callable[[float], tuple[float, float, float]], *, is_larger: bool
+) -> Rival:
+    """A rival that has all that the first has and more, or the other way about. `levels(more)` is what the larger must
+    explain beyond the smaller to stand alone, to be as likely, and to stand at all.
+    """
+    from scipy.special import expit
+
+    gain = (first.chi_square - second.chi_square) * (1.0 if is_larger else -1.0)
+    probability = float(expit((gain - levels(0.0)[1]) / 2.0))
+
+    def power(distance: float, more: float, error: float) -> float:
+        alone, _, beside = levels(more)
+        return nested_power(distance, gain, alone + error, beside, probability)
+
+    return Rival(label, second, power, (is_larger, not is_larger))
+
+
 def design(
     nominal: NominalFit,
-    first: Fit,
-    second: Fit,
-    labels: tuple[str, str],
-    asked: Callable[[float], float],
+    trials: Sequence[SimulatedExperiment],
+    label: str,
+    rival: Rival,
     *,
     options: DiagnosisOptions,
 ) -> NextTest | None:
-    """The shortest test that tells two fits apart with a power of 0.95, else the most powerful, whatever its power.
+    """The shortest of the `trials` of a fit, by its label, that tells it from a rival with a power of 0.95, else the
+    most powerful, whatever its power.
 
     None where no test can be run.
-
-    `labels` are the names of the two hypotheses, as the answer has them; `asked(more)` the difference of chi-squares
-    that tells them apart where the first explains so much more than in this session.
     """
     study = nominal.study
-    trials = library(study.session, options=options)
-    variants = [fit.variant(study.nominal) for fit in (first, second, nominal.fit)]
-    universe = study.predictors[0].universe
-    run = [
-        one for one in each(lambda t: _differ(study, t, universe, variants, options=options), trials) if one is not None
-    ]
-    run.sort(key=lambda one: -float(one.second @ one.second))
-    furthest = np.sqrt(max(options.design.replicates))
+    run = [pair for pair in each(lambda one: _beyond(one, rival.fit), trials) if pair is not None]
     if not run:
         return None
-    power = _power_of(first, second, asked, options=options)
-    run = [
-        one
-        for one in run[: options.design.examined]
-        if power(furthest * float(np.linalg.norm(one.second)), 0.0) >= options.design.least_power
-    ] or run[:1]  # not even where nothing is refitted: then the one that shows most
-    fits = (first, second, nominal.fit)
-    known = [_known(nominal, fit, options=options) for fit in fits]
-    chosen = [judged for one in run for judged in _judge(study, one, fits, known, power, options=options)]
-    enough = [one for one in chosen if one.power >= options.design.power]
-    if enough:
-        best = min(enough, key=lambda one: (one.duration, -one.power))
-    else:
-        best = max(
-            chosen, key=lambda one: (one.power, -one.duration), default=ExperimentPower(run[0].trial, 1, 0.0, 0.0)
-        )
+    run = _most_promising(run, rival.power, options=options)
+    known = _known(nominal, rival.fit)
+    chosen = [judged for one, delta in run for judged in _judge(one, delta, rival, known, options=options)]
+    best = _chosen(chosen, options=options) or ExperimentPower(run[0][0].trial, 1, 0.0, 0.0)
     others = dict.fromkeys(
         one.trial.description for one in sorted(chosen, key=lambda one: -one.power)
         if one.trial is not best.trial and one.power >= min(options.design.power, best.power)
@@ -113,7 +219,7 @@ def design(
         description=best.trial.description + (f", {best.repeats} times" if best.repeats > 1 else ""),
         settings=_settings(study.session, best),
         duration=best.duration,
-        separates=labels,
+        separates=(label, rival.label),
         distance=best.distance,
         power=best.power,
         alternatives=tuple(others),
@@ -138,33 +244,64 @@ def experiment_record(session: Session, trial: Experiment) -> Record:
     return Record(trial.description, trial.time, values, {name: np.ones(n, dtype=bool) for name in channels})
 
 
-def _power_of(
-    first: Fit, second: Fit, asked: Callable[[float], float], *, options: DiagnosisOptions
-) -> Callable[[float, float], float]:
-    """The power by distance and by what the first explains more there."""
-    from scipy.special import expit
-
-    ahead = second.chi_square - first.chi_square
-    temperature = asked(0.0) / options.selection.answer_ratio
-    probability = float(expit(ahead / (2.0 * temperature)))
-    return lambda distance, more: separation_power(distance, asked(more), ahead, probability)
-
-
-def _differ(
-    study: Study, trial: Experiment, universe: Sequence, variants: Sequence[ModelVariant], *, options: DiagnosisOptions
-) -> SimulatedExperiment | None:
-    """A trial of the first variant, and how the second and the third differ there; None where it cannot be run."""
+def _beyond(tried: SimulatedExperiment, second: Fit) -> tuple[SimulatedExperiment, np.ndarray] | None:
+    """A trial and what the second fit reads there more, white (rows,); None where that cannot be run."""
     try:
-        predictor = prepare_record(
-            study.session, experiment_record(study.session, trial), universe, options=options.identification
-        )
-        one, *others = (predictor.readings(predictor.run(variant), variant) for variant in variants)
+        return tried, tried.beyond(second)
     except (SolveError, InputError):
         return None
-    second, third = (
-        _white(study, predictor, {name: (other[name] - one[name])[:, None] for name in one})[:, 0] for other in others
-    )
-    return SimulatedExperiment(trial, predictor, second, third)
+
+
+def _most_promising(
+    run: Sequence[tuple[SimulatedExperiment, np.ndarray]],
+    power: Callable[[float, float, float], float],
+    *,
+    options: DiagnosisOptions,
+) -> list[tuple[SimulatedExperiment, np.ndarray]]:
+    """The trials that are worth examining: those that would do if nothing were refitted, largest differences first; or
+    else the one that shows most.
+    """
+
+    def most(one: SimulatedExperiment, delta: np.ndarray) -> float:
+        plain = float(np.linalg.norm(delta))
+        return max(power(np.sqrt(n) * plain, 0.0, n * one.error) for n in options.design.replicates)
+
+    run = sorted(run, key=lambda pair: -float(pair[1] @ pair[1]))
+    return [pair for pair in run if most(*pair) >= options.design.least_power][: options.design.examined] or run[:1]
+
+
+def _chosen(judged: Sequence[ExperimentPower], *, options: DiagnosisOptions) -> ExperimentPower | None:
+    """The shortest whose power is enough, or else hardly less than the best's."""
+    enough = min(options.design.power, max((one.power for one in judged), default=0.0) - options.design.power_margin)
+    able = [one for one in judged if one.power >= enough]
+    return min(able, key=lambda one: (one.duration, -one.power), default=None)
+
+
+def _simulated(
+    nominal: NominalFit,
+    trial: Experiment,
+    first: Fit,
+    known: tuple[np.ndarray, np.ndarray],
+    *,
+    options: DiagnosisOptions,
+) -> SimulatedExperiment:
+    """A trial of a fit. Raises SolveError, InputError where it cannot be run."""
+    study = nominal.study
+    record, universe = experiment_record(study.session, trial), study.predictors[0].universe
+    predictor = prepare_record(study.session, record, universe, options=options.identification)
+    variant = first.variant(study.nominal)
+    readings = predictor.readings(predictor.run(variant), variant)
+    still = {name: np.full_like(column, column.mean()) for name, column in readings.items()}
+    motion = _difference(study, predictor, readings, still)
+    error = options.design.model_error**2 * float(motion @ motion)
+    return SimulatedExperiment(study, trial, predictor, first, readings, nominal.fit, error, known)
+
+
+def _difference(
+    study: Study, predictor: RecordPredictor, readings: dict[str, np.ndarray], other: dict[str, np.ndarray]
+) -> np.ndarray:
+    """What a new record's readings differ from others, white (rows,)."""
+    return _white(study, predictor, {name: (readings[name] - other[name])[:, None] for name in readings})[:, 0]
 
 
 def _white(study: Study, predictor: RecordPredictor, columns: dict[str, np.ndarray]) -> np.ndarray:
@@ -181,84 +318,87 @@ def _white(study: Study, predictor: RecordPredictor, columns: dict[str, np.ndarr
     ])  # fmt: skip
 
 
-def _known(nominal: NominalFit, fit: Fit, *, options: DiagnosisOptions) -> np.ndarray:
-    """The precision that the session has on what a refit moves: nuisance parameters, then each step of
-    `perturbed_fits`.
-    """
-    study = nominal.study
-    columns = [nominal.J]
-    for _, moved in perturbed_fits(fit, options=options.identification):
+def _known(nominal: NominalFit, fit: Fit) -> np.ndarray:
+    """The precision that the session has on `Fit.vector`."""
+    study, columns = nominal.study, []
+    for _, moved in perturbed_fits(fit, options=study.options):
         pairs = zip(predict_readings(study, moved.variant(study.nominal)), fit.readings, strict=True)
         columns.append(study.stack([{name: (new[name] - old[name])[:, None] for name in new} for new, old in pairs]))
-    A = np.column_stack(columns)
-    return A.T @ A + np.diag(np.concatenate([np.ones(nominal.J.shape[1]), _shape_prior(fit, options=options)]))
+    A = _with_fitted(nominal.J, columns, fit, options=study.options)
+    shape_prior = [study.options.fit.shape_deviation**-2 if shape else 0.0 for _, shape in fit.layout]
+    return A.T @ A + np.diag([*np.ones(nominal.J.shape[1]), *shape_prior])
 
 
-def _shape_prior(fit: Fit, *, options: DiagnosisOptions) -> np.ndarray:
-    """The prior's precision on each step of `perturbed_fits`: none on an amplitude above neutral, that of its
-    logarithm on a shape.
-    """
-    return np.array(
-        [
-            (np.log(options.identification.sensitivity.shape_ratio) / options.identification.fit.shape_deviation) ** 2
-            if shape
-            else 0.0
-            for _, shape in fit.layout
-        ]
-    )
+def _with_fitted(
+    J: np.ndarray, columns: Sequence[np.ndarray], fit: Fit, *, options: IdentificationOptions
+) -> np.ndarray:
+    """Sensitivities (rows, k) to `Fit.vector`: those to nuisance parameters, and by the answers to `perturbed_fits`."""
+    if not columns:
+        return J
+    return np.column_stack([J, np.column_stack(columns) / step_sizes(fit, options=options)])
 
 
 def _judge(
-    study: Study,
-    tried: SimulatedExperiment,
-    fits: tuple[Fit, Fit, Fit],
-    known: Sequence[np.ndarray],
-    power: Callable[[float, float], float],
-    *,
-    options: DiagnosisOptions,
+    tried: SimulatedExperiment, delta: np.ndarray, rival: Rival, known: np.ndarray, *, options: DiagnosisOptions
 ) -> list[ExperimentPower]:
-    """A trial at each number of repeats: the smaller of the distances that remain when either fit is refitted.
-
-    What remains when the third, the nominal model, is refitted is what the first explains there.
+    """A trial at each number of repeats: the smaller of the distances that remain of a difference (rows,) when either
+    fit is refitted. The rival is not, where the first leaves too little already.
     """
-    predictor, differences = tried.predictor, (tried.second, tried.second, tried.nominal)
-    try:
-        variant = fits[0].variant(study.nominal)
-        linear = linearise_record(predictor, variant)
-        J = _white(
-            study, predictor, parameter_sensitivities(linear, study.nominal, perturbed_variants(study.nominal, variant))
-        )
-        products = [
-            _products(study, predictor, fit, J, d, options=options) for fit, d in zip(fits, differences, strict=True)
+    replicates = options.design.replicates
+
+    def distances(refit: LinearisedRefit, delta: np.ndarray) -> list[float]:
+        return [_distance(tried, refit, delta, n) for n in replicates]
+
+    def judged(distances: Sequence[float]) -> list[ExperimentPower]:
+        return [
+            ExperimentPower(tried.trial, n, d, rival.power(d, more, n * tried.error))
+            for n, d, more in zip(replicates, distances, explained, strict=True)
         ]
+
+    found, least = list[ExperimentPower](), [np.inf] * len(replicates)
+    try:
+        explained = [tried.explained(n) for n in replicates]
+        if rival.refitted[0]:
+            least = distances(tried.refit, delta)
+            found = judged(least)
+        if rival.refitted[1] and max((one.power for one in found), default=1.0) >= options.design.uninformative_power:
+            refit = _linearised_refit(tried.study, tried.predictor, rival.fit, known)
+            found = judged(list(map(min, least, distances(refit, -delta))))
     except (SolveError, InputError):
         return []
-
-    def left(n: int, k: int) -> float:
-        (G, g), d = products[k], differences[k]
-        return max(n * float(d @ d) - n * n * float(g @ inverse_of(known[k] + n * G) @ g), 0.0)
-
-    found = []
-    for n in options.design.replicates:
-        distance = float(np.sqrt(min(left(n, 0), left(n, 1))))
-        more = min(left(n, 2), float(n * len(tried.nominal)))  # a fall beyond the noise itself is no measure
-        found.append(ExperimentPower(tried.trial, n, distance, power(distance, more)))
     return found
 
 
-def _products(
-    study: Study, predictor: RecordPredictor, fit: Fit, J: np.ndarray, delta: np.ndarray, *, options: DiagnosisOptions
-) -> tuple[np.ndarray, np.ndarray]:
-    """(A'A, A'delta) of a new record's sensitivities to what a refit moves."""
+def _linearised_refit(
+    study: Study, predictor: RecordPredictor, fit: Fit, known: np.ndarray
+) -> LinearisedRefit:
     variant = fit.variant(study.nominal)
-    read = predictor.readings(predictor.run(variant), variant)
-    columns = [J]
-    for _, moved in perturbed_fits(fit, options=options.identification):
-        other = moved.variant(study.nominal)
-        new = predictor.readings(predictor.run(other), other)
-        columns.append(_white(study, predictor, {name: (new[name] - read[name])[:, None] for name in read}))
-    A = np.column_stack(columns)
-    return A.T @ A, A.T @ delta
+    linear = linearise_record(predictor, variant)
+    perturbed = perturbed_variants(study.nominal, variant)
+    J = _white(study, predictor, parameter_sensitivities(linear, study.nominal, perturbed))
+    readings, columns = _readings(study, predictor, fit), []
+    for _, moved in perturbed_fits(fit, options=study.options):
+        columns.append(_difference(study, predictor, _readings(study, predictor, moved), readings))
+    return LinearisedRefit(fit, readings, _with_fitted(J, columns, fit, options=study.options), known)
+
+
+def _readings(study: Study, predictor: RecordPredictor, fit: Fit) -> dict[str, np.ndarray]:
+    variant = fit.variant(study.nominal)
+    return predictor.readings(predictor.run(variant), variant)
+
+
+def _distance(
+    tried: SimulatedExperiment, refit: LinearisedRefit, delta: np.ndarray, repeats: int
+) -> float:
+    """d of a difference (rows,) in a test that is repeated, once a fit is refitted."""
+    step = refit.step(delta, np.full(len(delta), float(repeats)))
+    try:
+        moved = moved_fit(refit.fit, step, options=tried.study.options)
+        readings = _readings(tried.study, tried.predictor, moved)
+    except (SolveError, InputError):  # no valve has these figures: linear answers tell nothing
+        return 0.0
+    missed = _difference(tried.study, tried.predictor, readings, refit.readings) - refit.A @ step
+    return float(np.sqrt(refit.left(delta, 1.0 / (1.0 / repeats + missed**2))))
 
 
 def _settings(session: Session, judged: ExperimentPower) -> dict[str, str]:

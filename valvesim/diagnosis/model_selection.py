@@ -252,13 +252,16 @@ def answer_set_of(
     ]
 
 
-def least_gain_of_second(nominal: NominalFit, best: FittedHypothesis, level: float) -> float:
+def least_gain_of_second(
+    nominal: NominalFit, best: FittedHypothesis, level: float, more: float = 0.0
+) -> float:
     """The chi-square that a second cause must explain beside the best to be told: more than passes a `level` of z by
-    chance, and than what the best's law may err by shows of another cause.
+    chance, and than what the best's law may err by shows of another cause. `more` is what the best would explain
+    besides in further records.
     """
     options = best.options
     share = max(options.selection.least_law_error, min(best.law_error, options.detection.doubtful_share))
-    return max(level**2, share * _explained(nominal, best))
+    return max(level**2, share * (_explained(nominal, best) + more))
 
 
 def odds_against_noise(nominal: NominalFit, best: FittedHypothesis, level: float) -> float:
@@ -267,6 +270,22 @@ def odds_against_noise(nominal: NominalFit, best: FittedHypothesis, level: float
     """
     shapes = len(best.fit.layout) - len(best.fit.fitted)
     return nominal.fit.chi_square - best.fit.chi_square - level**2 - shapes
+
+
+def nested_levels(
+    nominal: NominalFit, smaller: FittedHypothesis, larger: FittedHypothesis, level: float, second_level: float,
+    more: float = 0.0,
+) -> tuple[float, float, float]:  # fmt: skip
+    """What a hypothesis that holds a smaller one must explain beyond it: so that it stands without that, so that both
+    are as likely, and to stand beside it at all. `level` and `second_level` are the z of an alarm and of a second
+    cause, `more` is what the smaller would explain besides in further records.
+    """
+    options = larger.options.selection
+    if not smaller.candidates:
+        even = level**2 + len(larger.fit.layout) - len(larger.fit.fitted)
+        return even + options.answer_ratio, even, options.minimum_gain * level**2
+    second = least_gain_of_second(nominal, smaller, second_level, more)
+    return max(options.second_gain, answer_set_width(nominal, larger, more)), second, second
 
 
 def null_hypothesis_beside(

@@ -285,9 +285,18 @@ class DesignOptions:
     uninformative_power: float = option(
         0.05, "1", "power below which an experiment is told as telling nothing", "chance"
     )
+    power_margin: float = option(
+        0.05, "1", "power that a shorter experiment may have less than the most powerful one", "chance"
+    )
+    model_error: float = option(
+        2e-4,
+        "1",
+        "share of what the readings move by which the plant does otherwise than its model, refitted",
+        "measured on plants that are not the model: 1e-4 to 6e-4",
+    )
     replicates: tuple[int, ...] = option((1, 2, 4, 8, 16), "1", "numbers of replicates that are thought of", JUDGEMENT)
     examined: int = option(
-        4, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
+        8, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
     )
     alternatives: int = option(
         2, "1", "members of the answer set from which an experiment is sought that tells the likeliest", JUDGEMENT

@@ -6,7 +6,10 @@ Symbols
     detected with 0.9: d' = level + z(0.9);  named: d'^2 beyond level^2 by w, so that noise is no rival
     power to tell apart = Phi((d^2 - w)/(2 d)): the likelihood ratio of two hypotheses d apart is normal with mean d^2
     and deviation 2 d; with the difference b by which the first is ahead already, Phi((d^2 + b - w)/(2 d)) where the
-    first is true and Phi((d^2 - b - w)/(2 d)) where the second is
+    first is true and Phi((d^2 - b - w)/(2 d)) where the second is; b the least and the most of several that count
+    nested: the larger of two has all that the smaller has and something besides, by which it explains g more so far,
+    and which is d in further records. Of these the larger explains more, N standard normal,
+    (g + d^2 + d N)^2/(g + d^2) if it is true as fitted, and (g + d N)^2/(g + d^2) if the smaller is
 """
 
 from __future__ import annotations
@@ -35,16 +38,37 @@ def detection_power(distance: float, level: float) -> float:
     return float(norm.cdf(distance - level))
 
 
-def separation_power(distance: float, asked: float, ahead: float = 0.0, probability: float = 0.5) -> float:
-    """How surely two hypotheses that far apart are told apart where a difference of chi-squares is asked, the first of
-    which is `ahead` by so much before, and true with that probability.
+def separation_power(
+    distance: float, asked: float, lead: tuple[float, float] = (0.0, 0.0), probability: float = 0.5
+) -> float:
+    """How surely two hypotheses that far apart are told apart where a difference of chi-squares is asked. The `lead` of
+    the first before is the least and the most of what counts: it must be ahead by all of that, and so must the second.
+    The first is true with that probability.
     """
     from scipy.stats import norm
 
     if distance <= 0.0:
         return 0.0
-    first, second = norm.cdf((distance**2 + np.array([ahead, -ahead]) - asked) / (2.0 * distance))
+    least, most = lead
+    first, second = norm.cdf((distance**2 + np.array([least, -most]) - asked) / (2.0 * distance))
     return float(probability * first + (1.0 - probability) * second)
+
+
+def nested_power(distance: float, gain: float, asked: float, forgone: float, probability: float) -> float:
+    """How surely one of two nested hypotheses is left: the larger where it explains `asked` more than the smaller in
+    the end, the smaller where it is less than `forgone`; the larger explains `gain` more so far, and is true with that
+    probability.
+    """
+    from scipy.stats import norm
+
+    if distance <= 0.0:
+        return 0.0
+    gain = max(gain, 0.0)
+    whole = gain + distance**2
+    enough, little = np.sqrt(asked * whole), np.sqrt(forgone * whole)
+    larger = norm.cdf((whole - enough) / distance)
+    smaller = norm.cdf((little - gain) / distance) - norm.cdf((-little - gain) / distance)
+    return float(probability * larger + (1.0 - probability) * smaller)
 
 
 def asked_difference(explained: float, law_error: float, *, options: SelectionOptions) -> float:

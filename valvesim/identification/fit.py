@@ -200,3 +200,10 @@ def moved_candidates(fit: Fit, step: np.ndarray, *, options: IdentificationOptio
     return tuple(
         replace(e, above_neutral=above_neutral_by_id[id(e)], shapes=tuple(shapes[id(e)].items())) for e in fit.fitted
     )
+
+
+def moved_fit(fit: Fit, step: np.ndarray, *, options: IdentificationOptions) -> Fit:
+    """Nuisance parameters and fitted candidates after a step of `Fit.vector`; nothing is simulated there."""
+    p = len(fit.point)
+    moved = fit.with_fitted(moved_candidates(fit, step[p:], options=options))
+    return replace(moved, point=fit.point + step[:p])

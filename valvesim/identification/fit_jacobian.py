@@ -51,7 +51,7 @@ def jacobian_of(
     if not fit.fitted:
         return J
     own = study.stack(fitted_sensitivities(study, fit, linearised, columns))
-    return np.column_stack([J, own / _step_sizes(fit, options=study.options)])
+    return np.column_stack([J, own / step_sizes(fit, options=study.options)])
 
 
 def added_jacobian_of(
@@ -99,7 +99,7 @@ def perturbed_fits(fit: Fit, *, options: IdentificationOptions) -> list[tuple[Ca
     return steps
 
 
-def _step_sizes(fit: Fit, *, options: IdentificationOptions) -> list[float]:
+def step_sizes(fit: Fit, *, options: IdentificationOptions) -> list[float]:
     """By how much each of `perturbed_fits` moves its component of `Fit.vector`."""
     by = float(np.log(options.sensitivity.shape_ratio))
     return [by if shape else perturbation(member) for member, shape in fit.layout]
