@@ -68,8 +68,8 @@ def one_parameter_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm 
     if best is None:
         return None
     one, knots, fit = best
-    near = (o.hypothesis.label for o in tried if o.reduction > one.reduction - options.complexity_penalty)
-    alike = tuple(label for label in dict.fromkeys(near) if label != one.hypothesis.label)
+    close = (o.hypothesis.label for o in tried if o.reduction > one.reduction - options.complexity_penalty)
+    alike = tuple(label for label in dict.fromkeys(close) if label != one.hypothesis.label)
     variant = fit.variant(nominal.study.nominal)
     term = _term(one, knots, fit, nominal.fit.chi_square - fit.chi_square, alike)
     return RecoveredTerm(term, variant.effects[-1], fit.point, fit.chi_square, 1, fit.readings, variant)

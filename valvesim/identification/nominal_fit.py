@@ -345,19 +345,20 @@ def with_inputs_reviewed(nominal: NominalFit) -> NominalFit:
 
 
 def with_edges_tried(nominal: NominalFit) -> NominalFit:
-    """A nominal fit, or a better one with edges: fitted anew where commands jump, and it takes them as joined without.
+    """A nominal fit, or a better one with edges: fitted anew where commands jump, and it takes them as joined without,
+    or otherwise between the edges.
 
-    A curve through the samples answers an edge much as a lag of the valve does. A fit that has moved the valve's
-    figures to make up for the one does not ask for the other any more.
+    A curve through the samples answers an edge much as a lag of the valve does, a straight line a curve as an inertia
+    does. A fit that has moved the valve's figures to make up for the one does not ask for the other any more.
     """
     without, now = _without_choice(nominal.study)
-    if now.parameters or now.name in (HELD_NAME, READ_BACK_NAME):
+    if now.name in (HELD_NAME, READ_BACK_NAME):
         return nominal
     excess = nominal.fit.chi_square - nominal.fit.rows
     options = nominal.study.options.input
     best, least = nominal, excess - max(options.minimum_gain, options.gain_share * excess)
     for choice in input_choices(without.session, options=without.options):
-        if not choice.parameters:
+        if not choice.parameters or choice.name == now.name:
             continue
         tried = _near_under(without, choice, nominal, _clipped_by_name(nominal))
         if tried.fit.chi_square - tried.fit.rows < least:

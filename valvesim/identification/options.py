@@ -405,7 +405,10 @@ class FitOptions:
         0.1, "1", "share of the first step that is tried last where none has led down: valleys are narrow", JUDGEMENT
     )
     most_bend: float = option(
-        0.4, "1", "share of its length by which a valley that is followed may bend", "Transtrum and Sethna 2012: 0.75, twice as defined there"
+        0.4,
+        "1",
+        "share of its length by which a valley that is followed may bend",
+        "Transtrum and Sethna 2012: 0.75 of twice that",
     )
     robust_scale: float = option(3.0, "1", "times the median residual at which a sample counts less", JUDGEMENT)
     peak_share: float = option(
