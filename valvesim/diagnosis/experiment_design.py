@@ -209,7 +209,12 @@ def design(
         return None
     run = _most_promising(run, rival.power, options=options)
     known = _known(nominal, rival.fit)
-    chosen = [judged for one, delta in run for judged in _judge(one, delta, rival, known, options=options)]
+    shortest = min(float(one.trial.time[-1]) for one, _ in run)
+    chosen = list[ExperimentPower]()
+    for one, delta in run:
+        chosen += _judge(one, delta, rival, known, options=options)
+        if any(each.power >= options.design.power and each.duration <= shortest for each in chosen):
+            break  # none is shorter
     best = _chosen(chosen, options=options) or ExperimentPower(run[0][0].trial, 1, 0.0, 0.0)
     others = dict.fromkeys(
         one.trial.description for one in sorted(chosen, key=lambda one: -one.power)
