@@ -224,7 +224,7 @@ def test_a_cause_is_fitted_to_its_end_before_records_are_those_of_another_valve(
         "leaves_noise": lambda fit, study, *, options: True,
         "likeliest_starts": lambda nominal, scores: iter([("a",)]),
         "fit_from_prior": lambda nominal, start, few: started,
-        "continue_from": lambda nominal, fit: ended,
+        "continue_from": lambda nominal, fit, worthwhile: ended if worthwhile == np.inf else None,
         "has_implausible_delays": lambda study, point: False,
         "score_test": lambda *_, **__: looked.append(1) or SimpleNamespace(linearised=(), columns=()),
         "assembled": lambda *_: None,

@@ -112,7 +112,7 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     assert ended.alarm is alarm and ended.bench == ("a ripple",)
 
 
-@pytest.mark.parametrize("other", [False, True])
+@pytest.mark.parametrize("other", ["", "any", "edges"])
 @pytest.mark.parametrize("again, taken", [(4000.0, True), (4990.0, False)])
 def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(monkeypatch, again, taken, other):
     base, asked = nominal(5000.0), []
@@ -132,11 +132,16 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
 
     def under_others(nominal):  # and under other ways of its commands
         assert nominal is (renewed if taken else base)
-        return under_other if other else nominal
+        return under_other if other == "any" else nominal
+
+    def with_edges(nominal):  # and with edges, or otherwise between them
+        assert nominal is (under_other if other == "any" else renewed if taken else base)
+        return under_other if other == "edges" else nominal
 
     under_other = nominal(4600.0)
     monkeypatch.setattr(isolation, "refit_nominal", refit)
     monkeypatch.setattr(isolation, "with_inputs_tried", under_others)
+    monkeypatch.setattr(isolation, "with_edges_tried", with_edges)
     ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
     best = renewed if taken else base
     assert asked == [[2.0]] and ended is (under_other if other else best) and scores.fit is ended.fit

@@ -307,7 +307,8 @@ def test_entries_of_the_catalogue_that_act_where_a_term_does_are_fitted_from_whe
 ):
     begun = []
 
-    def fit_hypothesis(nominal, start, point):
+    def fit_hypothesis(nominal, start, point, worthwhile):
+        assert worthwhile >= found.chi_square
         begun.append(start[0].candidate.name)
         assert np.array_equal(point, np.clip(found.point, *nominal.study.nominal.limits))
         ends = {"spool_coulomb_friction": found.chi_square, "spool_silting": nominal.fit.chi_square}
@@ -327,7 +328,7 @@ def test_entries_of_the_catalogue_that_act_where_a_term_does_are_fitted_from_whe
     explained = nominal.fit.chi_square - found.chi_square
     assert explained > 10.0  # so that a fifth of it is more than the one by which the entry leaves less
     assert term_entry.as_catalogue_entry(replace(before, answer_set=[erring]), found).found == []
-    monkeypatch.setattr(term_entry, "fit_hypothesis", lambda nominal, start, point: None)
+    monkeypatch.setattr(term_entry, "fit_hypothesis", lambda nominal, start, point, worthwhile: None)
     assert term_entry.as_catalogue_entry(before, found) is before
 
 

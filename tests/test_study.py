@@ -218,10 +218,11 @@ def test_a_hold_is_tried_where_sensors_seem_late(biased_fit, monkeypatch, now, b
         ("smooth", {"straight, edges": 400.0, "smooth, edges": 900.0}, True, "smooth, edges"),
         ("smooth", {"straight, edges": 10.0, "smooth, edges": 20.0}, True, "smooth"),  # no more than chance
         (HELD_NAME, {"straight, edges": 400.0, "smooth, edges": 900.0}, False, HELD_NAME),  # its steps are edges
-        ("straight, edges", {"smooth, edges": 900.0}, False, "straight, edges"),
+        ("straight, edges", {"smooth, edges": 900.0}, True, "smooth, edges"),
+        ("smooth, edges", {"straight, edges": 10.0}, True, "smooth, edges"),
     ],
 )
-def test_a_way_without_edges_is_tried_with_them_where_commands_jump(
+def test_other_ways_with_edges_are_tried_where_commands_jump(
     biased_fit, monkeypatch, now, edges_gain, tried, ends
 ):
     nominal = biased_fit
@@ -482,8 +483,8 @@ def test_where_no_step_with_a_candidate_leads_down_a_share_of_the_first_does(mon
 
     def reached(share, *fitted):
         p = 2 - len(fitted)
-        nominal = SimpleNamespace(limits=np.array([[-10.0] * p, [10.0] * p]))
-        options = replace(OPTIONS, fit=replace(OPTIONS.fit, short_step=share))
+        nominal = SimpleNamespace(limits=np.array([[-10.0] * p, [10.0] * p]), longest_step=np.full(p, 3.0))
+        options = replace(OPTIONS, fit=replace(OPTIONS.fit, short_step=share, most_bend=0.0))
         study = SimpleNamespace(options=options, nominal=nominal, is_long=False)
         start = evaluated(study, np.zeros(p), fitted)
         jacobian = np.array([[product, product], [10.0, 0.0]])
@@ -493,6 +494,57 @@ def test_where_no_step_with_a_candidate_leads_down_a_share_of_the_first_does(mon
     one = FittedCandidate(candidate, 0.0)
     assert reached(OPTIONS.fit.short_step, one) < 0.9 and reached(1.0, one) == 1.0
     assert reached(OPTIONS.fit.short_step) == 1.0  # without a cause it would take what a cause does for itself
+
+
+@pytest.mark.parametrize("bend, ends", [(0.3, True), (3.0, False)])
+def test_a_step_that_leads_up_tells_how_the_valley_bends_and_the_next_one_follows_that(monkeypatch, bend, ends):
+    """Records tell b = c a^2 well and a = 1 badly: the first step leaves that valley, the second is at its end, unless
+    it bends by more of its length than it may.
+    """
+    tried = []
+
+    def evaluated(study, point, fitted, near=()):
+        tried.append(point)
+        a, b = point
+        residual = np.array([1e3 * (bend * a**2 - b), 10.0 * (1.0 - a)])
+        return Fit(point, fitted, float(residual @ residual + point @ point), (), residual, 2.0)
+
+    nominal = SimpleNamespace(limits=np.array([[-10.0] * 2, [10.0] * 2]), longest_step=np.full(2, 3.0))
+    study = SimpleNamespace(options=OPTIONS, nominal=nominal, is_long=False)
+    monkeypatch.setattr(least_squares, "evaluate_fit", evaluated)
+    start = evaluated(study, np.zeros(2), ())
+    levenberg_marquardt(study, start, np.array([[0.0, 1e3], [10.0, 0.0]]), 1e-6)
+    a, b = tried[1]
+    assert b == pytest.approx(0.0, abs=1e-9) and a == pytest.approx(1.0, abs=0.02)
+    assert bool(tried[2][1] == pytest.approx(bend, rel=0.03)) is ends
+    assert not ends or len(tried) == 3  # the linearisation is renewed there
+
+
+def test_what_scales_or_shifts_a_reading_is_known_for_good_and_goes_as_far_as_it_asks(biased):
+    nominal = biased[0].study.nominal
+    longest = dict(zip([p.name for p in nominal.parameters], nominal.longest_step, strict=True))
+    assert longest["spool_mass"] == OPTIONS.fit.longest_step
+    gains = [value for name, value in longest.items() if name.startswith(("sensor_gain@", "sensor_bias@"))]
+    delays = [value for name, value in longest.items() if name.startswith("sensor_delay@")]
+    assert gains and np.all(np.isinf(gains)) and set(delays) == {OPTIONS.fit.longest_delay_step}
+
+
+@pytest.mark.parametrize("promise, linearisations", [(100.0, 2), (4000.0, None)])
+def test_a_fit_that_cannot_come_near_by_what_it_promises_is_given_up(monkeypatch, promise, linearisations):
+    linearised = []
+
+    def stepped(study, fit, jacobian, enough):
+        return replace(fit, chi_square=fit.chi_square - 1e3, predicted_reduction=promise), jacobian
+
+    monkeypatch.setattr(hypothesis_fit, "levenberg_marquardt", stepped)
+    monkeypatch.setattr(hypothesis_fit, "linearise_fit", lambda study, fit: linearised.append(1) or ((), ()))
+    monkeypatch.setattr(hypothesis_fit, "jacobian_of", lambda study, fit, *linearised: np.zeros((2, 1)))
+    monkeypatch.setattr(hypothesis_fit, "normal_equations", lambda *_, options: (np.eye(1), np.zeros(1)))
+    monkeypatch.setattr(hypothesis_fit, "occam_factor", lambda *_, options: 0.0)
+    start = Fit(np.zeros(1), (), 2e4, (), np.zeros(2), 2.0)
+    study = SimpleNamespace(options=OPTIONS)
+    hypothesis_fit._iterate(study, start, np.zeros((2, 1)), lambda fit: 2.0, 12, 1e4)
+    assert len(linearised) + 1 == (linearisations or OPTIONS.fit.linearisations)
 
 
 def test_normal_equations_follow_the_updates_of_the_jacobian(biased, monkeypatch):

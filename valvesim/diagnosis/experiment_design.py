@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -346,32 +346,42 @@ def _with_fitted(
 def _judge(
     tried: SimulatedExperiment, delta: np.ndarray, rival: Rival, known: np.ndarray, *, options: DiagnosisOptions
 ) -> list[ExperimentPower]:
-    """A trial at each number of repeats: the smaller of the distances that remain of a difference (rows,) when either
-    fit is refitted. The rival is not, where the first leaves too little already.
+    """A trial repeated: the smaller of the distances that remain of a difference (rows,) when either fit is refitted.
+    The rival is not, where the first leaves too little already. Of the numbers of repeats the least and the most, and
+    where either tells something those between up to the first that is enough.
     """
-    replicates = options.design.replicates
+    useful = options.design.uninformative_power
 
-    def distances(refit: LinearisedRefit, delta: np.ndarray) -> list[float]:
-        return [_distance(tried, refit, delta, n) for n in replicates]
+    @cache
+    def refit_of_rival() -> LinearisedRefit:
+        return _linearised_refit(tried.study, tried.predictor, rival.fit, known)
 
-    def judged(distances: Sequence[float]) -> list[ExperimentPower]:
-        return [
-            ExperimentPower(tried.trial, n, d, rival.power(d, more, n * tried.error))
-            for n, d, more in zip(replicates, distances, explained, strict=True)
-        ]
+    def repeated(n: int) -> ExperimentPower:
+        more, distance = tried.explained(n), np.inf
 
-    found, least = list[ExperimentPower](), [np.inf] * len(replicates)
-    try:
-        explained = [tried.explained(n) for n in replicates]
+        def judged(distance: float) -> ExperimentPower:
+            return ExperimentPower(tried.trial, n, distance, rival.power(distance, more, n * tried.error))
+
         if rival.refitted[0]:
-            least = distances(tried.refit, delta)
-            found = judged(least)
-        if rival.refitted[1] and max((one.power for one in found), default=1.0) >= options.design.uninformative_power:
-            refit = _linearised_refit(tried.study, tried.predictor, rival.fit, known)
-            found = judged(list(map(min, least, distances(refit, -delta))))
+            distance = _distance(tried, tried.refit, delta, n)
+        if rival.refitted[1] and (np.isinf(distance) or judged(distance).power >= useful):
+            distance = min(distance, _distance(tried, refit_of_rival(), -delta, n))
+        return judged(distance)
+
+    least, *more = options.design.replicates
+    try:
+        found = [repeated(least)]
+        if found[0].power >= options.design.power or not more:
+            return found
+        last = repeated(more[-1])
+        if max(found[0].power, last.power) >= useful:
+            for n in more[:-1]:
+                found.append(repeated(n))
+                if found[-1].power >= options.design.power:
+                    break
     except (SolveError, InputError):
         return []
-    return found
+    return [*found, last]
 
 
 def _linearised_refit(

@@ -296,7 +296,7 @@ class DesignOptions:
     )
     replicates: tuple[int, ...] = option((1, 2, 4, 8, 16), "1", "numbers of replicates that are thought of", JUDGEMENT)
     examined: int = option(
-        5, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
+        8, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
     )
     alternatives: int = option(
         2, "1", "members of the answer set from which an experiment is sought that tells the likeliest", JUDGEMENT
