@@ -3,8 +3,9 @@ linearisations.
 
 Symbols
     r whitened residual, J its Jacobian, t parameters;  H = J'J + prior precision, g = J'r - prior precision (t - t0)
-Levenberg 1944, Marquardt 1963; Broyden 1965; Nocedal and Wright, Numerical Optimization, ch. 10 (least squares) and 16
-(active set). The Occam factor of a fit is that of MacKay 1992 (Laplace's approximation of the evidence).
+Levenberg 1944, Marquardt 1963; Broyden 1965; Transtrum and Sethna 2012 (geodesic acceleration); Nocedal and Wright,
+Numerical Optimization, ch. 10 (least squares) and 16 (active set). The Occam factor of a fit is that of MacKay 1992
+(Laplace's approximation of the evidence).
 """
 
 from __future__ import annotations
@@ -68,11 +69,8 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
             if bent is not None:
                 failures = 1
                 continue
-        if (length := float(moved @ (metric * moved))) > 0.0 and float(changed @ changed) > options.update_threshold:
-            left, along = (changed - jacobian @ moved) / length, metric * moved
-            crossed = np.outer(jacobian.T @ left, along)
-            gram = gram + crossed + crossed.T + float(left @ left) * np.outer(along, along)
-            jacobian = dger(1.0, along, left, a=jacobian.T, overwrite_a=True).T
+        if moved.any() and float(changed @ changed) > options.update_threshold:
+            jacobian, gram = _updated(jacobian, gram, moved, changed, metric)
         if gained > 0.0:
             is_around = bent is not None
             failures = 0 if gained > 0.5 * best.predicted_reduction else failures + 1
@@ -84,6 +82,19 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
             fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
         bent = None
     return best, jacobian
+
+
+def _updated(
+    jacobian: np.ndarray, gram: np.ndarray, moved: np.ndarray, changed: np.ndarray, metric: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A Jacobian (rows, n), overwritten, and its J'J after a step `moved` (n,) that has `changed` the residual (rows,)
+    (Broyden 1965).
+    """
+    along = metric * moved
+    left = (changed - jacobian @ moved) / float(moved @ along)
+    crossed = np.outer(jacobian.T @ left, along)
+    gram = gram + crossed + crossed.T + float(left @ left) * np.outer(along, along)
+    return dger(1.0, along, left, a=jacobian.T, overwrite_a=True).T, gram
 
 
 def _metric_of(fit: Fit) -> np.ndarray:
