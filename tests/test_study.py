@@ -484,7 +484,7 @@ def test_where_no_step_with_a_candidate_leads_down_a_share_of_the_first_does(mon
     def reached(share, *fitted):
         p = 2 - len(fitted)
         nominal = SimpleNamespace(limits=np.array([[-10.0] * p, [10.0] * p]), longest_step=np.full(p, 3.0))
-        options = replace(OPTIONS, fit=replace(OPTIONS.fit, short_step=share, most_bend=0.0))
+        options = replace(OPTIONS, fit=replace(OPTIONS.fit, short_step=share, acceleration_ratio=0.0))
         study = SimpleNamespace(options=options, nominal=nominal, is_long=False)
         start = evaluated(study, np.zeros(p), fitted)
         jacobian = np.array([[product, product], [10.0, 0.0]])

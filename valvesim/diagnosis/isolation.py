@@ -220,12 +220,13 @@ def _with_bench(
     What it leaves, and the fits of causes beside which the bench was looked at: of the hypotheses `known` from
     elsewhere, where there are any; how the commands go has been asked there.
     """
-    beside, reviewed = list[Fit](), nominal
+    beside, reviewed, settled = list[Fit](), nominal, None
     if not known:
         reviewed = with_inputs_reviewed(nominal)
         adequate = is_adequate(nominal.fit, options=options.identification)
         if reviewed is nominal and adequate and not leaves_noise(nominal.fit, nominal.study, options=options):
             reviewed = with_edges_tried(nominal)
+            settled = nominal if reviewed is nominal else None  # no way with edges is better
     if reviewed is not nominal:
         nominal, scores = reviewed, score_test(reviewed, reviewed.fit, options=options)
     if not is_adequate(nominal.fit, options=options.identification):
@@ -241,7 +242,8 @@ def _with_bench(
         again = refit_nominal(nominal, evaluate_fit(nominal.study, clipped_to_tolerance(nominal), ()))
         if rescored(nominal.study, again.fit).chi_square >= nominal.fit.chi_square - options.isolation.slight_gain:
             again = nominal
-        again = with_edges_tried(with_inputs_tried(again))
+        again = with_inputs_tried(again)
+        again = again if again is settled else with_edges_tried(again)
         if again is not nominal:
             nominal, scores = again, score_test(again, again.fit, options=options)
     alarm, level = detect(scores)

@@ -18,7 +18,7 @@ from valvesim.diagnosis.score_test import ScoreTest, term_spans
 from valvesim.diagnosis.symbolic_form import PLAIN_FORMS, SYMBOLS, formula_words
 from valvesim.diagnosis.term_estimation import RECOVERED_TERM
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.fit import Fit, FittedCandidate, largest_adequate
 from valvesim.identification.hypothesis_fit import fit_hypothesis
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.projection import direction_statistic
@@ -53,7 +53,7 @@ def one_parameter_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm 
     options = scores.options.missing_term
     tried = sorted(_tried_forms(scores, options=scores.options), key=lambda one: -one.reduction)
     least = nominal.fit.chi_square - options.minimum_gain - float(np.log(len(nominal.fit.residual)))
-    near = scores.options.identification.fit.inadequate_ratio * nominal.fit.rows
+    near = largest_adequate(nominal.fit, options=scores.options.identification)
     best = None
     for one in tried[: options.estimated]:
         knots = np.linspace(*one.span, options.knots)

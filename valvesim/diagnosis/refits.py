@@ -12,7 +12,7 @@ from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_widt
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, with_shapes
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, largest_adequate, with_shapes
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
 from valvesim.identification.refinement import refined
@@ -115,7 +115,7 @@ def fit_starts(
     for k, start in enumerate(starts):
         progress(k / len(starts))
         near = any(is_adequate(one.fit, options=options.identification) for one in (*others, *found))
-        worthwhile = options.identification.fit.inadequate_ratio * nominal.fit.rows if near else None
+        worthwhile = largest_adequate(nominal.fit, options=options.identification) if near else None
         fits = [fit := fit_hypothesis(nominal, start, point, worthwhile=worthwhile)]
         if fit is None:
             continue

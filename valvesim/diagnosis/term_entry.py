@@ -13,7 +13,7 @@ from valvesim.diagnosis.model_selection import FittedHypothesis, distinct
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import FittedCandidate
+from valvesim.identification.fit import FittedCandidate, largest_adequate
 from valvesim.identification.hypothesis_fit import fit_hypothesis
 from valvesim.valve.additive_term import term_effect
 
@@ -29,7 +29,7 @@ def as_catalogue_entry(isolation: Isolation, recovered: RecoveredTerm) -> Isolat
         likeliest = isolation.answer_set[0]
         may_err = likeliest.law_error * (nominal.fit.chi_square - likeliest.fit.chi_square)
         most = min(most, likeliest.fit.chi_square - may_err) if may_err > 0.0 else most
-    near = max(most, options.identification.fit.inadequate_ratio * nominal.fit.rows)
+    near = max(most, largest_adequate(nominal.fit, options=options.identification))
     fits = [
         fit_hypothesis(nominal, start, np.clip(recovered.point, *nominal.study.nominal.limits), worthwhile=near)
         for start in _entries_at(isolation.scores, recovered.term.port)

@@ -120,7 +120,12 @@ def _run(
 
 def is_adequate(fit: Fit, *, options: IdentificationOptions) -> bool:
     """Whether a fit leaves little more than noise: linear answers about another one are worth little."""
-    return fit.chi_square <= options.fit.inadequate_ratio * fit.rows
+    return fit.chi_square <= largest_adequate(fit, options=options)
+
+
+def largest_adequate(fit: Fit, *, options: IdentificationOptions) -> float:
+    """The chi-square up to which a fit of as many rows is adequate."""
+    return options.fit.inadequate_ratio * fit.rows
 
 
 def whitened_residual(study: Study, readings: Sequence[dict[str, np.ndarray]]) -> np.ndarray:

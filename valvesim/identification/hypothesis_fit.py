@@ -15,6 +15,7 @@ from valvesim.identification.fit import (
     amplitude_limits,
     evaluate_fit,
     is_adequate,
+    largest_adequate,
     rescored,
     step_limits,
 )
@@ -213,7 +214,7 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int, worthwhile
 
 def _worthwhile(nominal: NominalFit) -> float:
     """The chi-square below which a fit is worth more linearisations."""
-    return max(nominal.fit.chi_square, nominal.study.options.fit.inadequate_ratio * nominal.fit.rows)
+    return max(nominal.fit.chi_square, largest_adequate(nominal.fit, options=nominal.study.options))
 
 
 def unconverged(nominal: NominalFit, fit: Fit) -> float:
@@ -240,7 +241,7 @@ def _iterate(
         enough = ending(fit)
         new, jacobian = levenberg_marquardt(study, fit, jacobian, enough)
         stuck, fit = iteration > 1 and new.chi_square > fit.chi_square - enough, new
-        hoped = study.options.fit.hoped_promises if iteration < study.options.fit.linearisations else 0.0
+        hoped = study.options.fit.predicted_reductions if iteration < study.options.fit.linearisations else 0.0
         hopeless = iteration > 1 and fit.chi_square - hoped * fit.predicted_reduction > good
         if fit.predicted_reduction < enough or stuck or hopeless or iteration == linearisations:
             break

@@ -17,7 +17,7 @@ from scipy.linalg.blas import dger
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import Fit, evaluate_fit, moved_candidates, shapes_and_defaults, step_limits
+from valvesim.identification.fit import Fit, evaluate_fit, moved_fit, shapes_and_defaults, step_limits
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.study import Study
 
@@ -38,7 +38,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
     options, metric = study.options.fit, _metric_of(fit)
     jacobian, gram = jacobian.copy(), jacobian.T @ jacobian
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
-    first, bent, is_around = np.zeros(len(metric)), None, False
+    first, accelerated, has_accelerated = np.zeros(len(metric)), None, False
     for _ in range(options.steps):
         H, gradient = normal_equations(fit, jacobian, gram, options=study.options)
         limits = step_limits(fit, study.nominal, options=study.options)
@@ -47,12 +47,12 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
             start, best, fit = known if best is start else start, known, known
             lasting = options.patience if study.is_long else 0
             stale = best.chi_square < start.chi_square and (
-                failures > lasting or is_around or _linearisation_expired(start, best, options=study.options)
+                failures > lasting or has_accelerated or _linearisation_expired(start, best, options=study.options)
             )
             if best.predicted_reduction < enough or stale or failures == options.failures:
                 break
         damped = H + damping * np.diag(metric)
-        step = bent if bent is not None else _step_within(study, damped, gradient, limits, metric)
+        step = accelerated if accelerated is not None else _step_within(study, damped, gradient, limits, metric)
         if fit is start and failures == 0:
             first = step
         elif best is start and fit.fitted and failures == options.failures - 1:
@@ -60,19 +60,21 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
         try:
             new = _moved_by(study, fit, step)
         except (SolveError, InputError):  # no valve can have these figures
-            fit, bent, damping, failures = best, None, max(10.0 * damping, 0.1), failures + 1
+            fit, accelerated, damping, failures = best, None, max(10.0 * damping, 0.1), failures + 1
             continue
         moved, changed = new.vector - fit.vector, fit.residual - new.residual
         gained = best.chi_square - new.chi_square
         if gained <= 0.0 and fit is best and failures == 0:
-            bent = _bent_step(fit, jacobian, damped, moved, changed, limits, metric, options=study.options)
-            if bent is not None:
+            accelerated = _accelerated_step(
+                fit, jacobian, damped, moved, changed, limits, metric, options=study.options
+            )
+            if accelerated is not None:
                 failures = 1
                 continue
         if moved.any() and float(changed @ changed) > options.update_threshold:
             jacobian, gram = _updated(jacobian, gram, moved, changed, metric)
         if gained > 0.0:
-            is_around = bent is not None
+            has_accelerated = accelerated is not None
             failures = 0 if gained > 0.5 * best.predicted_reduction else failures + 1
             damping = 0.0 if damping <= 0.1 or gained > 0.5 * best.predicted_reduction else damping / 10.0
             best = fit = new
@@ -80,7 +82,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
             fit = new  # a bent valley: the next step may lead back into it, further down
         else:
             fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
-        bent = None
+        accelerated = None
     return best, jacobian
 
 
@@ -116,12 +118,11 @@ def _step_within(
 
 def _moved_by(study: Study, fit: Fit, step: np.ndarray) -> Fit:
     """The fit at a step from another one, simulated."""
-    p = len(fit.point)
-    candidates = moved_candidates(fit, step[p:], options=study.options)
-    return evaluate_fit(study, fit.point + step[:p], candidates, fit.trajectories)
+    moved = moved_fit(fit, step, options=study.options)
+    return evaluate_fit(study, moved.point, moved.fitted, fit.trajectories)
 
 
-def _bent_step(
+def _accelerated_step(
     fit: Fit,
     jacobian: np.ndarray,
     damped: np.ndarray,
@@ -135,22 +136,22 @@ def _bent_step(
     """The best step along the parabola that a step `moved` (n,) tells of which `changed` the residual (rows,)
     otherwise than the linearised equations say (geodesic acceleration, Transtrum and Sethna 2012).
 
-    None where the parabola bends by more than a given share of its length: the equations are of second order no longer.
+    None where the acceleration is more than a given share of the step: the equations are of second order no longer.
     """
     straight, p = jacobian @ moved, len(fit.point)
     curvature = changed - straight
-    bend = -solve_normal(damped, jacobian.T @ curvature)
-    if bend @ (metric * bend) > options.fit.most_bend**2 * (moved @ (metric * moved)):
+    acceleration = -solve_normal(damped, jacobian.T @ curvature)
+    if acceleration @ (metric * acceleration) > options.fit.acceleration_ratio**2 * (moved @ (metric * moved)):
         return None
-    bent = curvature + jacobian @ bend
+    square = curvature + jacobian @ acceleration
 
     def left(share: float) -> float:
-        residual = fit.residual - share * straight - share**2 * bent
-        point = fit.point + share * moved[:p] + share**2 * bend[:p]
+        residual = fit.residual - share * straight - share**2 * square
+        point = fit.point + share * moved[:p] + share**2 * acceleration[:p]
         return float(residual @ residual + point @ point)
 
     best = min(np.linspace(0.05, 1.0, 20), key=left)
-    return np.clip(best * moved + best**2 * bend, *limits)
+    return np.clip(best * moved + best**2 * acceleration, *limits)
 
 
 def predict_reduction(H: np.ndarray, gradient: np.ndarray, limits: np.ndarray) -> float:

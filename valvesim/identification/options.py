@@ -404,10 +404,10 @@ class FitOptions:
     short_step: float = option(
         0.1, "1", "share of the first step that is tried last where none has led down: valleys are narrow", JUDGEMENT
     )
-    most_bend: float = option(
+    acceleration_ratio: float = option(
         0.4,
         "1",
-        "share of its length by which a valley that is followed may bend",
+        "share of a step that its geodesic acceleration may be",
         "Transtrum and Sethna 2012: 0.75 of twice that",
     )
     robust_scale: float = option(3.0, "1", "times the median residual at which a sample counts less", JUDGEMENT)
@@ -440,7 +440,7 @@ class FitOptions:
         1.0, "1", "reduction of the chi-square that ends the fit of the nominal model", JUDGEMENT
     )
     linearisations: int = option(4, "1", "linearisations of a hypothesis that does not come near", JUDGEMENT)
-    hoped_promises: float = option(
+    predicted_reductions: float = option(
         3.0, "1", "times the predicted reduction that such a one may still be hoped to bring", JUDGEMENT
     )
     most_linearisations: int = option(12, "1", "linearisations of a hypothesis that does", JUDGEMENT)
