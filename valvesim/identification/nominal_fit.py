@@ -360,7 +360,7 @@ def with_edges_tried(nominal: NominalFit) -> NominalFit:
     for choice in input_choices(without.session, options=without.options):
         if not choice.parameters or choice.name == now.name:
             continue
-        tried = _near_under(without, choice, nominal, _clipped_by_name(nominal))
+        tried = _near_under(without, choice, nominal, _clipped_by_name(nominal), least)
         if tried.fit.chi_square - tried.fit.rows < least:
             best, least = tried, tried.fit.chi_square - tried.fit.rows
     return best
@@ -441,10 +441,15 @@ def under_other_inputs(nominal: NominalFit, beside: Fit | None = None) -> list[N
     return found
 
 
-def _near_under(without: Study, choice: InputChoice, nominal: NominalFit, near: Mapping[str, float]) -> NominalFit:
-    """The nominal fit under a choice of inputs, from a point (prior deviations by name) near another one."""
+def _near_under(
+    without: Study, choice: InputChoice, nominal: NominalFit, near: Mapping[str, float], most_left: float = np.inf
+) -> NominalFit:
+    """The nominal fit under a choice of inputs, from a point (prior deviations by name) near another one; where it
+    promises to leave more than `most_left` beyond the noise it is given up.
+    """
     again = with_input_choice(without.unweighted(), choice)
-    return fit_nominal_near(again, _named_point(again.nominal, near), full_weight=not nominal.study.weights)
+    point, fully = _named_point(again.nominal, near), not nominal.study.weights
+    return fit_nominal_near(again, point, full_weight=fully, most_left=most_left)
 
 
 def fit_nominal_from(study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
@@ -452,15 +457,18 @@ def fit_nominal_from(study: Study, fit: Fit, progress: Callable[[float], None] =
     return _at_full_weight(study, _preliminary(study, fit, progress), progress)
 
 
-def fit_nominal_near(prepared: PreparedSession, point: np.ndarray, *, full_weight: bool) -> NominalFit:
+def fit_nominal_near(
+    prepared: PreparedSession, point: np.ndarray, *, full_weight: bool, most_left: float = np.inf
+) -> NominalFit:
     """The nominal model fitted from a point (p,) near its best, and the noise with it; samples next to peaks count less
-    unless at `full_weight`.
+    unless at `full_weight`. A fit that promises to leave more than `most_left` beyond the noise is given up.
     """
     study, fit = evaluated_under_own_noise(prepared, point)
     nominal = _tuned(linearise_nominal(study, _with_edges_searched(study, fit)))
     for last in (False, True):
         weighted = nominal.study if full_weight else down_weight_peaks(nominal.study, nominal.linearised)
-        nominal = _converge(reweighted(weighted, nominal), study.options.fit.nominal_ftol)
+        ftol = study.options.fit.nominal_ftol
+        nominal = _converge(reweighted(weighted, nominal), ftol, most_left=most_left)
         if last or all(noise.verified for noise in nominal.study.noise.values()):
             break
         study = nominal.study.unweighted()
@@ -574,12 +582,14 @@ def _converge(
     nominal: NominalFit,
     enough: float,
     progress: Callable[[float], None] = lambda share: None,
+    most_left: float = np.inf,
 ) -> NominalFit:
     """The nominal model fitted under its study's noise until a fresh linearisation predicts no more than `enough`, or
     than is worth it of the excess chi-square.
 
     What steps have gained is kept and linearised again, unless it is next to nothing: a first step that brings less
-    than `enough` may stand before as much again. It ends as well where an adequate fit is no longer in sight.
+    than `enough` may stand before as much again. It ends as well where an adequate fit is no longer in sight, or one
+    that leaves no more than `most_left` beyond the noise.
     """
     options = nominal.study.options.fit
     for iteration in range(options.nominal_linearisations):
@@ -588,7 +598,9 @@ def _converge(
         fit, _ = levenberg_marquardt(nominal.study, nominal.fit, nominal.J, max(enough, least))
         gained = nominal.fit.chi_square - fit.chi_square
         beyond = fit.chi_square - options.inadequate_ratio * fit.rows
-        if gained < max(0.1 * enough, least, options.adequate_pace * beyond):
+        hoped = options.nominal_reductions * fit.predicted_reduction if iteration else np.inf
+        hopeless = fit.chi_square - fit.rows - hoped > most_left
+        if gained < max(0.1 * enough, least, options.adequate_pace * beyond) or hopeless:
             break
         nominal = linearise_nominal(nominal.study, fit)
     return nominal
