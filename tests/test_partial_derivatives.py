@@ -64,6 +64,8 @@ def test_derivatives_are_those_of_casadi(case, knots):
         own[compiled.targets, compiled.arguments] = found[:, k]
         size = np.abs(expected).max(axis=1, keepdims=True)
         assert np.all(np.abs(own - expected) <= 1e-8 * np.abs(expected) + 1e-10 * size), k
+    of_states = found[compiled.entries(compiled.states, compiled.states)]
+    assert compiled.jacobian(x, u, course) == pytest.approx(of_states, rel=1e-9, abs=1e-12 * np.abs(of_states).max())
 
 
 def test_entries_are_found_by_target_and_argument():

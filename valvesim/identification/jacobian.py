@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.prior import NominalModel, NuisanceParameter, ToleratedTimeError
 from valvesim.valve.effect import Effect
+from valvesim.valve.parameters import Valve
 
 
 def is_simulated(effect: Effect, *, options: IdentificationOptions) -> bool:
@@ -28,13 +31,29 @@ def is_held(parameter: NuisanceParameter, linear: LinearisedRecord) -> bool:
     return linear.predictor.preliminary and parameter.time_scale < linear.predictor.options.sensitivity.fast
 
 
-def perturbed_variants(nominal: NominalModel, variant: ModelVariant) -> list[ModelVariant]:
+@dataclass(frozen=True, eq=False)
+class PerturbedVariants:
+    """A variant with each nuisance parameter but the sensors' moved a little, by `steps` prior deviations, by name.
+
+    `valves` holds those of the quantities `of_valve` side by side, (k, 1); `others` are the rest, by name.
+    """
+
+    steps: dict[str, float]
+    of_valve: tuple[str, ...]
+    valves: Valve
+    others: dict[str, ModelVariant]
+
+
+def perturbed_variants(nominal: NominalModel, variant: ModelVariant) -> PerturbedVariants:
     """The variant with each nuisance parameter but the sensors' moved by a little, see `_prior_step`."""
-    return [
-        p.moved(variant, _prior_step(p, variant, options=nominal.options))
-        for p in nominal.parameters
-        if p.sensor is None
-    ]
+    plant = [p for p in nominal.parameters if p.sensor is None]
+    steps = {p.name: _prior_step(p, variant, options=nominal.options) for p in plant}
+    own = [p for p in plant if p.is_of_valve]
+    values: dict[str, Any] = {p.name: np.full((len(own), 1), p.value_in(variant)) for p in own}
+    for k, p in enumerate(own):
+        values[p.name][k] = p.more_of(variant, steps[p.name] * p.deviation)
+    others = {p.name: p.moved(variant, steps[p.name]) for p in plant if not p.is_of_valve}
+    return PerturbedVariants(steps, tuple(values), replace(variant.valve, **values), others)
 
 
 def _prior_step(parameter: NuisanceParameter, variant: ModelVariant, *, options: IdentificationOptions) -> float:
@@ -48,7 +67,7 @@ def _inward_step(parameter: NuisanceParameter, variant: ModelVariant, size: floa
 
 
 def parameter_sensitivities(
-    linear: LinearisedRecord, nominal: NominalModel, perturbed: Sequence[ModelVariant]
+    linear: LinearisedRecord, nominal: NominalModel, perturbed: PerturbedVariants
 ) -> dict[str, np.ndarray]:
     """Sensitivities (n_samples, p) to one prior standard deviation of each nuisance parameter, see
     `perturbed_variants`.
@@ -58,18 +77,21 @@ def parameter_sensitivities(
     plant, own = [p for p in nominal.parameters if p.sensor is None], linear.predictor.record.name
     held = {p.name for p in plant if is_held(p, linear)}
     held |= {p.name for p in plant if p.input is not None and p.input.record != own}
-    free = [k for k, p in enumerate(plant) if p.name not in held]
-    moved = linear.small_difference([perturbed[k] for k in free])
-    run = dict[str, dict[str, np.ndarray]]()
-    steps = {p.name: _prior_step(p, linear.variant, options=linear.predictor.options) for p in plant}
-    size = np.array([abs(steps[plant[k].name]) for k in free])
+    of_valve = [k for k, name in enumerate(perturbed.of_valve) if name not in held]
+    others = [name for name in perturbed.others if name not in held]
+    free = {p.name: p for p in plant}
+    order = [*(perturbed.of_valve[k] for k in of_valve), *others]
+    changes = linear.changes_of_valves(perturbed.valves)[of_valve] if of_valve else None
+    moved = linear.small_difference([perturbed.others[name] for name in others], changes)
+    run, steps = dict[str, dict[str, np.ndarray]](), dict(perturbed.steps)
+    size = np.array([abs(steps[name]) for name in order])
     for j in linear.diverging({name: each / size for name, each in moved.items()}):
-        p = plant[free[j]]
+        p = free[order[j]]
         steps[p.name] = _inward_step(p, linear.variant, linear.predictor.options.sensitivity.simulated_step)
         run[p.name] = _run_or_nothing(linear, p.moved(linear.variant, steps[p.name]))
     out = {}
     for name, read in linear.readings.items():
-        answered = dict(zip((plant[k].name for k in free), moved[name].T, strict=True))
+        answered = dict(zip(order, moved[name].T, strict=True))
         columns = []
         for p in nominal.parameters:
             if p.name in held or (p.sensor is not None and p.sensor.channel != name):

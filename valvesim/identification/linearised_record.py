@@ -16,7 +16,6 @@ from valvesim.identification.predictor import (
     RecordPredictor,
     Trajectory,
     apply_reading,
-    batch_of,
     coefficient_course,
 )
 from valvesim.identification.prior import ToleratedSensorError, ToleratedTimeError
@@ -35,6 +34,7 @@ from valvesim.identification.tangent_linear import (
 from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives, compile_derivatives
 from valvesim.valve.effect import ActiveEffect, Reading
 from valvesim.valve.equations import INERTIAS, Model
+from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath
 
 
@@ -90,11 +90,18 @@ class LinearisedRecord:
         ]
         return {name: np.column_stack([part[name] for part in parts]) for name in self.readings}
 
-    def small_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
-        """The same where what the variants change is small: to first order in their coefficients and inputs too."""
-        few = self._changes_of_coefficients(variants)
+    def small_difference(
+        self, variants: Sequence[ModelVariant], of_valves: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        """The same where what the variants change is small: to first order in their coefficients and inputs too.
+        `of_valves` are the `changes_of_valves` that come before them.
+        """
+        given: Sequence[np.ndarray] = () if of_valves is None else of_valves
+        few = dict(enumerate([*given])) | {
+            len(given) + k: change for k, change in self._changes_by_temperature(variants).items()
+        }
         forced = {k: own for k, change in few.items() if (own := self._forcing_of_inertia(change)) is not None}
-        for k, variant in enumerate(variants):
+        for k, variant in enumerate(variants, len(given)):
             if k not in few:
                 own = self._forcing_of_inputs(variant)
                 forced[k] = self.forcing(variant) if own is None else own
@@ -175,28 +182,30 @@ class LinearisedRecord:
         """A variable of a term (n,) along the trajectory."""
         return np.asarray(variable.along(self.model, states, tuple(self.course.inputs.T)))
 
-    def _changes_of_coefficients(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
-        """By how much the coefficients (m, n_c) at the knots of the trajectory's path change, of those variants, by
-        their places, that differ in no other way: their valves together, their networks together, one by one those with
-        another oil temperature.
+    def changes_of_valves(self, valves: Valve) -> np.ndarray:
+        """By how much the coefficients change with the valve, (k, m, n_c) at the knots of the trajectory's path, of a
+        batch of k valves.
         """
-        own, path, groups = self.variant, self.trajectory.path, list[tuple[list[int], ModelVariant, TemperaturePath]]()
-        of_valve = [k for k, one in enumerate(variants) if replace(one, valve=own.valve) == own]
-        if of_valve:
-            groups.append((of_valve, batch_of([variants[k] for k in of_valve]), path))
+        return self._changes(replace(self.variant, valve=valves), self.trajectory.path)
+
+    def _changes_by_temperature(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
+        """The same of those variants, by their places, in which temperatures alone are others: their networks together,
+        one by one those with another oil temperature.
+        """
+        own, found = self.variant, dict[int, np.ndarray]()
         of_network = [k for k, one in enumerate(variants) if replace(one, network=own.network) == own != one]
         networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
         if networks and None not in networks and not self.predictor.has_own_knots(own):
-            groups.append((of_network, own, self.predictor.temperatures_of(own, [one for one in networks if one])))
+            along = self.predictor.temperatures_of(own, [one for one in networks if one])
+            found |= dict(zip(of_network, self._changes(own, along), strict=True))
         of_oil = [k for k, one in enumerate(variants) if self._is_of_oil(one)]
-        groups += [([k], own, self.predictor.temperatures(variants[k])) for k in of_oil]
-        changes = dict[int, np.ndarray]()
-        for group, batch, along in groups:
-            _, knots = self.predictor.coefficients_at_knots(batch, self.trajectory.model, along)
-            shape = len(group), len(path.times)
-            moved = np.stack([np.broadcast_to(column, shape) for column in knots], axis=-1) - self.trajectory.knots
-            changes |= dict(zip(group, moved, strict=True))
-        return changes
+        return found | {k: self._changes(own, self.predictor.temperatures(variants[k]))[0] for k in of_oil}
+
+    def _changes(self, variant: ModelVariant, along: TemperaturePath) -> np.ndarray:
+        """The coefficients of a batch of variants along temperatures less those of this one, (k, m, n_c)."""
+        _, knots = self.predictor.coefficients_at_knots(variant, self.trajectory.model, along)
+        moved = np.stack(np.broadcast_arrays(*knots, along.times)[:-1], axis=-1) - self.trajectory.knots
+        return moved if moved.ndim == 3 else moved[None]
 
     def _is_of_oil(self, variant: ModelVariant) -> bool:
         """Whether of a variant the oil's temperature alone differs, on the knots of this trajectory."""
@@ -346,7 +355,10 @@ def linearise_record(
     predictor = predictor.under_inputs_of(trajectory, variant.deviations)
     model, own = predictor.reduced(trajectory.model, variant)
     compiled = compile_derivatives(trajectory.model, MEASURED_SIGNALS)
-    course, coefficients, values, partials = _course_of(predictor, variant, trajectory, own, compiled)
+    course = _course_of(predictor, variant, trajectory, own, compiled)
+    coefficients = coefficient_course(trajectory.path, trajectory.knots, course.times)
+    at = course.states, course.inputs, coefficients
+    values, partials = compiled.values(*at), compiled.derivatives(*at)
     tangent = linearise_along(predictor, trajectory, course, own, compiled, partials)
     columns = trajectory.at_valve.items()
     seen = {name: predictor.apply_sensor(name, column, trajectory, variant) for name, column in columns}
@@ -362,35 +374,16 @@ def _course_of(
     trajectory: Trajectory,
     active: np.ndarray,
     compiled: CompiledDerivatives,
-) -> tuple[Course, CoefficientCourse, np.ndarray, np.ndarray]:
-    """The course of a trajectory, its coefficients along it, and the values (targets, n) of `compiled` and its
-    derivatives (entries, n) there.
-
-    It has the points of the predictor's grid, and more in the steps over which the Jacobian of the `active` states
-    changes much: where a flapper touches a nozzle, say, or friction turns.
+) -> Course:
+    """The course of a trajectory: the points of the predictor's grid, and more in the steps over which the Jacobian of
+    the `active` states changes much, where a flapper touches a nozzle, say, or friction turns.
     """
-    course = Course(predictor.times, predictor.inputs, trajectory.states, np.arange(len(predictor.times)))
-    options, steps = predictor.options.sensitivity, course.steps
-
-    def coefficients_of(course: Course) -> CoefficientCourse:
-        return coefficient_course(trajectory.path, trajectory.knots, course.times)
-
-    def along(course: Course) -> tuple[Course, CoefficientCourse, np.ndarray, np.ndarray]:
-        coefficients = coefficients_of(course)
-        values = compiled.values(course.states, course.inputs, coefficients)
-        return course, coefficients, values, compiled.derivatives(course.states, course.inputs, coefficients)
-
-    plain = along(course)
+    plain = Course(predictor.times, predictor.inputs, trajectory.states, np.arange(len(predictor.times)))
+    options, steps = predictor.options.sensitivity, plain.steps
     most = int(options.most_divided * len(steps))
     if predictor.preliminary or steps[0] > 2.0 * predictor.options.predictor.grid_spacing or not most:
         return plain
-    _, _, values, partials = plain
-    middle = course.midpoints(values[compiled.states].T)
-    between = compiled.derivatives(middle.states, middle.inputs, coefficients_of(middle))
-    first, second = (
-        change_of_jacobian(trajectory, compiled, active, end, between) for end in (partials[:, :-1], partials[:, 1:])
-    )
-    change = steps * np.maximum(first, second)
+    change = _changes_over_steps(plain, trajectory, active, compiled)
     fast = change > max(options.most_change, float(np.partition(change, -most - 1)[-most - 1]))
     if not fast.any():
         return plain
@@ -407,4 +400,20 @@ def _course_of(
         trajectory, variant, np.flatnonzero(ends == 1), np.flatnonzero(ends == -1), times[new]
     )
     finer = Course(times, predictor.inputs, states, on_grid)
-    return along(replace(finer, inputs=finer.between(predictor.inputs)))
+    return replace(finer, inputs=finer.between(predictor.inputs))
+
+
+def _changes_over_steps(
+    course: Course, trajectory: Trajectory, active: np.ndarray, compiled: CompiledDerivatives
+) -> np.ndarray:
+    """How much the Jacobian of the `active` states changes over the steps (n-1,) of a trajectory's course, times these:
+    from its ends to its middle.
+    """
+
+    def at(points: Course) -> tuple[np.ndarray, np.ndarray, CoefficientCourse]:
+        return points.states, points.inputs, coefficient_course(trajectory.path, trajectory.knots, points.times)
+
+    middle = course.midpoints(compiled.values(*at(course))[compiled.states].T)
+    ends, between = compiled.jacobian(*at(course)), compiled.jacobian(*at(middle))
+    changes = [change_of_jacobian(trajectory, compiled, active, end, between) for end in (ends[:, :-1], ends[:, 1:])]
+    return course.steps * np.maximum(*changes)

@@ -130,18 +130,17 @@ def _plain_choice(prepared: PreparedSession) -> tuple[InputChoice, NominalFit]:
     """How the commands go between their samples, edges left aside, by a robust start from nominal under each way; and
     the nominal valve under it.
 
-    Where the nominal valve comes near the records, linear answers tell as well, and more cheaply.
+    Where straight lines come near the records, linear answers tell as well, and more cheaply.
     """
-    straight = _at_nominal(prepared, {})
-    if is_adequate(straight.fit, options=prepared.options):
-        choice = choose_inputs(straight.study, straight.fit.point, straight.linearised, straight.columns)
-        return choice, straight if choice is STRAIGHT else _at_nominal(with_input_choice(prepared, choice), {})
-    best, least = (STRAIGHT, straight), np.inf
+    best, least = (STRAIGHT, straight := _at_nominal(prepared, {})), np.inf
     for choice in input_choices(prepared.session, options=prepared.options):
         if choice.parameters:
             continue
         start = straight if choice is STRAIGHT else _at_nominal(with_input_choice(prepared, choice), {})
-        fit, _, _ = robust_start(start.study, start.fit, known=(start.linearised, start.columns))
+        fit, *about = robust_start(start.study, start.fit, known=(start.linearised, start.columns))
+        if choice is STRAIGHT and is_adequate(fit, options=prepared.options):
+            better = choose_inputs(start.study, fit.point, *about)
+            return better, start if better is STRAIGHT else _at_nominal(with_input_choice(prepared, better), {})
         chi_square = chi_square_of_way(start.study, fit)
         if chi_square < least - prepared.options.input.minimum_gain:
             best, least = (choice, start), chi_square

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,6 @@ from valvesim.simulation.start import settled_from, state_at_rest
 from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
 from valvesim.solver.partial_derivatives import CoefficientCourse, compile_derivatives
-from valvesim.units import quantities
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
 from valvesim.valve.effects.sensors import sensor_lag
 from valvesim.valve.equations import Model
@@ -561,16 +559,6 @@ def _parts(path: TemperaturePath) -> list[tuple[str, np.ndarray]]:
 
 def _column(value: np.ndarray, path: TemperaturePath) -> np.ndarray:
     return np.broadcast_to(np.asarray(value, dtype=float), path.times.shape)[:, None]
-
-
-def batch_of(variants: Sequence[ModelVariant]) -> ModelVariant:
-    """The first of variants with a valve whose quantities are (k, 1) where those of the valves differ."""
-    first, differing = variants[0].valve, dict[str, Any]()
-    for name in quantities(Valve):
-        values = [getattr(variant.valve, name) for variant in variants]
-        if any(value != values[0] for value in values):
-            differing[name] = np.array(values)[:, None]
-    return replace(variants[0], valve=replace(first, **differing))
 
 
 def _problem(

@@ -313,13 +313,13 @@ def change_of_jacobian(
     trajectory: Trajectory, compiled: CompiledDerivatives, active: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
     """By how much d(scaled rate)/d(scaled state) of the `active` states changes (n,), in the norm of largest row sums,
-    from the derivatives `before` to those `after` (entries, n) of a trajectory's model.
+    from the one `before` to that `after` of a trajectory's model, see `CompiledDerivatives.jacobian`.
     """
     scale, sums = _state_scale(trajectory), np.zeros((compiled.states.stop, before.shape[1]))
-    for e in compiled.entries(compiled.states, compiled.states):
+    for own, e in enumerate(compiled.entries(compiled.states, compiled.states)):
         i, j = compiled.targets[e], compiled.arguments[e]
         if i in active and j in active:
-            sums[i] += np.abs(after[e] - before[e]) * (scale[j] / scale[i])
+            sums[i] += np.abs(after[own] - before[own]) * (scale[j] / scale[i])
     return sums.max(axis=0, initial=0.0)
 
 

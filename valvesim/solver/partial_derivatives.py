@@ -94,6 +94,12 @@ class CompiledDerivatives:
         self._module.fill_derivatives(np.ascontiguousarray(x), np.ascontiguousarray(u), *course, out)
         return out
 
+    def jacobian(self, x: np.ndarray, u: np.ndarray, course: CoefficientCourse) -> np.ndarray:
+        """Of the derivatives those of the rates by the states alone, which take a fraction of the time."""
+        out = np.empty((len(self.entries(self.states, self.states)), len(x)))
+        self._module.fill_jacobian(np.ascontiguousarray(x), np.ascontiguousarray(u), *course, out)
+        return out
+
 
 def compile_derivatives(model: Model, signals: Sequence[str]) -> CompiledDerivatives:
     """The derivatives of a model and of the signals so named; a second or two the first time on a machine."""
@@ -119,10 +125,11 @@ def _call_once(module: ModuleType, model: Model) -> None:
     with second_level():
         module.fill_values(x, u, *course, np.zeros((1, 0)))
         module.fill_derivatives(x, u, *course, np.zeros((1, 0)))
+        module.fill_jacobian(x, u, *course, np.zeros((1, 0)))
 
 
 def derivatives_source(model: Model, signals: Sequence[str]) -> str:
-    """The Python source: `fill_values`, `fill_derivatives`, and where the derivatives stand."""
+    """The Python source: `fill_values`, `fill_derivatives`, `fill_jacobian`, and where the derivatives stand."""
     import casadi
 
     join: Any = casadi.vertcat
@@ -136,10 +143,16 @@ def derivatives_source(model: Model, signals: Sequence[str]) -> str:
     values = plain.lines({f"out[{k}]": value for k, value in enumerate(found)})
     jacobian: Any = casadi.jacobian(join(*symbolic_outputs(values, **arguments)), join(*arguments.values()))
     entries = list(zip(*jacobian.sparsity().get_triplet(), strict=True))
-    derived = Expressions()
-    found = derived.of_symbols(arguments, join(*jacobian.nonzeros()), constant=())
-    lines = derived.lines({f"out[{k}]": value for k, value in enumerate(found)})
-    sizes = {"n_x": at["state"].shape[0], "n_u": at["inputs"].shape[0], "n_c": at["coefficients"].shape[0]}
+    states = at["state"].shape[0]
+    of_states = [k for k, (target, argument) in enumerate(entries) if target < states and argument < states]
+
+    def printed(derivatives: Any) -> list[str]:
+        derived = Expressions()
+        found = derived.of_symbols(arguments, derivatives, constant=())
+        return derived.lines({f"out[{k}]": value for k, value in enumerate(found)})
+
+    every = join(*jacobian.nonzeros())
+    sizes = {"n_x": states, "n_u": at["inputs"].shape[0], "n_c": at["coefficients"].shape[0]}
     return "\n".join(
         [
             f'"""Printed by valvesim.solver.partial_derivatives from {model.state_channels[-1].name} and others."""',
@@ -150,11 +163,13 @@ def derivatives_source(model: Model, signals: Sequence[str]) -> str:
             f"ARGUMENTS = {[int(j) for _, j in entries]}",
             'LINES = """',
             "def values(x, u, c, out):", *values,
-            "def derivatives(x, u, c, out):", *lines,
+            "def derivatives(x, u, c, out):", *printed(every),
+            "def jacobian(x, u, c, out):", *printed(every[of_states]),
             '"""',
             f"globals().update(intrinsics(LINES, lanes={LANES}, columns={{}}, shared=()))",
             _FILL.format(name="values", count=outputs.shape[0], lanes=LANES, **sizes),
             _FILL.format(name="derivatives", count=len(entries), lanes=LANES, **sizes),
+            _FILL.format(name="jacobian", count=len(of_states), lanes=LANES, **sizes),
         ]
     )  # fmt: skip
 
