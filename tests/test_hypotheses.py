@@ -315,12 +315,21 @@ def test_a_parameter_is_no_effect_and_a_candidate_is_one_of_both(candidates):
 
 
 def test_neighbours_are_a_little_off_in_one_parameter(nominal):
+    """Those of the valve side by side, as each is by itself."""
     beside = perturbed_variants(nominal, with_network())
     plant = [p for p in nominal.parameters if p.sensor is None]
-    assert len(beside) == len(plant)
-    for p, variant in zip(plant, beside, strict=True):
-        assert p.value_in(variant) == pytest.approx(p.at(OPTIONS.sensitivity.step))
-        assert p.with_value(variant, p.nominal) == with_network()
+    assert list(beside.of_valve) == [p.name for p in plant if p.is_of_valve]
+    assert list(beside.others) == [p.name for p in plant if not p.is_of_valve] != []
+    for p in plant:
+        expected = p.moved(with_network(), beside.steps[p.name])
+        assert p.value_in(expected) == pytest.approx(p.at(OPTIONS.sensitivity.step))
+        if p.is_of_valve:
+            k = beside.of_valve.index(p.name)
+            for name in quantities(Valve):
+                value = np.broadcast_to(getattr(beside.valves, name), (len(beside.of_valve), 1))[k, 0]
+                assert value == getattr(expected.valve, name), (p.name, name)
+        else:
+            assert beside.others[p.name] == expected
 
 
 def test_a_parameter_at_its_most_is_moved_down_and_shows_the_same(nominal, linear):
@@ -331,8 +340,8 @@ def test_a_parameter_at_its_most_is_moved_down_and_shows_the_same(nominal, linea
     )
     at_most = replace(free, parameters=tuple(replace(p, bounds=(0.0, p.nominal)) for p in free.parameters))
     beside = perturbed_variants(at_most, nominal_variant())
-    for p, variant in zip(at_most.parameters, beside, strict=True):
-        assert 0.0 < getattr(variant.valve, p.name) < p.nominal
+    for k, p in enumerate(at_most.parameters):
+        assert 0.0 < getattr(beside.valves, p.name)[k, 0] < p.nominal
     shown, known = (
         parameter_sensitivities(linear, at_most, beside),
         parameter_sensitivities(linear, free, perturbed_variants(free, nominal_variant())),
@@ -389,7 +398,7 @@ def test_columns_of_a_channel_that_reads_late_are_late_too(nominal):
 
 def test_columns_of_sensors_are_what_their_errors_do_on_their_channel(nominal, linear):
     some = NominalModel(nominal.variant, tuple(p for p in nominal.parameters if p.sensor is not None), options=OPTIONS)
-    columns = parameter_sensitivities(linear, some, [])
+    columns = parameter_sensitivities(linear, some, perturbed_variants(some, nominal_variant()))
     at = {p.name: k for k, p in enumerate(some.parameters)}
     spool, bias = columns["spool_position"], by_name(nominal)["sensor_bias@spool_position"].deviation
     assert spool[:, at["sensor_bias@spool_position"]] == pytest.approx(bias, rel=1e-6)

@@ -355,13 +355,14 @@ def test_slopes_of_channels_are_those_over_the_states():
 def test_answers_to_small_changes_are_those_to_their_forcings(name):
     """By derivatives of the equations and by what they add to the rates: to first order the same, in any order."""
     parameters = ("feedback_rod_stiffness", "null_gap", "polarization_mmf", "land_length", "null_opening")
-    variants = [moved_valve(**{p: 1e-6}) for p in parameters]
-    variants.insert(2, nominal_variant().with_effect(CATALOGUE["null_gap_asymmetry"](difference=1e-11)))
-    variants.insert(4, nominal_variant())
-    small, finite = linear(name).small_difference(variants), linear(name).linear_difference(variants)
+    valves = [moved_valve(**{p: 1e-6}) for p in parameters]
+    variants = [nominal_variant().with_effect(CATALOGUE["null_gap_asymmetry"](difference=1e-11)), nominal_variant()]
+    moved = {p: np.array([[getattr(one.valve, p)] for one in valves]) for p in parameters}
+    changes = linear(name).changes_of_valves(replace(nominal_variant().valve, **moved))
+    small, finite = linear(name).small_difference(variants, changes), linear(name).linear_difference(valves + variants)
     for channel, columns in small.items():
         assert columns == pytest.approx(finite[channel], rel=1e-4, abs=1e-4 * np.abs(finite[channel]).max()), channel
-        assert not columns[:, 4].any()
+        assert not columns[:, -1].any()
 
 
 @pytest.mark.parametrize("name", ["fast", "slow"])
@@ -475,7 +476,7 @@ def test_steps_in_which_a_flapper_touches_are_divided_and_answers_hold_there(cur
         predictor = with_divided(stepped(current), share)
         seen = linearise_record(predictor, plain)
         assert (len(seen.course.times) > len(predictor.times)) == (share > 0.0)
-        answers = seen.small_difference([up])
+        answers = seen.small_difference([], seen.changes_of_valves(up.valve))
         high, low = (predictor.readings(predictor.run(variant), variant) for variant in (up, down))
         off[share] = {
             name: rms(answers[name][:, 0] - (high[name] - low[name]) / 2.0) / rms((high[name] - low[name]) / 2.0)
@@ -491,7 +492,8 @@ def test_an_inertia_answers_as_true_runs_do(seed):
     predictor = stepped(tuple(np.random.default_rng(seed).uniform(-3e-3, 3e-3, 151)))
     seen = linearise_record(predictor, plain)
     high, low = (predictor.readings(predictor.run(variant), variant) for variant in (up, down))
-    small, forced = seen.small_difference([up]), seen.forced_response([seen.forcing(up)])
+    small = seen.small_difference([], seen.changes_of_valves(up.valve))
+    forced = seen.forced_response([seen.forcing(up)])
     for name in ("spool_position", "armature_angle"):
         truth = (high[name] - low[name]) / 2.0
         near, far = (rms(answers[name][:, 0] - truth) / rms(truth) for answers in (small, forced))

@@ -229,10 +229,11 @@ def test_other_ways_with_edges_are_tried_where_commands_jump(
     far = replace(nominal, fit=replace(nominal.fit, point=np.full_like(nominal.fit.point, 7.0)))
     names = ("straight", "smooth", HELD_NAME, "straight, edges", "smooth, edges")
     choices = {name: SimpleNamespace(name=name, parameters=("edge",) * ("edges" in name)) for name in names}
-    asked = {}
+    asked, limits = {}, list[float]()
 
-    def near(without, choice, nominal, near):
+    def near(without, choice, nominal, near, most_left):
         assert set(near.values()) == {nominal.study.options.fit.tolerance_deviations}
+        limits.append(most_left - (nominal.fit.chi_square - nominal.fit.rows))
         gain = edges_gain[choice.name]
         asked[choice.name] = replace(nominal, fit=replace(nominal.fit, chi_square=nominal.fit.chi_square - gain))
         return asked[choice.name]
@@ -242,6 +243,9 @@ def test_other_ways_with_edges_are_tried_where_commands_jump(
     monkeypatch.setattr(nominal_fit, "_near_under", near)
     found = with_edges_tried(far)
     assert bool(asked) is tried
+    for k, limit in enumerate(limits):  # a way that is no better by more than chance is given up, and one by another's
+        before = [gain for gain in list(edges_gain.values())[:k] if gain > nominal.study.options.input.minimum_gain]
+        assert limit <= -max([nominal.study.options.input.minimum_gain, *before])
     assert found is (far if ends == now else asked[ends])
 
 
@@ -686,8 +690,8 @@ def test_where_linear_answers_grow_beyond_all_that_was_measured_records_are_run(
     assert linear.diverging(columns) == []
     plain = LinearisedRecord.small_difference
 
-    def growing(self, variants):
-        moved = plain(self, variants)
+    def growing(self, variants, of_valves):
+        moved = plain(self, variants, of_valves)
         return {name: each * np.where(np.arange(each.shape[1]) == free.index(stiffness), 1e25, 1.0)
                 for name, each in moved.items()}  # fmt: skip
 

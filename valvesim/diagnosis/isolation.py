@@ -73,6 +73,7 @@ from valvesim.identification.hypothesis_fit import continue_from, evaluated_besi
 from valvesim.identification.nominal_fit import (
     NominalFit,
     clipped_to_tolerance,
+    leads_back,
     linearise_nominal,
     refit_nominal,
     with_edges_tried,
@@ -478,13 +479,15 @@ def _better_nominal(
     """The nominal model fitted from where a hypothesis has gone, if that is better without its causes too.
 
     Then most of what this explains is that the nominal fit had stopped short. Of a hypothesis that explains little
-    that is asked however much it would lose at first.
+    that is asked however much it would lose at first, unless the linearised equations lead back from it already.
     """
     for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
         gain = nominal.fit.chi_square - one.chi_square
         try:
             fit = evaluate_fit(nominal.study, one.point, ())
             if fit.chi_square > one.chi_square + 0.5 * gain and not 0.0 < gain < options.isolation.slight_gain:
+                continue
+            if leads_back(nominal, fit, 0.5 * gain):
                 continue
             better = refit_nominal(nominal, fit)
         except (SolveError, InputError):

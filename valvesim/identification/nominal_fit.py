@@ -28,7 +28,7 @@ from valvesim.identification.input_choice import (
 )
 from valvesim.identification.input_waves import dominant_wave, fitted_waves, tuned_waves, with_parameters
 from valvesim.identification.instrument_errors import instrument_errors
-from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations
+from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations, predict_reduction
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import evaluated_under_own_noise, identify_noise, initial_noise
 from valvesim.identification.prior import NominalModel, NuisanceParameter
@@ -482,6 +482,15 @@ def refit_nominal(nominal: NominalFit, fit: Fit) -> NominalFit:
     if not is_adequate(start, options=study.options):
         return fit_nominal_from(study, fit)
     return _converge(linearise_nominal(study, start), nominal.study.options.fit.nominal_ftol)
+
+
+def leads_back(nominal: NominalFit, fit: Fit, within: float) -> bool:
+    """Whether the equations as they are linearised at a nominal fit promise that another fit without candidates ends
+    at the same chi-square, `within` so much: it is in the same valley.
+    """
+    H, gradient = normal_equations(fit, nominal.J, options=nominal.study.options)
+    promised = fit.chi_square - predict_reduction(H, gradient, nominal.study.nominal.limits - fit.point)
+    return abs(promised - nominal.fit.chi_square) < within
 
 
 def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None]) -> NominalFit:
