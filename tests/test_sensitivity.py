@@ -37,6 +37,7 @@ from valvesim.solver.partial_derivatives import CoefficientCourse, compile_deriv
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.equations import Model
 from valvesim.valve.laws import lagged
+from valvesim.valve.thermal_network import ThermalNetwork
 
 LAG = CATALOGUE["eddy_current_lag"](share=0.3, time_constant=2e-4)
 STEP = 1e-3
@@ -282,6 +283,28 @@ def central(name, high, low):
 
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_networks_and_oil_beside_a_late_temperature_answer_on_the_knots_that_are_known():
+    """As on knots of their own, which are sought for each."""
+    session, record = small_session(), bench_of("slow").record
+    warming = {**record.values, "oil_temperature": 40.0 + 30.0 * record.time}
+    predictor = prepare_record(session, replace(record, values=warming), UNIVERSE, options=IDENTIFICATION)
+    about = replace(nominal_variant(), network=ThermalNetwork()).with_effect(CATALOGUE["thermal_lag"](time_constant=0.1))
+    seen = linearise_record(predictor, about)
+    assert predictor.has_own_knots(about) and len(seen.trajectory.path.times) > 1
+    figures = ("oil_to_pilot_metal", "spool_capacity", "oil_to_sleeve")
+    variants = [replace(about, network=replace(about.network, **{name: 1.3 * getattr(about.network, name)}))
+                for name in figures]  # fmt: skip
+    variants.append(replace(about, deviations=((InputShift(record.name, "oil_temperature"), 0.5),)))
+    assert set(seen._changes_by_temperature(variants)) == set(range(len(variants)))
+    known, sought = seen.small_difference(variants), seen.linear_difference(variants)
+    for channel, columns in known.items():
+        for k in range(len(variants)):
+            off, size = rms(columns[:, k] - sought[channel][:, k]), rms(seen.readings[channel])
+            assert off <= 0.03 * rms(sought[channel][:, k]) + 1e-8 * size, (channel, k)
+    sizes = [max(rms(known[channel][:, k]) / rms(read) for channel, read in seen.readings.items()) for k in range(4)]
+    assert min(sizes) > 1e-6, sizes
 
 
 @pytest.mark.parametrize("name", ["fast", "slow"])

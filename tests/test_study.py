@@ -258,10 +258,10 @@ def test_ways_of_the_commands_with_another_noise_than_the_fits_own_are_judged_by
     weighted = replace(late, study=down_weight_peaks(late.study, late.linearised))
     assert weighted.study.weights and len(input_choices(nominal.study.session, options=nominal.study.options)) > 1
     other = replace(nominal, study=nominal.study.with_noise(coloured))
-    monkeypatch.setattr(nominal_fit, "_near_under", lambda without, choice, nominal, near: other)
+    monkeypatch.setattr(nominal_fit, "_near_under", lambda without, choice, nominal, near, most_left: other)
     assert with_inputs_tried(weighted) is other  # the same readings, and no sensor that is late
     early = replace(other, fit=replace(other.fit, point=late.fit.point))
-    monkeypatch.setattr(nominal_fit, "_near_under", lambda without, choice, nominal, near: early)
+    monkeypatch.setattr(nominal_fit, "_near_under", lambda without, choice, nominal, near, most_left: early)
     assert with_inputs_tried(weighted) is weighted
 
 
@@ -297,7 +297,7 @@ def test_where_a_sensor_is_too_late_or_early_every_way_of_the_commands_is_tried(
     choices = {name: SimpleNamespace(name=name, parameters=()) for name in ("straight", *gains)}
     asked = {}
 
-    def near(without, choice, nominal, near):
+    def near(without, choice, nominal, near, most_left):
         point = np.array(list(near.values()))
         assert np.all(point[delays] == 0.0) and np.all(point[~delays] == 2.0)
         if gains[choice.name] == -np.inf:

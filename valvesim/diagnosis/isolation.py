@@ -243,8 +243,9 @@ def _with_bench(
         again = refit_nominal(nominal, evaluate_fit(nominal.study, clipped_to_tolerance(nominal), ()))
         if rescored(nominal.study, again.fit).chi_square >= nominal.fit.chi_square - options.isolation.slight_gain:
             again = nominal
-        again = with_inputs_tried(again)
-        again = again if again is settled else with_edges_tried(again)
+        if not known:
+            again = with_inputs_tried(again)
+            again = again if again is settled else with_edges_tried(again)
         if again is not nominal:
             nominal, scores = again, score_test(again, again.fit, options=options)
     alarm, level = detect(scores)

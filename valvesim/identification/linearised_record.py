@@ -96,8 +96,8 @@ class LinearisedRecord:
         """The same where what the variants change is small: to first order in their coefficients and inputs too.
         `of_valves` are the `changes_of_valves` that come before them.
         """
-        given: Sequence[np.ndarray] = () if of_valves is None else of_valves
-        few = dict(enumerate([*given])) | {
+        given = [] if of_valves is None else list(of_valves)
+        few = dict(enumerate(given)) | {
             len(given) + k: change for k, change in self._changes_by_temperature(variants).items()
         }
         forced = {k: own for k, change in few.items() if (own := self._forcing_of_inertia(change)) is not None}
@@ -190,15 +190,20 @@ class LinearisedRecord:
 
     def _changes_by_temperature(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
         """The same of those variants, by their places, in which temperatures alone are others: their networks together,
-        one by one those with another oil temperature.
+        one by one those with another oil temperature, and those beside an effect on the temperatures, on its knots.
         """
-        own, found = self.variant, dict[int, np.ndarray]()
+        own, knots, found = self.variant, self.trajectory.path.times, dict[int, np.ndarray]()
         of_network = [k for k, one in enumerate(variants) if replace(one, network=own.network) == own != one]
-        networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
-        if networks and None not in networks and not self.predictor.has_own_knots(own):
-            along = self.predictor.temperatures_of(own, [one for one in networks if one])
-            found |= dict(zip(of_network, self._changes(own, along), strict=True))
         of_oil = [k for k, one in enumerate(variants) if self._is_of_oil(one)]
+        if self.predictor.has_own_knots(own):
+            beside = [*of_network, *of_oil] if len(knots) > 1 else []
+            along = {k: self.predictor.temperatures_at(variants[k], knots) for k in beside}
+            return {k: self._changes(own, path)[0] for k, path in along.items()}
+        networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
+        if networks and None not in networks:
+            together = self.predictor.temperatures_of(own, [one for one in networks if one])
+            found |= dict(zip(of_network, self._changes(own, together), strict=True))
+        of_oil = [k for k in of_oil if not self.predictor.has_own_knots(variants[k])]
         return found | {k: self._changes(own, self.predictor.temperatures(variants[k]))[0] for k in of_oil}
 
     def _changes(self, variant: ModelVariant, along: TemperaturePath) -> np.ndarray:
@@ -208,12 +213,12 @@ class LinearisedRecord:
         return moved if moved.ndim == 3 else moved[None]
 
     def _is_of_oil(self, variant: ModelVariant) -> bool:
-        """Whether of a variant the oil's temperature alone differs, on the knots of this trajectory."""
+        """Whether of a variant the oil's temperature alone differs."""
         if not replace(variant, deviations=self.variant.deviations) == self.variant != variant:
             return False
         ways = [acting_on(one.deviations, self.predictor.record.name) for one in (variant, self.variant)]
         new, old = ([each for each in way if each[0].column != "oil_temperature"] for way in ways)
-        return new == old and not any(map(self.predictor.has_own_knots, (variant, self.variant)))
+        return new == old
 
     def _forcing_of_inertia(self, change: np.ndarray) -> Forcing | None:
         """The forcing of a change (m, n_c) of one of `INERTIAS` alone, of one share at all knots; None of another.

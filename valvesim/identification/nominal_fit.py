@@ -137,9 +137,9 @@ def _plain_choice(prepared: PreparedSession) -> tuple[InputChoice, NominalFit]:
         if choice.parameters:
             continue
         start = straight if choice is STRAIGHT else _at_nominal(with_input_choice(prepared, choice), {})
-        fit, *about = robust_start(start.study, start.fit, known=(start.linearised, start.columns))
+        fit, linearised, columns = robust_start(start.study, start.fit, known=(start.linearised, start.columns))
         if choice is STRAIGHT and is_adequate(fit, options=prepared.options):
-            better = choose_inputs(start.study, fit.point, *about)
+            better = choose_inputs(start.study, fit.point, linearised, columns)
             return better, start if better is STRAIGHT else _at_nominal(with_input_choice(prepared, better), {})
         chi_square = chi_square_of_way(start.study, fit)
         if chi_square < least - prepared.options.input.minimum_gain:
@@ -384,7 +384,7 @@ def with_inputs_tried(nominal: NominalFit) -> NominalFit:
         if choice.name == now.name:
             continue
         with suppress(SolveError, InputError):  # under which the valve cannot be run
-            tried = _near_under(without, choice, nominal, near)
+            tried = _near_under(without, choice, nominal, near, least - nominal.fit.rows)
             if (chi_square := left(tried)) < least:
                 best, least = tried, chi_square
     return best

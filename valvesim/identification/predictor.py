@@ -250,11 +250,18 @@ class RecordPredictor:
         if not acts and not self._oil_deviations(variant) and network == self.scenario.thermal.network:
             return self.path
         if self.has_own_knots(variant):
-            thermal, oil = replace(self.scenario.thermal, network=network), self._oil_temperature(variant)
-            return temperature_knots(
-                replace(self.scenario, effects=variant.effects, thermal=thermal, oil_temperature=oil)
-            )[0]
+            return temperature_knots(self._thermal_scenario(variant))[0]
         return self.temperatures_of(variant, network)
+
+    def temperatures_at(self, variant: ModelVariant, knots: np.ndarray) -> TemperaturePath:
+        """The temperatures of a variant on given knots (m,), with the effects on them."""
+        return self._thermal_scenario(variant).temperatures(knots=knots)
+
+    def _thermal_scenario(self, variant: ModelVariant) -> Scenario:
+        """The record's scenario with the effects, the network and the oil temperature of a variant."""
+        thermal = replace(self.scenario.thermal, network=variant.network or self.scenario.thermal.network)
+        oil = self._oil_temperature(variant)
+        return replace(self.scenario, effects=variant.effects, thermal=thermal, oil_temperature=oil)
 
     def has_own_knots(self, variant: ModelVariant) -> bool:
         """Whether the temperatures of a variant are on other knots than those of the record."""
