@@ -547,10 +547,8 @@ def test_the_base_is_fitted_again_where_a_hypothesis_explains_as_much_without_it
 
     monkeypatch.setattr(isolation, "evaluate_fit", evaluate_fit)
     monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
-    monkeypatch.setattr(isolation, "leads_back", lambda nominal, fit, within: False)
-    monkeypatch.setattr(
-        isolation, "refit_nominal", lambda nominal, fit: SimpleNamespace(study=None, fit=replace(fit, chi_square=ends))
-    )
+    monkeypatch.setattr(isolation, "refit_nominal", lambda nominal, fit, within: SimpleNamespace(
+        study=None, fit=replace(fit, chi_square=ends)))  # fmt: skip
     nominal = SimpleNamespace(fit=nominal.fit, study=None)
     # not from the best, most of which needs its cause
     better = _better_nominal(nominal, found, options=DIAGNOSIS)

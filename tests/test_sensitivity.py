@@ -290,7 +290,8 @@ def test_networks_and_oil_beside_a_late_temperature_answer_on_the_knots_that_are
     session, record = small_session(), bench_of("slow").record
     warming = {**record.values, "oil_temperature": 40.0 + 30.0 * record.time}
     predictor = prepare_record(session, replace(record, values=warming), UNIVERSE, options=IDENTIFICATION)
-    about = replace(nominal_variant(), network=ThermalNetwork()).with_effect(CATALOGUE["thermal_lag"](time_constant=0.1))
+    late = CATALOGUE["thermal_lag"](time_constant=0.1)
+    about = replace(nominal_variant(), network=ThermalNetwork()).with_effect(late)
     seen = linearise_record(predictor, about)
     assert predictor.has_own_knots(about) and len(seen.trajectory.path.times) > 1
     figures = ("oil_to_pilot_metal", "spool_capacity", "oil_to_sleeve")

@@ -677,6 +677,19 @@ def test_the_base_fitted_near_its_best_is_the_base_fitted_from_afar(biased_sessi
             assert near.fit.chi_square < afar.fit.chi_square + 2.0 * OPTIONS.fit.nominal_ftol
 
 
+def test_a_fit_that_leads_back_to_the_nominal_one_is_not_made_again(biased_fit):
+    """By the linearised equations, which do not reach from afar."""
+    nominal = biased_fit
+    shift = np.zeros(len(nominal.fit.point))
+    shift[[p.name for p in nominal.study.nominal.parameters].index("feedback_rod_stiffness")] = 3.0
+    beside, afar = (evaluated(nominal.study, nominal.fit.point + by * shift, ()) for by in (0.05, 1.0))
+    assert afar.chi_square > 4.0 * beside.chi_square
+    assert refit_nominal(nominal, beside, 5.0) is nominal
+    for fit, within in ((beside, 0.0), (afar, 5.0)):
+        again = refit_nominal(nominal, fit, within)
+        assert again is not nominal and again.fit.chi_square == pytest.approx(nominal.fit.chi_square, abs=2.0)
+
+
 def test_where_linear_answers_grow_beyond_all_that_was_measured_records_are_run(biased, monkeypatch):
     """Friction that falls with speed lets the linearised equations grow by 1e25 in a second; the valve does not."""
     nominal, _ = biased

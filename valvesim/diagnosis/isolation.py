@@ -73,7 +73,6 @@ from valvesim.identification.hypothesis_fit import continue_from, evaluated_besi
 from valvesim.identification.nominal_fit import (
     NominalFit,
     clipped_to_tolerance,
-    leads_back,
     linearise_nominal,
     refit_nominal,
     with_edges_tried,
@@ -480,7 +479,7 @@ def _better_nominal(
     """The nominal model fitted from where a hypothesis has gone, if that is better without its causes too.
 
     Then most of what this explains is that the nominal fit had stopped short. Of a hypothesis that explains little
-    that is asked however much it would lose at first, unless the linearised equations lead back from it already.
+    that is asked however much it would lose at first.
     """
     for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
         gain = nominal.fit.chi_square - one.chi_square
@@ -488,9 +487,7 @@ def _better_nominal(
             fit = evaluate_fit(nominal.study, one.point, ())
             if fit.chi_square > one.chi_square + 0.5 * gain and not 0.0 < gain < options.isolation.slight_gain:
                 continue
-            if leads_back(nominal, fit, 0.5 * gain):
-                continue
-            better = refit_nominal(nominal, fit)
+            better = refit_nominal(nominal, fit, 0.5 * gain)
         except (SolveError, InputError):
             continue
         if rescored(better.study, nominal.fit).chi_square - better.fit.chi_square > 0.5 * gain:

@@ -475,21 +475,26 @@ def fit_nominal_near(
     return _retuned(nominal)
 
 
-def refit_nominal(nominal: NominalFit, fit: Fit) -> NominalFit:
-    """The nominal model fitted from where another fit without candidates is, at full weight where it may be."""
+def refit_nominal(nominal: NominalFit, fit: Fit, within: float = 0.0) -> NominalFit:
+    """The nominal model fitted from where another fit without candidates is, at full weight where it may be; the
+    nominal fit itself where its equations promise that this ends at its chi-square, `within` so much.
+    """
     study = nominal.study if has_uncertain_inputs(nominal.study) else nominal.study.unweighted()
+    if _leads_back(nominal, fit, within):
+        return nominal
     start = rescored(study, fit)
     if not is_adequate(start, options=study.options):
         return fit_nominal_from(study, fit)
     return _converge(linearise_nominal(study, start), nominal.study.options.fit.nominal_ftol)
 
 
-def leads_back(nominal: NominalFit, fit: Fit, within: float) -> bool:
+def _leads_back(nominal: NominalFit, fit: Fit, within: float) -> bool:
     """Whether the equations as they are linearised at a nominal fit promise that another fit without candidates ends
     at the same chi-square, `within` so much: it is in the same valley.
     """
-    H, gradient = normal_equations(fit, nominal.J, options=nominal.study.options)
-    promised = fit.chi_square - predict_reduction(H, gradient, nominal.study.nominal.limits - fit.point)
+    here = rescored(nominal.study, fit)
+    H, gradient = normal_equations(here, nominal.J, options=nominal.study.options)
+    promised = here.chi_square - predict_reduction(H, gradient, nominal.study.nominal.limits - fit.point)
     return abs(promised - nominal.fit.chi_square) < within
 
 
