@@ -382,7 +382,7 @@ def test_answers_to_small_changes_are_those_to_their_forcings(name):
     valves = [moved_valve(**{p: 1e-6}) for p in parameters]
     variants = [nominal_variant().with_effect(CATALOGUE["null_gap_asymmetry"](difference=1e-11)), nominal_variant()]
     moved = {p: np.array([[getattr(one.valve, p)] for one in valves]) for p in parameters}
-    changes = linear(name).changes_of_valves(replace(nominal_variant().valve, **moved))
+    changes = linear(name).changes_of_valves(replace(nominal_variant().valve, **moved), len(valves))
     small, finite = linear(name).small_difference(variants, changes), linear(name).linear_difference(valves + variants)
     for channel, columns in small.items():
         assert columns == pytest.approx(finite[channel], rel=1e-4, abs=1e-4 * np.abs(finite[channel]).max()), channel

@@ -81,7 +81,7 @@ def parameter_sensitivities(
     others = [name for name in perturbed.others if name not in held]
     free = {p.name: p for p in plant}
     order = [*(perturbed.of_valve[k] for k in of_valve), *others]
-    changes = linear.changes_of_valves(perturbed.valves)[of_valve] if of_valve else None
+    changes = linear.changes_of_valves(perturbed.valves, len(perturbed.of_valve))[of_valve] if of_valve else None
     moved = linear.small_difference([perturbed.others[name] for name in others], changes)
     run, steps = dict[str, dict[str, np.ndarray]](), dict(perturbed.steps)
     size = np.array([abs(steps[name]) for name in order])

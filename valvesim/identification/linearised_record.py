@@ -182,11 +182,11 @@ class LinearisedRecord:
         """A variable of a term (n,) along the trajectory."""
         return np.asarray(variable.along(self.model, states, tuple(self.course.inputs.T)))
 
-    def changes_of_valves(self, valves: Valve) -> np.ndarray:
-        """By how much the coefficients change with the valve, (k, m, n_c) at the knots of the trajectory's path, of a
-        batch of k valves.
+    def changes_of_valves(self, valves: Valve, count: int = 1) -> np.ndarray:
+        """By how much the coefficients change with the valve, (count, m, n_c) at the knots of the trajectory's path,
+        of a batch of so many valves.
         """
-        return self._changes(replace(self.variant, valve=valves), self.trajectory.path)
+        return self._changes(replace(self.variant, valve=valves), self.trajectory.path, count)
 
     def _changes_by_temperature(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
         """The same of those variants, by their places, in which temperatures alone are others: their networks together,
@@ -202,15 +202,15 @@ class LinearisedRecord:
         networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
         if networks and None not in networks:
             together = self.predictor.temperatures_of(own, [one for one in networks if one])
-            found |= dict(zip(of_network, self._changes(own, together), strict=True))
+            found |= dict(zip(of_network, self._changes(own, together, len(networks)), strict=True))
         of_oil = [k for k in of_oil if not self.predictor.has_own_knots(variants[k])]
         return found | {k: self._changes(own, self.predictor.temperatures(variants[k]))[0] for k in of_oil}
 
-    def _changes(self, variant: ModelVariant, along: TemperaturePath) -> np.ndarray:
-        """The coefficients of a batch of variants along temperatures less those of this one, (k, m, n_c)."""
+    def _changes(self, variant: ModelVariant, along: TemperaturePath, count: int = 1) -> np.ndarray:
+        """The coefficients of so many variants along temperatures less those of this one, (count, m, n_c)."""
         _, knots = self.predictor.coefficients_at_knots(variant, self.trajectory.model, along)
-        moved = np.stack(np.broadcast_arrays(*knots, along.times)[:-1], axis=-1) - self.trajectory.knots
-        return moved if moved.ndim == 3 else moved[None]
+        shape = count, len(along.times)
+        return np.stack([np.broadcast_to(column, shape) for column in knots], axis=-1) - self.trajectory.knots
 
     def _is_of_oil(self, variant: ModelVariant) -> bool:
         """Whether of a variant the oil's temperature alone differs."""
