@@ -11,6 +11,7 @@ from test_prediction import FRICTION, HYSTERESIS, UNIVERSE, bench_of, course_of,
 from valvesim.errors import SolveError
 from valvesim.identification import tangent_linear
 from valvesim.identification.between_samples import InputShift, Wave
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
 from valvesim.identification.predictor import (
@@ -387,6 +388,20 @@ def test_answers_to_small_changes_are_those_to_their_forcings(name):
     for channel, columns in small.items():
         assert columns == pytest.approx(finite[channel], rel=1e-4, abs=1e-4 * np.abs(finite[channel]).max()), channel
         assert not columns[:, -1].any()
+
+
+@pytest.mark.parametrize("name", ["fast", "slow"])
+def test_forcings_by_a_situation_that_is_known_are_those_by_the_whole_equations(name):
+    """Inputs with nothing added to them ask for these."""
+    seen, unchanged = linear(name), np.zeros_like(linear(name).course.inputs)
+    effects = [effect for effect in CATALOGUE.values() if effect.balance is not None]
+    assert any(effect.memory for effect in effects) and len(effects) > 10
+    for effect in effects:
+        active = Candidate(effect.name, effect).active(effect.amplitude.typical)
+        variant = nominal_variant().with_effect(active)
+        known, whole = (seen._forcing_of_effects(variant, [active], added) for added in (None, unchanged))
+        assert np.array_equal(known.rates, whole.rates) and known.direct.keys() == whole.direct.keys(), effect.name
+        assert all(np.array_equal(known.direct[k], whole.direct[k]) for k in known.direct), effect.name
 
 
 @pytest.mark.parametrize("name", ["fast", "slow"])

@@ -32,8 +32,8 @@ from valvesim.identification.tangent_linear import (
     sampled_at,
 )
 from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives, compile_derivatives
-from valvesim.valve.effect import ActiveEffect, Reading
-from valvesim.valve.equations import INERTIAS, Model
+from valvesim.valve.effect import ActiveEffect, Reading, Situation
+from valvesim.valve.equations import INERTIAS, Model, valve_equations
 from valvesim.valve.parameters import Valve
 from valvesim.valve.thermal_network import TemperaturePath
 
@@ -296,15 +296,23 @@ class LinearisedRecord:
         self, variant: ModelVariant, more: Sequence[ActiveEffect], added: np.ndarray | None
     ) -> Forcing:
         """`forcing` of a variant with effects that this one's model does not have."""
-        inputs = tuple((self.course.inputs if added is None else self.course.inputs + added).T)
         model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
         path = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
         along = self.predictor.coefficients_along(variant, model, path, self.course.times)
-        states = list(self.active_states)
+        inputs = tuple((self.course.inputs if added is None else self.course.inputs + added).T)
+        is_seen = variant.valve == self.variant.valve and path is not None and added is None
+        is_seen &= all(active.effect.coefficients is None for active in more)  # then they see what this one's do
+        states, middle = list(self.active_states), self.middle_situation if is_seen else self._middle_situation(along)
         for active in more:
-            states += self._memory_trajectories(active, tuple(states), along)
-        (rates, signals), (own_rates, own_signals) = model.evaluate(tuple(states), inputs, along), self.evaluated
-        g = np.empty((len(self.course.times), len(self.tangent.active)))
+            states += self._memory_trajectories(active, middle)
+        if is_seen:
+            at = self.situation
+            ports, _ = model.effects_on(at, states, along)
+            rates, signals = valve_equations(at.state, at.inputs, at.coil_current, at.coefficients, ports)
+        else:
+            rates, signals = model.evaluate(states, inputs, along)
+        own_rates, own_signals = self.evaluated
+        g = np.zeros((len(self.course.times), len(self.tangent.active)))
         for k, (new, old) in enumerate(zip(rates, own_rates, strict=False)):
             g[:, k] = (new - old) / self.tangent.scale[k]
         return Forcing(0, g, {
@@ -318,36 +326,52 @@ class LinearisedRecord:
         return tuple(self.course.states[:, k] for k in self.tangent.active)
 
     @functools.cached_property
+    def coefficients_along(self) -> tuple:
+        """The flat coefficients of `model` along the course, (n,) each, (1,) where constant."""
+        path = self.trajectory.path
+        return self.predictor.coefficients_along(self.variant, self.model, path, self.course.times)
+
+    @functools.cached_property
     def evaluated(self) -> tuple[tuple, Any]:
         """Rates and signals as `Model.evaluate` has them: beside an effect that does nothing, these and no rounding."""
-        path = self.trajectory.path
-        along = self.predictor.coefficients_along(self.variant, self.model, path, self.course.times)
-        return self.model.evaluate(self.active_states, tuple(self.course.inputs.T), along)
+        return self.model.evaluate(self.active_states, tuple(self.course.inputs.T), self.coefficients_along)
 
-    def _memory_trajectories(self, active: ActiveEffect, states: tuple, along: tuple) -> list[np.ndarray]:
-        """The memories (n,) of an effect along the trajectory: each linear in itself, so exact for a trajectory that
-        rests.
+    @functools.cached_property
+    def situation(self) -> Situation:
+        """What effects see along the course."""
+        return self.model.situation(self.active_states, tuple(self.course.inputs.T), self.coefficients_along)
+
+    @functools.cached_property
+    def middle_situation(self) -> Situation:
+        """What effects see at rest, and then in the middles of the steps."""
+        return self._middle_situation(self.coefficients_along)
+
+    def _middle_situation(self, along: tuple) -> Situation:
+        """The same with other coefficients `along` the course."""
+
+        def middle(values: np.ndarray, rest: float | None = None) -> np.ndarray:
+            return np.concatenate([[values[0] if rest is None else rest], (values[1:] + values[:-1]) / 2.0])
+
+        states = tuple(middle(x) for x in self.active_states[: self.model.memory_states.start])
+        inputs = tuple(middle(u, 0.0 if k == 1 else None) for k, u in enumerate(self.course.inputs.T))
+        c = tuple(middle(v) if len(v) > 1 else v for v in self.model.valve_coefficients(along))
+        return self.model.situation(states, inputs, c)
+
+    def _memory_trajectories(self, active: ActiveEffect, middle: Situation) -> list[np.ndarray]:
+        """The memories (n,) of an effect along the trajectory, by what it sees in the `middle` of the steps: each
+        linear in itself, so exact for a trajectory that rests.
 
         z' = a - b z with a and b of the trajectory alone; both follow from the rates at z = 0 and z = 1.
         """
-        count = len(active.effect.memory)
+        count, n = len(active.effect.memory), len(self.course.times)
         if not count:
             return []
-        first = slice(0, self.model.memory_states.start)
-
-        def middle(values: np.ndarray, rest: float | None = None) -> np.ndarray:
-            """The value at rest, then those in the middle of the steps."""
-            return np.concatenate([[values[0] if rest is None else rest], (values[1:] + values[:-1]) / 2.0])
-
-        mid = tuple(middle(x) for x in states[first])
-        inputs = tuple(middle(u, 0.0 if k == 1 else None) for k, u in enumerate(self.course.inputs.T))
-        c = tuple(middle(v) if len(v) > 1 else v for v in self.model.valve_coefficients(along))
-        model = self.model.with_effects((active.effect,))
-        flat = (*c, *active.numbers)
-        at_0, at_1 = (model.memory_rates((*mid, *(np.full(len(mid[0]), z),) * count), inputs, flat) for z in (0.0, 1.0))
+        assert active.effect.balance is not None  # noqa: S101 - it has a memory
+        p, balance = active.effect.values(active.numbers), active.effect.balance
+        at_0, at_1 = (balance(middle, p, (np.full(n, z),) * count)[1] for z in (0.0, 1.0))
         memories = []
         for zero, one in zip(at_0, at_1, strict=True):
-            a, b = np.broadcast_to(zero, mid[0].shape), np.broadcast_to(zero - one, mid[0].shape)
+            a, b = np.broadcast_to(zero, n), np.broadcast_to(zero - one, n)
             memories.append(first_order_response(a, b, self.course.steps))
         return memories
 

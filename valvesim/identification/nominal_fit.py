@@ -479,9 +479,9 @@ def refit_nominal(nominal: NominalFit, fit: Fit, within: float = 0.0) -> Nominal
     """The nominal model fitted from where another fit without candidates is, at full weight where it may be; the
     nominal fit itself where its equations promise that this ends at its chi-square, `within` so much.
     """
-    study = nominal.study if has_uncertain_inputs(nominal.study) else nominal.study.unweighted()
-    if _leads_back(nominal, fit, within):
+    if within > 0.0 and _leads_back(nominal, fit, within):
         return nominal
+    study = nominal.study if has_uncertain_inputs(nominal.study) else nominal.study.unweighted()
     start = rescored(study, fit)
     if not is_adequate(start, options=study.options):
         return fit_nominal_from(study, fit)

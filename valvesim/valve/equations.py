@@ -204,83 +204,25 @@ class Model:
 
     def evaluate(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple[tuple, Signals]:
         """Derivatives and named terms at once; see `rhs`."""
-        x, u, c = (
-            State(*state[self.valve_states]),
-            Inputs(*inputs),
-            Coefficients(*coefficients[: len(Coefficients._fields)]),
-        )
-        theta, omega, p1, p2, x_v, v = x
+        x, u, c = State(*state[self.valve_states]), Inputs(*inputs), self.valve_coefficients(coefficients)
         i, i_rate, drive_rates = self.drive.current(u, x, tuple(state[self.drive_states]), c)
         added, memory_rates = Ports(), ()
         if self.effects:
-            added, memory_rates = self._effects(_situation(x, u, i, i_rate, c), state, coefficients)
-        u = u._replace(
-            supply_pressure=u.supply_pressure + added.supply_pressure,
-            return_pressure=u.return_pressure + added.return_pressure,
-        )
+            added, memory_rates = self.effects_on(situation_of(x, u, i, i_rate, c), state, coefficients)
+        rates, named = valve_equations(x, u, i, c, added)
+        return (*rates, *drive_rates, *memory_rates), named
 
-        # torque motor
-        N = c.coil_turns * (i + added.coil_current)
-        T_drive = drive_torque(theta, N, c)
-
-        # armature with flapper, and feedback rod
-        r, b, g1, g2 = c.nozzle_arm, c.feedback_arm, c.null_gap_1, c.null_gap_2
-        x_f = r * theta
-        F_rod = c.feedback_rod_stiffness * ((r + b) * theta + x_v + added.rod_deflection)
-        T_damping = -c.armature_damping * omega
-        T_tube = -c.spring_tube_stiffness * theta
-        T_rod = -(r + b) * F_rod
-        T_nozzles, T_jets = flapper_torques(theta, p1, p2, u.supply_pressure, u.return_pressure, c)
-        T_stop = r * contact_force(x_f, r * omega, -g2, g1, c.flapper_stop_stiffness, c.stop_damping)
-        torque = T_drive + T_damping + T_tube + T_rod + T_nozzles + T_jets + T_stop + added.armature_torque
-
-        # pilot stage
-        q_01 = fixed_orifice_flow(c.fixed_orifice_diameter_1, u.supply_pressure - p1, c)
-        q_02 = fixed_orifice_flow(c.fixed_orifice_diameter_2, u.supply_pressure - p2, c)
-        q_n1, q_n2 = nozzle_flows(x_f, p1, p2, u.return_pressure, c)
-        compliance_1 = 1.0 / (c.bulk_modulus_at_zero + c.bulk_modulus_slope * p1) + added.compliance_1
-        compliance_2 = 1.0 / (c.bulk_modulus_at_zero + c.bulk_modulus_slope * p2) + added.compliance_2
-
-        # spool
-        F_pressure = c.spool_area * (p1 - p2)
-        F_flow = -FLOW_FORCE_FACTOR * c.port_width * (u.supply_pressure * x_v - u.load_pressure * np.abs(x_v))
-        F_damping = -c.spool_damping * v
-        F_stop = contact_force(x_v, v, -c.spool_stroke, c.spool_stroke, c.spool_stop_stiffness, c.stop_damping)
-        force = F_pressure - F_rod + F_flow + F_damping + F_stop + added.spool_force
-
-        rates = (
-            omega,
-            torque / c.armature_inertia,
-            (q_01 - q_n1 - c.spool_area * v + added.chamber_flow_1) / (c.chamber_volume * compliance_1),
-            (q_02 - q_n2 + c.spool_area * v + added.chamber_flow_2) / (c.chamber_volume * compliance_2),
-            v,
-            force / c.spool_mass,
-            *drive_rates,
-            *memory_rates,
-        )
-        load_flow, land_leakage = main_stage(x_v, u.supply_pressure, u.load_pressure, c)
-        named = Signals(
-            current=i,
-            drive_torque=T_drive,
-            flapper_position=x_f,
-            feedback_force=F_rod,
-            flow_force=F_flow,
-            pilot_differential_pressure=p1 - p2,
-            pilot_flow=q_01 + q_02,
-            nozzle_flow_1=q_n1,
-            nozzle_flow_2=q_n2,
-            load_flow=load_flow + added.load_flow,
-            internal_leakage=q_01 + q_02 + land_leakage + added.internal_leakage,
-        )
-        return rates, named
+    def situation(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> Situation:
+        """What the effects see, before any of them acts."""
+        x, u, c = State(*state[self.valve_states]), Inputs(*inputs), self.valve_coefficients(coefficients)
+        i, i_rate, _ = self.drive.current(u, x, tuple(state[self.drive_states]), c)
+        return situation_of(x, u, i, i_rate, c)
 
     def memory_rates(self, state: Sequence, inputs: Sequence, coefficients: Sequence) -> tuple:
         """The last of the `rhs`, the derivatives of the effects' memories, alone."""
-        x, u, c = State(*state[self.valve_states]), Inputs(*inputs), self.valve_coefficients(coefficients)
-        i, i_rate, _ = self.drive.current(u, x, tuple(state[self.drive_states]), c)
-        return self._effects(_situation(x, u, i, i_rate, c), state, coefficients)[1]
+        return self.effects_on(self.situation(state, inputs, coefficients), state, coefficients)[1]
 
-    def _effects(self, situation: Situation, state: Sequence, coefficients: Sequence) -> tuple[Ports, tuple]:
+    def effects_on(self, situation: Situation, state: Sequence, coefficients: Sequence) -> tuple[Ports, tuple]:
         """The sum of what the effects add, and the rates of their memories."""
         total, rates = Ports(), ()
         at_state, at_parameter = self.drive_states.stop, len(Coefficients._fields)
@@ -295,7 +237,69 @@ class Model:
         return total, rates
 
 
-def _situation(x: State, u: Inputs, current, current_rate, c: Coefficients) -> Situation:
+def valve_equations(x: State, u: Inputs, i, c: Coefficients, added: Ports) -> tuple[tuple, Signals]:
+    """Derivatives of the valve's states, and named terms, at a coil current and with what effects add."""
+    theta, omega, p1, p2, x_v, v = x
+    u = u._replace(
+        supply_pressure=u.supply_pressure + added.supply_pressure,
+        return_pressure=u.return_pressure + added.return_pressure,
+    )
+
+    # torque motor
+    N = c.coil_turns * (i + added.coil_current)
+    T_drive = drive_torque(theta, N, c)
+
+    # armature with flapper, and feedback rod
+    r, b, g1, g2 = c.nozzle_arm, c.feedback_arm, c.null_gap_1, c.null_gap_2
+    x_f = r * theta
+    F_rod = c.feedback_rod_stiffness * ((r + b) * theta + x_v + added.rod_deflection)
+    T_damping = -c.armature_damping * omega
+    T_tube = -c.spring_tube_stiffness * theta
+    T_rod = -(r + b) * F_rod
+    T_nozzles, T_jets = flapper_torques(theta, p1, p2, u.supply_pressure, u.return_pressure, c)
+    T_stop = r * contact_force(x_f, r * omega, -g2, g1, c.flapper_stop_stiffness, c.stop_damping)
+    torque = T_drive + T_damping + T_tube + T_rod + T_nozzles + T_jets + T_stop + added.armature_torque
+
+    # pilot stage
+    q_01 = fixed_orifice_flow(c.fixed_orifice_diameter_1, u.supply_pressure - p1, c)
+    q_02 = fixed_orifice_flow(c.fixed_orifice_diameter_2, u.supply_pressure - p2, c)
+    q_n1, q_n2 = nozzle_flows(x_f, p1, p2, u.return_pressure, c)
+    compliance_1 = 1.0 / (c.bulk_modulus_at_zero + c.bulk_modulus_slope * p1) + added.compliance_1
+    compliance_2 = 1.0 / (c.bulk_modulus_at_zero + c.bulk_modulus_slope * p2) + added.compliance_2
+
+    # spool
+    F_pressure = c.spool_area * (p1 - p2)
+    F_flow = -FLOW_FORCE_FACTOR * c.port_width * (u.supply_pressure * x_v - u.load_pressure * np.abs(x_v))
+    F_damping = -c.spool_damping * v
+    F_stop = contact_force(x_v, v, -c.spool_stroke, c.spool_stroke, c.spool_stop_stiffness, c.stop_damping)
+    force = F_pressure - F_rod + F_flow + F_damping + F_stop + added.spool_force
+
+    rates = (
+        omega,
+        torque / c.armature_inertia,
+        (q_01 - q_n1 - c.spool_area * v + added.chamber_flow_1) / (c.chamber_volume * compliance_1),
+        (q_02 - q_n2 + c.spool_area * v + added.chamber_flow_2) / (c.chamber_volume * compliance_2),
+        v,
+        force / c.spool_mass,
+    )
+    load_flow, land_leakage = main_stage(x_v, u.supply_pressure, u.load_pressure, c)
+    named = Signals(
+        current=i,
+        drive_torque=T_drive,
+        flapper_position=x_f,
+        feedback_force=F_rod,
+        flow_force=F_flow,
+        pilot_differential_pressure=p1 - p2,
+        pilot_flow=q_01 + q_02,
+        nozzle_flow_1=q_n1,
+        nozzle_flow_2=q_n2,
+        load_flow=load_flow + added.load_flow,
+        internal_leakage=q_01 + q_02 + land_leakage + added.internal_leakage,
+    )
+    return rates, named
+
+
+def situation_of(x: State, u: Inputs, current, current_rate, c: Coefficients) -> Situation:
     """What the effects see, before any of them acts."""
     load_flow, _ = main_stage(x.spool_position, u.supply_pressure, u.load_pressure, c)
     x_f = c.nozzle_arm * x.armature_angle
