@@ -444,7 +444,7 @@ class FitOptions:
         3.0, "1", "times the predicted reduction that such a one may still be hoped to bring", JUDGEMENT
     )
     nominal_reductions: float = option(
-        5.0, "1", "the same of the nominal model under other inputs", "measured: up to 3.1 times"
+        5.0, "1", "the same of the nominal model under other inputs", JUDGEMENT
     )
     most_linearisations: int = option(12, "1", "linearisations of a hypothesis that does", JUDGEMENT)
     refinements: int = option(3, "1", "times that a fit is linearised anew and continued at last", JUDGEMENT)
