@@ -190,15 +190,17 @@ class LinearisedRecord:
 
     def _changes_by_temperature(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
         """The same of those variants, by their places, in which temperatures alone are others: their networks together,
-        one by one those with another oil temperature, and those beside an effect on the temperatures, on its knots.
+        one by one those with another oil temperature, and those beside an effect on the temperatures: on its knots,
+        less this one's there, for while knots were sought it acted on straight lines between others.
         """
         own, knots, found = self.variant, self.trajectory.path.times, dict[int, np.ndarray]()
         of_network = [k for k, one in enumerate(variants) if replace(one, network=own.network) == own != one]
         of_oil = [k for k, one in enumerate(variants) if self._is_of_oil(one)]
         if self.predictor.has_own_knots(own):
             beside = [*of_network, *of_oil] if len(knots) > 1 else []
-            along = {k: self.predictor.temperatures_at(variants[k], knots) for k in beside}
-            return {k: self._changes(own, path)[0] for k, path in along.items()}
+            plain, *moved = (self._changes(own, self.predictor.temperatures_at(one, knots))[0]
+                             for one in (own, *(variants[k] for k in beside)))  # fmt: skip
+            return {k: each - plain for k, each in zip(beside, moved, strict=True)}
         networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
         if networks and None not in networks:
             together = self.predictor.temperatures_of(own, [one for one in networks if one])
