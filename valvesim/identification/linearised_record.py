@@ -193,20 +193,23 @@ class LinearisedRecord:
         one by one those with another oil temperature, and those beside an effect on the temperatures: on its knots,
         less this one's there, for while knots were sought it acted on straight lines between others.
         """
-        own, knots, found = self.variant, self.trajectory.path.times, dict[int, np.ndarray]()
+        own, knots = self.variant, self.trajectory.path.times
         of_network = [k for k, one in enumerate(variants) if replace(one, network=own.network) == own != one]
         of_oil = [k for k, one in enumerate(variants) if self._is_of_oil(one)]
         if self.predictor.has_own_knots(own):
-            beside = [*of_network, *of_oil] if len(knots) > 1 else []
+            beside = [*of_network, *of_oil]
+            if len(knots) == 1 or not beside:
+                return {}
             plain, *moved = (self._changes(own, self.predictor.temperatures_at(one, knots))[0]
                              for one in (own, *(variants[k] for k in beside)))  # fmt: skip
             return {k: each - plain for k, each in zip(beside, moved, strict=True)}
+        of_oil = [k for k in of_oil if not self.predictor.has_own_knots(variants[k])]
+        found = {k: self._changes(own, self.predictor.temperatures(variants[k]))[0] for k in of_oil}
         networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
         if networks and None not in networks:
             together = self.predictor.temperatures_of(own, [one for one in networks if one])
             found |= dict(zip(of_network, self._changes(own, together, len(networks)), strict=True))
-        of_oil = [k for k in of_oil if not self.predictor.has_own_knots(variants[k])]
-        return found | {k: self._changes(own, self.predictor.temperatures(variants[k]))[0] for k in of_oil}
+        return found
 
     def _changes(self, variant: ModelVariant, along: TemperaturePath, count: int = 1) -> np.ndarray:
         """The coefficients of so many variants along temperatures less those of this one, (count, m, n_c)."""
@@ -302,12 +305,13 @@ class LinearisedRecord:
         path = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
         along = self.predictor.coefficients_along(variant, model, path, self.course.times)
         inputs = tuple((self.course.inputs if added is None else self.course.inputs + added).T)
-        is_seen = variant.valve == self.variant.valve and path is not None and added is None
-        is_seen &= all(active.effect.coefficients is None for active in more)  # then they see what this one's do
-        states, middle = list(self.active_states), self.middle_situation if is_seen else self._middle_situation(along)
+        same_situation = variant.valve == self.variant.valve and path is not None and added is None
+        same_situation &= all(active.effect.coefficients is None for active in more)
+        middle = self.middle_situation if same_situation else self._middle_situation(along)
+        states = list(self.active_states)
         for active in more:
             states += self._memory_trajectories(active, middle)
-        if is_seen:
+        if same_situation:
             at = self.situation
             ports, _ = model.effects_on(at, states, along)
             rates, signals = valve_equations(at.state, at.inputs, at.coil_current, at.coefficients, ports)
