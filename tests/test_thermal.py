@@ -15,7 +15,7 @@ from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.coefficients import PART_NAMES
 from valvesim.valve.fluid import MIL_PRF_5606
-from valvesim.valve.thermal_network import THERMAL_NODES, ThermalNetwork, exponential, temperature_path, throttling_rise
+from valvesim.valve.thermal_network import THERMAL_NODES, ThermalNetwork, temperature_path, throttling_rise
 
 NETWORK = ThermalNetwork()
 SEALED = ThermalNetwork(torque_motor_to_ambient=0.0, body_to_ambient=0.0)  # nothing lost to the air
@@ -347,15 +347,27 @@ def test_parts_of_several_networks_together_are_those_of_each_alone(factors):
             assert found == pytest.approx(getattr(alone.parts, part), rel=1e-12), part
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-9, 0.1, 3.0, 300.0])
-def test_the_matrix_exponential_is_that_of_scipy(size):
+@given(
+    st.lists(st.floats(-3.0, 4.0), min_size=len(quantities(NETWORK)), max_size=len(quantities(NETWORK))),
+    st.sets(st.sampled_from(LINKS), max_size=len(LINKS)),
+    st.lists(st.floats(-9.0, 3.0), min_size=1, max_size=40),
+)
+def test_the_parts_follow_any_network_as_its_matrix_exponential_has_it(powers, cut, spacings):
     from scipy.linalg import expm
 
-    rng = np.random.default_rng(4)
-    for _ in range(20):
-        A = rng.uniform(0.0, 1.0, (6, 6))
-        A -= np.diag(A.sum(axis=1))  # a network: what flows out of one part flows into others
-        assert exponential(size * A) == pytest.approx(expm(size * A), rel=1e-12, abs=1e-13)
+    figures = {name: getattr(NETWORK, name) * 10.0**by for name, by in zip(quantities(NETWORK), powers, strict=True)}
+    network = ThermalNetwork(**{name: 0.0 if name in cut else min(value, 1e5) for name, value in figures.items()})
+    times = np.cumsum([0.0, *(10.0**np.array(spacings))])
+    oil = Table(times=(0.0, 0.3, 4.0), values=(20.0, 150.0, -30.0))
+    path = temperature_path(oil, times[-1], network=network, initial=60.0, ambient=-20.0, knots=times)
+    (M, N), n = network.matrices(), len(THERMAL_NODES)
+    T, block = np.full(n, 60.0), np.zeros((n + 4, n + 4))
+    for k, h in enumerate(np.diff(times)):
+        u = np.array([[path.parts.oil[k], -20.0], [path.parts.oil[k + 1], -20.0]])
+        block[:n, :n], block[:n, n : n + 2] = M * h, N * h
+        block[n : n + 2, n + 2 :] = np.eye(2)
+        T = (expm(block) @ [*T, *u[0], *(u[1] - u[0])])[:n]
+        assert values(path)[k + 1] == pytest.approx(T, rel=1e-7, abs=1e-6)
 
 
 def test_one_knot_is_the_start_alone():

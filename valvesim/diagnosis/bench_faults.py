@@ -261,10 +261,10 @@ def _tuned_beside(nominal: NominalFit, fit: Fit, beside: ScoreTest) -> tuple[Nom
     own = study.stack(beside.own_columns)
     parameters, point, _ = tuned_waves(study, fit, beside.linearised, beside.columns, own)
     tuned = with_nuisance(study, parameters)
-    again = evaluate_fit(tuned, point, fit.fitted)
+    again = evaluate_fit(tuned, point, fit.fitted, fit.trajectories)
     if again.chi_square > fit.chi_square - beside.options.bench.minimum_gain:
         return None
-    return linearise_nominal(tuned, evaluate_fit(tuned, nominal.fit.point, ())), again
+    return linearise_nominal(tuned, evaluate_fit(tuned, nominal.fit.point, (), nominal.fit.trajectories)), again
 
 
 def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, Fit]:

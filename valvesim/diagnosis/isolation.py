@@ -239,7 +239,8 @@ def _with_bench(
         nominal, scores = with_bench_faults(nominal, scores, options=options)
     adequate = is_adequate(nominal.fit, options=options.identification)
     if detect(scores)[0] and adequate and largest_shift(nominal.fit) > options.isolation.shifted:
-        again = refit_nominal(nominal, evaluate_fit(nominal.study, clipped_to_tolerance(nominal), ()))
+        within = evaluate_fit(nominal.study, clipped_to_tolerance(nominal), (), nominal.fit.trajectories)
+        again = refit_nominal(nominal, within)
         if rescored(nominal.study, again.fit).chi_square >= nominal.fit.chi_square - options.isolation.slight_gain:
             again = nominal
         if not known:
@@ -484,7 +485,7 @@ def _better_nominal(
     for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
         gain = nominal.fit.chi_square - one.chi_square
         try:
-            fit = evaluate_fit(nominal.study, one.point, ())
+            fit = evaluate_fit(nominal.study, one.point, (), nominal.fit.trajectories)
             if fit.chi_square > one.chi_square + 0.5 * gain and not 0.0 < gain < options.isolation.slight_gain:
                 continue
             better = refit_nominal(nominal, fit, 0.5 * gain)

@@ -235,7 +235,8 @@ def _in_best_amount(
             for one in start
         )
         with suppress(SolveError, InputError):
-            tried.append((evaluate_fit(nominal.study, best.fit.point, scaled).chi_square, scaled))
+            fit = evaluate_fit(nominal.study, best.fit.point, scaled, best.fit.trajectories)
+            tried.append((fit.chi_square, scaled))
     return min(tried, key=lambda pair: pair[0], default=(0.0, start))[1]
 
 

@@ -22,7 +22,14 @@ from valvesim.identification.jacobian import is_simulated
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.projection import GramMatrix, ProjectedScores, alarm_level, block_statistic, project
+from valvesim.identification.projection import (
+    GramMatrix,
+    ProjectedScores,
+    alarm_level,
+    block_statistic,
+    largest_by_chance,
+    project,
+)
 from valvesim.identification.study import Study
 from valvesim.valve.additive_term import TermHypothesis, term_hypotheses
 
@@ -95,10 +102,14 @@ class ScoreTest:
 
     def level(self, probability: float) -> float:
         """The z that none of the candidates passes but with that probability, where nothing is hidden."""
+        return alarm_level(self._largest_by_chance, probability)
+
+    @functools.cached_property
+    def _largest_by_chance(self) -> np.ndarray:
         q = np.flatnonzero(self.visible())
         some = ProjectedScores(self.projected.score[q], self.projected.overlap[np.ix_(q, q)], 0.0)
         one_sided = np.array([self.candidates[k].one_sided for k in q], dtype=bool)
-        return alarm_level(some, one_sided, probability, self.study.session.seed, self.options.detection.draws)
+        return largest_by_chance(some, one_sided, self.study.session.seed, self.options.detection.draws)
 
     def term_tests(self) -> list[tuple[float, int]]:
         """(chi-square, degrees of freedom) of each term hypothesis."""

@@ -50,7 +50,8 @@ def fit_hypothesis(
     for shrink in (1.0, 0.3, 0.1):
         try:
             fitted = tuple(replace(e, above_neutral=e.above_neutral * shrink) for e in start)
-            tried.append(evaluate_fit(nominal.study, nominal.fit.point if point is None else point, fitted))
+            at = nominal.fit.point if point is None else point
+            tried.append(evaluate_fit(nominal.study, at, fitted, nominal.fit.trajectories))
         except (SolveError, InputError):
             continue
         if tried[-1].chi_square < _worthwhile(nominal):
@@ -98,7 +99,7 @@ def _fit_from_start(
     if not is_adequate(fit, options=study.options):
         return _fit_robustly(nominal, fit, linearisations, worthwhile)
     good = _worthwhile(nominal) if worthwhile is None else worthwhile
-    return _iterate(study, fit, jacobian, _ending(nominal), linearisations, good)
+    return _iterate_to_end(study, fit, jacobian, _ending(nominal), linearisations, good)
 
 
 def fit_from_prior(
@@ -113,7 +114,7 @@ def fit_from_prior(
     try:
         return _fit_robustly(
             nominal,
-            evaluate_fit(nominal.study, clipped_to_tolerance(nominal), tuple(start)),
+            evaluate_fit(nominal.study, clipped_to_tolerance(nominal), tuple(start), nominal.fit.trajectories),
             nominal.study.options.fit.most_linearisations if linearisations is None else linearisations,
         )
     except (SolveError, InputError):
@@ -133,7 +134,8 @@ def evaluated_beside(nominal: NominalFit, fit: Fit) -> Fit:
     InputError where it cannot be simulated.
     """
     point = np.append(fit.point[: len(nominal.fit.point)], nominal.fit.point[len(fit.point) :])
-    return replace(evaluate_fit(nominal.study, point, fit.fitted), occam_factor=fit.occam_factor)
+    beside = evaluate_fit(nominal.study, point, fit.fitted, nominal.fit.trajectories)
+    return replace(beside, occam_factor=fit.occam_factor)
 
 
 def continue_from(nominal: NominalFit, fit: Fit, worthwhile: float | None = None) -> Fit | None:
@@ -143,7 +145,7 @@ def continue_from(nominal: NominalFit, fit: Fit, worthwhile: float | None = None
         jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
     except (SolveError, InputError):
         return None
-    return _iterate(
+    return _iterate_to_end(
         study,
         fit,
         jacobian,
@@ -161,7 +163,7 @@ def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCand
     weighted.
     """
     study = nominal.study.without_oversampling()
-    fit = evaluate_fit(study, clipped_to_tolerance(nominal), ())
+    fit = evaluate_fit(study, clipped_to_tolerance(nominal), (), nominal.fit.trajectories)
     robust = robust_weights(study, fit.readings)
     J = robust.stack(linearise_fit(study, fit)[1])
     H = J.T @ J + np.eye(len(fit.point))
@@ -200,9 +202,10 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int, worthwhile
         )
         fit = rescored(study, near)
         if worthwhile is not None and near.chi_square > worthwhile:
-            return replace(fit, predicted_reduction=near.predicted_reduction, occam_factor=near.occam_factor)
+            promised = near.predicted_reduction
+            return replace(fit, predicted_reduction=promised, occam_factor=near.occam_factor, trajectories=())
         linearised, columns = linearise_fit(study, fit)
-    return _iterate(
+    return _iterate_to_end(
         study,
         fit,
         jacobian_of(study, fit, linearised, columns),
@@ -233,6 +236,13 @@ def _ending(nominal: NominalFit) -> Callable[[Fit], float]:
     return enough
 
 
+def _iterate_to_end(
+    study: Study, fit: Fit, jacobian: np.ndarray, ending: Callable[[Fit], float], linearisations: int, good: float
+) -> Fit:
+    """The end of a fit by `_iterate`. Its trajectories are not kept: of hundreds of fits they fill the memory."""
+    return replace(_iterate(study, fit, jacobian, ending, linearisations, good), trajectories=())
+
+
 def _iterate(
     study: Study, fit: Fit, jacobian: np.ndarray, ending: Callable[[Fit], float], linearisations: int, good: float
 ) -> Fit:
@@ -246,13 +256,8 @@ def _iterate(
         if fit.predicted_reduction < enough or stuck or hopeless or iteration == linearisations:
             break
         jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
-    return replace(
-        fit,
-        occam_factor=occam_factor(
-            normal_equations(fit, jacobian, options=study.options)[0], fit, options=study.options
-        ),
-        trajectories=(),
-    )
+    H, _ = normal_equations(fit, jacobian, options=study.options)
+    return replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
 
 
 def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...]) -> Fit | None:

@@ -104,7 +104,8 @@ def searched_edges(study: Study, fit: Fit) -> np.ndarray:
     """
     model, found, options = study.nominal, fit.point.copy(), study.options.input
     low, high = model.limits
-    for predictor, read in zip(study.predictors, fit.readings, strict=True):
+    near = fit.trajectories or [None] * len(study.predictors)
+    for predictor, read, trajectory in zip(study.predictors, fit.readings, near, strict=True):
         record = predictor.record
         edges = [(p.input.after, k) for k, p in enumerate(model.parameters)
                  if isinstance(p.input, EdgeTime) and p.input.record == record.name
@@ -114,8 +115,8 @@ def searched_edges(study: Study, fit: Fit) -> np.ndarray:
         after, own = np.transpose(sorted(edges))
         places = np.repeat(fit.point[None], options.edge_places + 1, axis=0)
         places[1:, own] = np.linspace(low[own], high[own], options.edge_places)
-        squares = np.array([_squared_residuals(study, predictor, each) for each in
-                            (read, *(_readings_at(study, predictor, at) for at in places[1:]))])  # fmt: skip
+        moved_reads = (_readings_at(study, predictor, at, trajectory) for at in places[1:])
+        squares = np.array([_squared_residuals(study, predictor, each) for each in (read, *moved_reads)])
         left = np.add.reduceat(squares, after + 1, axis=1) + places[:, own] ** 2
         best = np.argmin(left, axis=0)
         best[left[0] - np.min(left, axis=0) <= options.edge_gain] = 0
@@ -123,16 +124,18 @@ def searched_edges(study: Study, fit: Fit) -> np.ndarray:
         moved[own] = places[best, own]
         if not best.any():
             continue
-        ended = _squared_residuals(study, predictor, _readings_at(study, predictor, moved))
+        ended = _squared_residuals(study, predictor, _readings_at(study, predictor, moved, trajectory))
         if ended.sum() + moved @ moved < squares[0].sum() + fit.point @ fit.point:
             found[own] = moved[own]
     return found
 
 
-def _readings_at(study: Study, predictor: RecordPredictor, point: np.ndarray) -> dict[str, np.ndarray]:
-    """What the channels of a record read at a point (p,) without candidates, by running it."""
+def _readings_at(
+    study: Study, predictor: RecordPredictor, point: np.ndarray, near: Trajectory | None
+) -> dict[str, np.ndarray]:
+    """What the channels of a record read at a point (p,) without candidates, by running it, `near` a trajectory."""
     variant = study.nominal.at(point)
-    return predictor.readings(predictor.run(variant), variant)
+    return predictor.readings(predictor.run(variant, near), variant)
 
 
 def _squared_residuals(study: Study, predictor: RecordPredictor, read: dict[str, np.ndarray]) -> np.ndarray:

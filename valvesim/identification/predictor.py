@@ -412,7 +412,8 @@ class PosedRun:
         rests where it was left on the way from zero current.
         """
         model = self.compiled.model
-        return trajectory.model == model and bool(self.off[model.memory_states].all())
+        same_states = trajectory.model.state_channels == model.state_channels
+        return same_states and bool(self.off[model.memory_states].all())
 
     def at_rest_near(self, trajectory: Trajectory) -> np.ndarray:
         """The same states, by Newton's method from those that a trajectory near it starts from, where that ends."""

@@ -112,17 +112,21 @@ def project(gram: GramMatrix, first: int, last: int) -> ProjectedScores:
     return ProjectedScores(score, overlap, gram.chi_square - float(gradient @ solved[:, -1]))
 
 
-def alarm_level(projected: ProjectedScores, one_sided: np.ndarray, probability: float, seed: int, draws: int) -> float:
-    """The z that the best of all candidates passes with that probability where nothing is hidden, by drawing."""
+def largest_by_chance(projected: ProjectedScores, one_sided: np.ndarray, seed: int, draws: int) -> np.ndarray:
+    """The z of the best of all candidates where nothing is hidden, by drawing (draws,); empty where none is seen."""
     seen = projected.distance > 1e-9
     if not seen.any():
-        return np.inf
+        return np.zeros(0)
     values, vectors = np.linalg.eigh(projected.correlation()[np.ix_(seen, seen)])
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     keep = values > 1e-6 * values[-1]
     z = np.random.default_rng(seed).standard_normal((draws, int(keep.sum()))) @ root[:, keep].T
-    top = np.max(np.where(one_sided[seen], z, np.abs(z)), axis=1)
-    return float(np.quantile(top, 1.0 - probability))
+    return np.max(np.where(one_sided[seen], z, np.abs(z)), axis=1)
+
+
+def alarm_level(largest: np.ndarray, probability: float) -> float:
+    """The z that what is `largest_by_chance` passes with that probability; infinite where no candidate is seen."""
+    return float(np.quantile(largest, 1.0 - probability)) if len(largest) else np.inf
 
 
 def direction_statistic(projected: ProjectedScores, members: Sequence[int], along: np.ndarray) -> tuple[float, float]:

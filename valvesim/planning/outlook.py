@@ -26,7 +26,14 @@ from valvesim.diagnosis.power import (
     separation_power,
 )
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.projection import GramMatrix, ProjectedScores, alarm_level, inverse_of, project
+from valvesim.identification.projection import (
+    GramMatrix,
+    ProjectedScores,
+    alarm_level,
+    inverse_of,
+    largest_by_chance,
+    project,
+)
 from valvesim.planning.bench import Aim
 from valvesim.planning.options import DEFAULT_PLANNING, OutlookOptions, PlanningOptions
 from valvesim.planning.sensitivities import PlannedSensitivities
@@ -189,7 +196,8 @@ def level_of(
     seen = np.flatnonzero(scores.distance[:q] * reach / np.abs(planned.sizes) > 4.0)
     some = ProjectedScores(scores.score[seen], scores.overlap[np.ix_(seen, seen)], 0.0)
     one_sided = np.array([planned.candidates[k].one_sided for k in seen], dtype=bool)
-    level = alarm_level(some, one_sided, options.detection.false_alarm, seed, options.detection.draws)
+    largest = largest_by_chance(some, one_sided, seed, options.detection.draws)
+    level = alarm_level(largest, options.detection.false_alarm)
     return level if np.isfinite(level) else 4.0
 
 

@@ -244,9 +244,10 @@ class Scenario(Shown):
 
     def throttling(self):
         """The oil's temperature rise by throttling as a function of °C, or None where it is off; drop of the start."""
+        if not self.thermal.throttling_heat:
+            return None
         valve = self.valve_at_start
-        drop = valve.supply_pressure - valve.return_pressure
-        return throttling_rise(self.oil, drop) if self.thermal.throttling_heat else None
+        return throttling_rise(self.oil, valve.supply_pressure - valve.return_pressure)
 
     def temperatures(self, *, spacing: float = 0.1, knots: np.ndarray | None = None) -> TemperaturePath:
         """Oil and part temperatures of the run on `knots`, or on some at most `spacing` s apart."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,21 +35,26 @@ def temperature_knots(
         return _at_knots(path, np.arange(len(knot_times)), scenario, valve)
     commands = (scenario.oil_temperature, *scenario.part_temperatures.values())
     knots = first_knots(commands, scenario.duration, min(0.5, scenario.duration / 16.0))
+    straight, largest = np.zeros(len(knots) - 1, dtype=bool), None
     for _ in range(MOST_HALVINGS):
-        apart = np.flatnonzero(np.diff(knots) > 0.0)
+        apart = np.flatnonzero((np.diff(knots) > 0.0) & ~straight)
         middles = (knots[apart] + knots[apart + 1]) / 2.0
         tried = np.insert(knots, apart + 1, middles)
         path = scenario.temperatures(knots=tried)
         if all(np.ptp(getattr(path.parts, name)) <= 1e-12 for name in PART_NAMES):
             return _at_knots(path, [0], scenario, valve)
-        c = valve.at(path.parts, oil=scenario.oil, routes=scenario.thermal.routes)
         at = apart + 1 + np.arange(len(apart))  # where `tried` holds the middles
-        bend = _bend(c, at)
+        about = np.unique(np.concatenate([at - 1, at, at + 1]))
+        c = valve.at(_parts_at(path, about), oil=scenario.oil, routes=scenario.thermal.routes)
+        largest = [np.max(np.abs(values)) for values in c] if largest is None else largest
+        bend = _bend(c, np.searchsorted(about, at), largest)
         bent = bend > KNOT_ERROR
         if not bent.any():
             break
         _check_number(len(knots), bend)
         knots = np.insert(knots, apart[bent] + 1, middles[bent])
+        halves = np.insert(np.isin(np.arange(len(straight)), apart[bent]), apart[bent], True)
+        straight = ~halves
     return _at_knots(path, np.delete(np.arange(len(tried)), at[~bent]), scenario, valve)
 
 
@@ -65,18 +71,25 @@ def _at_knots(
     path: TemperaturePath, keep: np.ndarray | list[int], scenario: Scenario, valve: Valve
 ) -> tuple[TemperaturePath, Coefficients]:
     """The path at some of its knots, and the coefficients there."""
-    parts = PartTemperatures(**{name: np.asarray(getattr(path.parts, name))[keep] for name in PART_NAMES})
+    parts = _parts_at(path, keep)
     c = valve.at(parts, oil=scenario.oil, routes=scenario.thermal.routes)
     return TemperaturePath(times=path.times[keep], parts=parts), c
 
 
-def _bend(c: Coefficients, at: np.ndarray) -> np.ndarray:
-    """Relative error of the coefficients at the knots `at` on a line between their neighbours: the worst of all."""
+def _parts_at(path: TemperaturePath, keep: np.ndarray | list[int]) -> PartTemperatures:
+    """The temperatures at some of the knots of a path."""
+    return PartTemperatures(**{name: np.asarray(getattr(path.parts, name))[keep] for name in PART_NAMES})
+
+
+def _bend(c: Coefficients, at: np.ndarray, largest: Sequence[float]) -> np.ndarray:
+    """Error of the coefficients at the knots `at` on a line between their neighbours, of the `largest` value of each:
+    the worst of all.
+    """
     worst = np.zeros(len(at))
-    for values in c:
+    for values, most in zip(c, largest, strict=True):
         v = np.asarray(values, dtype=float)
         if v.ndim and v.shape[-1] > 1:
-            bend = np.abs(v[..., at] - (v[..., at - 1] + v[..., at + 1]) / 2.0) / max(float(np.max(np.abs(v))), 1e-300)
+            bend = np.abs(v[..., at] - (v[..., at - 1] + v[..., at + 1]) / 2.0) / max(float(most), 1e-300)
             worst = np.maximum(worst, bend.reshape(-1, len(at)).max(axis=0))
     return worst
 

@@ -6,13 +6,11 @@ Symbols
     theta armature angle rad, x displacement m, v velocity m/s, F force N
 
 Only `sqrt`, `abs`, `exp`, `maximum`, `minimum` and arithmetic are used and nothing branches on a state, so that the
-tracer (`solver.codegen`) sees every term. Every square root has a named width at zero. `lagged` alone is for series
-over time.
+tracer (`solver.codegen`) sees every term. Every square root has a named width at zero. `lagged` and
+`linear_recursion` alone are for series over time.
 """
 
 from __future__ import annotations
-
-from itertools import accumulate
 
 import numpy as np
 
@@ -126,7 +124,7 @@ def lagged(times, values, time_constant):
     """A first-order lag of values (n,) at times (n,), from rest: exact for straight lines between them.
 
     Times ascend; a pair of equal times is a jump. `time_constant` (s) is one number; zero gives the values themselves.
-    At even times the values may be columns (n, k) too.
+    Values may be columns (n, k) too.
     """
     if time_constant == 0.0:
         return values
@@ -136,12 +134,28 @@ def lagged(times, values, time_constant):
 
         left, ramp = lag_of_step(time_constant, float(times[1] - times[0]))
         return values + np.concatenate([0.0 * values[:1], lfilter([-ramp], [1.0, -left], change, axis=0)])
-    left = np.exp(-step)
-    ramp = np.divide(-np.expm1(-step), step, out=np.ones_like(step), where=step > 0.0)
+    left = np.exp(-step)[:, None]
+    ramp = np.divide(-np.expm1(-step), step, out=np.ones_like(step), where=step > 0.0)[:, None]
     # the distance d of the lag from its input: d' = -d/tau - u'
-    pairs = zip(left.tolist(), (ramp * change).tolist(), strict=True)
-    distance = accumulate(pairs, lambda d, pair: pair[0] * d - pair[1], initial=0.0)
-    return values + np.fromiter(distance, float, len(values))
+    added = -ramp * (change if change.ndim == 2 else change[:, None])
+    distance = linear_recursion(np.broadcast_to(left, added.shape), added, np.zeros(added.shape[1]))
+    return values + np.concatenate([0.0 * values[:1], distance.reshape(change.shape)])
+
+
+def linear_recursion(factors, added, first):
+    """y_1 to y_m (..., m, k) of y_j = factors_j y_j-1 + added_j from y_0 = `first` (..., k); factors and what is added
+    are (..., m, k). Steps are joined by two, then by four and so on.
+    """
+    reach = 1
+    while reach < np.shape(factors)[-2]:
+        later, sooner = (..., slice(reach, None), slice(None)), (..., slice(None, -reach), slice(None))
+        alone = (..., slice(None, reach), slice(None))
+        added, factors = (
+            np.concatenate([added[alone], factors[later] * added[sooner] + added[later]], axis=-2),
+            np.concatenate([factors[alone], factors[later] * factors[sooner]], axis=-2),
+        )
+        reach *= 2
+    return factors * first[..., None, :] + added
 
 
 def lag_of_step(time_constant, step):

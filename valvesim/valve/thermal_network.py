@@ -4,8 +4,8 @@ Symbols
     C heat capacity J/K, G conductance W/K, T temperature °C
     C_k T_k' = G_k,oil (T_oil - T_k) + sum_j G_kj (T_j - T_k) + G_k,amb (T_amb - T_k)
 
-The network is linear and nothing in it hears the valve's motion, so it is solved exactly (matrix exponential, oil
-temperature straight between knots) before the valve is. A part whose temperature is prescribed, as measured say, is a
+The network is linear and nothing in it hears the valve's motion, so it is solved exactly (in its modes, oil temperature
+straight between knots) before the valve is. A part whose temperature is prescribed, as measured say, is a
 source to the others as the oil is. Its figures are estimates, good to about +-50 %: no measured
 transient of a valve body is public.
 """
@@ -23,6 +23,7 @@ from valvesim.errors import InputError
 from valvesim.inputs import PIECE_WIDTH, WAVE_WIDTH, Command, evaluate
 from valvesim.units import POSITIVE, check_bounds, quantity
 from valvesim.valve.fluid import Oil
+from valvesim.valve.laws import linear_recursion
 from valvesim.valve.parameters import PART_NAMES, PartTemperatures
 
 MOST_PATH_KNOTS = 1_000_000  # of a temperature path: 0.4 GB of coefficients
@@ -147,28 +148,52 @@ def temperature_path(
     sources = np.column_stack([*held.values(), oil, np.full(len(times), ambient)])
     first = np.array([getattr(start, name) for name in free])
     M, N = (np.array(each) for each in zip(*(one.matrices(tuple(held)) for one in networks), strict=True))
-    T = _followed(M, N, times, sources, first)
+    capacities = np.array([[getattr(one, f"{name}_capacity") for name in free] for one in networks])
+    T = _followed(M, N, capacities, times, sources, first)
     if isinstance(network, ThermalNetwork):
         T = T[0]
     parts = PartTemperatures(oil=oil, **{name: T[..., k] for k, name in enumerate(free)}, **held)
     return TemperaturePath(times=times, parts=parts)
 
 
-def _followed(M: np.ndarray, N: np.ndarray, times: np.ndarray, sources: np.ndarray, first: np.ndarray) -> np.ndarray:
+def _followed(
+    M: np.ndarray, N: np.ndarray, capacities: np.ndarray, times: np.ndarray, sources: np.ndarray, first: np.ndarray
+) -> np.ndarray:
     """T (..., m, n) of T' = M T + N u from its `first` (n,), for `sources` u (m, s) straight between the times (m,); of
-    one network or of several (..., n, n).
+    one network or of several (..., n, n) with the heat capacities (..., n).
+
+    In the modes of M, which are real, for G is symmetric: with R = sqrt(C), R M R^-1 is symmetric.
     """
+    root = np.sqrt(capacities)
+    rates, Q = np.linalg.eigh(M * (root[..., :, None] / root[..., None, :]))
+    inverse = np.swapaxes(Q, -1, -2) * root[..., None, :]
+    h, driven = np.diff(times)[:, None], inverse @ N
+    z = rates[..., None, :] * h
+    y = linear_recursion(
+        np.exp(z),
+        h * _mean_of_exponential(z) * np.einsum("...ij,kj->...ki", driven, sources[:-1])
+        + h * _mean_of_ramp(z) * np.einsum("...ij,kj->...ki", driven, np.diff(sources, axis=0)),
+        inverse @ first,
+    )
     T = np.empty((*M.shape[:-2], len(times), len(first)))
     T[..., 0, :] = first
-    steps = np.diff(times)
-    _, shown, which = np.unique([f"{step:.9g}" for step in steps], return_index=True, return_inverse=True)
-    if len(steps):  # of which many differ by rounding alone
-        E, F, G = _propagators(M[..., None, :, :], N[..., None, :, :], steps[shown])
-        driven = np.einsum("...kij,kj->...ki", F[..., which, :, :], sources[:-1])
-        driven += np.einsum("...kij,kj->...ki", G[..., which, :, :], np.diff(sources, axis=0))
-        for k, one in enumerate(which):
-            T[..., k + 1, :] = (E[..., one, :, :] @ T[..., k, :, None])[..., 0] + driven[..., k, :]
+    T[..., 1:, :] = np.einsum("...ij,...kj->...ki", Q / root[..., :, None], y)
     return T
+
+
+def _mean_of_exponential(z: np.ndarray) -> np.ndarray:
+    """(e^z - 1)/z, the mean of e^(z s) over s from 0 to 1."""
+    far = np.where(np.abs(z) > 1e-5, z, 1.0)
+    return np.where(far == z, np.expm1(z) / far, 1.0 + z / 2.0)
+
+
+def _mean_of_ramp(z: np.ndarray) -> np.ndarray:
+    """(e^z - 1 - z)/z^2, the mean of s e^(z (1 - s)) over s from 0 to 1: by its series where that cancels."""
+    far, series = np.where(np.abs(z) > 0.5, z, 1.0), np.zeros_like(z)
+    near = np.where(np.abs(z) > 0.5, 0.0, z)
+    for k in range(17, 1, -1):  # 0.5^16/18! is below rounding
+        series = (series * near + 1.0) / k
+    return np.where(np.abs(z) > 0.5, (np.expm1(z) - z) / far**2, series)
 
 
 def starting_temperatures(initial: float | Mapping[str, float] | None, oil: float) -> PartTemperatures:
@@ -176,36 +201,6 @@ def starting_temperatures(initial: float | Mapping[str, float] | None, oil: floa
     same = oil if initial is None else initial
     given = same if isinstance(same, Mapping) else dict.fromkeys(THERMAL_NODES, same)
     return PartTemperatures(oil=oil, **{name: float(given.get(name, oil)) for name in THERMAL_NODES})
-
-
-def _propagators(M: np.ndarray, N: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """T(step) = E T(0) + F u(0) + G (u(step) - u(0)) for u straight in between, of each step: exact, by one matrix
-    exponential. M is (..., 1, n, n), N (..., 1, n, s) and E, F, G (..., steps, n, .).
-    """
-    n, m = N.shape[-2:]
-    block = np.zeros((*M.shape[:-3], len(steps), n + 2 * m, n + 2 * m))
-    block[..., :n, :n], block[..., :n, n : n + m] = M * steps[:, None, None], N * steps[:, None, None]
-    block[..., n : n + m, n + m :] = np.eye(m)
-    big = exponential(block)
-    return big[..., :n, :n], big[..., :n, n : n + m], big[..., :n, n + m :]
-
-
-def exponential(A: np.ndarray) -> np.ndarray:
-    """e^A of small square matrices (..., n, n): its Taylor series at A/2^s, of norm below 1/2, squared s times.
-
-    Source: C. Moler, C. Van Loan, SIAM Review 45 (2003) 3, methods 1 and 3. scipy's takes a quarter of a run's start-up
-    to import.
-    """
-    largest = np.abs(A).sum(axis=-1).max(initial=0.25)
-    squarings = max(int(np.ceil(np.log2(largest))) + 1, 0)
-    A = A / 2.0**squarings
-    term = total = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
-    for k in range(1, 17):  # 2^-16/16! is below rounding
-        term = term @ A / k
-        total = total + term
-    for _ in range(squarings):
-        total = total @ total
-    return total
 
 
 def first_knots(commands: Sequence[Command], end: float, spacing: float) -> np.ndarray:
