@@ -541,7 +541,7 @@ def test_the_base_is_fitted_again_where_a_hypothesis_explains_as_much_without_it
     nominal, found = explained(1000.0), [stretched(200.0, 1.0, "spool_lap"), stretched(100.0, 2.0, "entrained_air")]
     without, ends = {1.0: 210.0, 2.0: 600.0}, 205.0
 
-    def evaluate_fit(study, point, fitted):
+    def evaluate_fit(study, point, fitted, near=()):
         assert fitted == ()
         return Fit(point, fitted, without[float(point[0])], (), np.zeros(1), 1.0)
 

@@ -124,7 +124,7 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
     monkeypatch.setattr(isolation, "detect", lambda scores: (scores.fit.chi_square > 4500.0, 4.0))
     monkeypatch.setattr(isolation, "is_certain", lambda scores, level: True)
     monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
-    monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted: replace(base.fit, point=point))
+    monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted, near=(): replace(base.fit, point=point))
 
     def refit(nominal, start):
         asked.append(start.point.tolist())
@@ -496,7 +496,7 @@ def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit
 )
 def test_a_nominal_fit_that_stopped_short_is_made_anew_from_a_hypothesis(monkeypatch, ends, without, reaches, better):
     base, lap, end = nominal(9000.0), hypothesis(ends, "spool_lap"), nominal(reaches)
-    monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted: nominal(without).fit)
+    monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted, near=(): nominal(without).fit)
     monkeypatch.setattr(isolation, "refit_nominal", lambda nominal, fit, within: end)
     monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
     assert isolation._better_nominal(base, [lap], options=DIAGNOSIS) is (end if better else None)

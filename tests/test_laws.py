@@ -13,6 +13,7 @@ from valvesim.valve.laws import (
     dahl_rate,
     lag_of_step,
     lagged,
+    linear_recursion,
     land_opening,
     magnetic_torque,
     orifice_flow,
@@ -308,6 +309,24 @@ def test_lag_of_a_step_of_time_leaves_its_distance_by_the_exponential(share):
     risen = lagged(np.array([0.0, 2.0 * share]), np.array([0.0, 1.0]), 2.0)[1]
     assert 1.0 - ramp == pytest.approx(risen, abs=1e-9)
     assert lag_of_step(0.0, 1.0) == (0.0, 0.0)
+
+
+@given(st.integers(0, 40), st.integers(1, 3), st.integers(0, 1000))
+def test_a_recursion_joined_by_two_is_the_plain_loop(steps, columns, seed):
+    rng = np.random.default_rng(seed)
+    factors, added = rng.uniform(-1.2, 1.2, (steps, columns)), rng.normal(size=(steps, columns))
+    y, expected = rng.normal(size=columns), []
+    found = linear_recursion(factors, added, y)
+    for factor, more in zip(factors, added, strict=True):
+        y = factor * y + more
+        expected.append(y)
+    assert found == pytest.approx(np.reshape(expected, (steps, columns)), rel=1e-9, abs=1e-9)
+
+
+def test_lag_of_columns_is_that_of_each():
+    rng = np.random.default_rng(5)
+    times, values = np.cumsum(rng.uniform(0.0, 1.0, 30)), rng.normal(size=(30, 3))
+    assert lagged(times, values, 0.7) == pytest.approx(np.column_stack([lagged(times, v, 0.7) for v in values.T]))
 
 
 def test_lag_without_a_time_constant_is_the_values_themselves():

@@ -169,7 +169,7 @@ def fitted(monkeypatch):
         ran = [(start, ends[label]) for start, label in zip(starts, labels(starts), strict=True) if label in ends]
         return [FittedHypothesis(replace(hypothesis(0.0).fit, fitted=s, chi_square=c), options=options) for s, c in ran]
 
-    def evaluated(study, point, start):
+    def evaluated(study, point, start, near=()):
         """A fit with candidates, not fitted again: it leaves what is set for it, far from all where nothing is."""
         left = ends.get(" + ".join(sorted(member.candidate.name for member in start)), np.inf)
         return replace(hypothesis(left).fit, fitted=start)
@@ -301,7 +301,7 @@ def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatc
     best = FittedHypothesis(replace(hypothesis(1000.0).fit, fitted=(own,)), options=DIAGNOSIS)
     beside = FittedCandidate(LAP, LAP.typical)
 
-    def evaluated(study, point, start):
+    def evaluated(study, point, start, near=()):
         *_, friction = start
         if friction.above_neutral > 4.0:
             raise SolveError("the spool stands still")

@@ -115,7 +115,7 @@ def test_a_hypothesis_that_no_valve_can_have_is_no_fit(biased, monkeypatch):
     start = (FittedCandidate(candidate, bias),)
     absent = nominal.fit.with_fitted((FittedCandidate(candidate, 0.0),))
 
-    def cannot(study, point, fitted):
+    def cannot(study, point, fitted, near=()):
         raise SolveError("no valve")
 
     monkeypatch.setattr(hypothesis_fit, "evaluate_fit", cannot)

@@ -1,8 +1,8 @@
 """What no known cause explains, recovered as a function: where it acts, of what, with memory or without.
 
 The term hypotheses are ranked by what they would explain of the nominal fit's residual, each drawn by straight
-lines; the best are then estimated inside the simulation, together with the nuisance parameters, and the one whose
-chi-square is lowest for its freedom stays. Last, a formula is tried on what was found.
+lines; the best are then estimated inside the simulation, together with the nuisance parameters, a formula is tried on
+each, and the one whose chi-square is lowest for its freedom stays.
 
 Symbols
     t nuisance parameters in prior deviations, v values of the term at its knots, s logarithms of its memory's figure
@@ -61,8 +61,9 @@ def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None
     """
     if not scores.hypotheses:
         return None
+    options = scores.options.missing_term
     price = float(np.log(len(nominal.fit.residual)))
-    least, best = nominal.fit.chi_square - scores.options.missing_term.minimum_gain, None
+    least, best = nominal.fit.chi_square - options.minimum_gain, None
     for_terms = replace(
         nominal, study=replace(nominal.study, candidates=())
     )  # `scores` has tested the candidates already
@@ -70,38 +71,42 @@ def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None
         for_terms,
         nominal.fit,
         terms=[f for f in scores.hypotheses if f.memory == NONE],
-        knots=scores.options.missing_term.fine_test_knots,
+        knots=options.fine_test_knots,
         options=scores.options,
     )
-    score_tests = {scores.options.missing_term.knots: scores, scores.options.missing_term.fine_knots: fine}
+    score_tests = {options.knots: scores, options.fine_knots: fine}
     ranked, margin = _ranked(score_tests, options=scores.options)
-    for hypothesis, count in ranked[: scores.options.missing_term.estimated]:
-        cost = price * (count + (hypothesis.memory != NONE)) + hypothesis.complexity * margin
-        found = estimate_term(nominal, hypothesis, count, least - cost, options=scores.options)
-        if found is not None and found[1].state.chi_square + cost < least:
-            least, best = found[1].state.chi_square + cost, found
-    if best is None:
+    for hypothesis, count in ranked[: options.estimated]:
+        alike = _alike(score_tests.get(count, scores), hypothesis, margin)
+        penalty = options.complexity_penalty * hypothesis.complexity
+        found = _estimated(nominal, hypothesis, count, alike, least - penalty, price, options=scores.options)
+        if found is not None and found.chi_square + price * found.freedom + penalty < least:
+            least, best = found.chi_square + price * found.freedom + penalty, found
+    return best
+
+
+def _estimated(
+    nominal: NominalFit, hypothesis: TermHypothesis, count: int, alike: tuple[str, ...], below: float, price: float, *,
+    options: DiagnosisOptions,
+) -> RecoveredTerm | None:  # fmt: skip
+    """A hypothesis's term on so many knots, held to a formula where there is one; None where its chi-square will not
+    come `below`, each free figure counted at a `price`.
+    """
+    remembers = hypothesis.memory != NONE
+    estimated = estimate_term(nominal, hypothesis, count, below - price * (1 + remembers), options=options)
+    if estimated is None:
         return None
-    problem, solution = best
-    formula, error, remembers = "", float("nan"), problem.hypothesis.memory != NONE
-    freedom = len(problem.knots) + remembers
-    held = with_formula(problem, solution, nominal.fit.chi_square - solution.state.chi_square)
+    (problem, solution), formula, error, freedom = estimated, "", float("nan"), count + remembers
+    held = with_formula(problem, solution, nominal.fit.chi_square - solution.state.chi_square, price)
     if held is not None:
-        (new, formula, free_parameters), old = held, solution.state.values
-        freedom = free_parameters + remembers
+        (new, formula, figures), old = held, solution.state.values
+        solution, freedom = new, figures + remembers
         error = relative_difference(problem, new.state.values, old)
-        solution = new
     state = solution.state
-    term = _term_answer(
-        problem,
-        solution,
-        formula,
-        error,
-        _alike(score_tests.get(len(problem.knots), scores), problem.hypothesis, margin),
-    )
     return RecoveredTerm(
-        term, problem.active(state.values, state.memory_log), state.point, state.chi_square, freedom,
-        state.readings, problem.variant(state.point, state.values, state.memory_log),
+        _term_answer(problem, solution, formula, error, alike), problem.active(state.values, state.memory_log),
+        state.point, state.chi_square, freedom, state.readings,
+        problem.variant(state.point, state.values, state.memory_log),
     )  # fmt: skip
 
 

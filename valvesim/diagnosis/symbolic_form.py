@@ -115,10 +115,10 @@ def _fitted_formulas(problem: TermProblem, values: np.ndarray, W: np.ndarray, pr
         costs = [cost(b, shape, kind) for b in tried]
         j = int(np.argmin(costs))
         around = (tried[max(j - 1, 0)], tried[min(j + 1, len(tried) - 1)])
-        sensor_oversampling = minimize_scalar(
+        nearer = minimize_scalar(
             cost, bounds=around, args=(shape, kind), method="bounded", options={"xatol": 1e-4 * tried[j]}
         )
-        return at(shape, kind, float(sensor_oversampling.x if sensor_oversampling.fun < costs[j] else tried[j]))
+        return at(shape, kind, float(nearer.x if nearer.fun < costs[j] else tried[j]))
 
     found = [formula for shape in formula_library(u, x) for kind in extra if (formula := best(shape, kind)) is not None]
     return sorted(found, key=lambda one: one.cost)
@@ -134,8 +134,13 @@ def _formula_text(shape: LibraryFunction, b: float, kind: str, own: int, x: str)
     return text
 
 
-def with_formula(problem: TermProblem, solution: TermEstimate, gained: float) -> tuple[TermEstimate, str, int] | None:
-    """The term held to a formula and fitted with it, where the records do not object; the formula, its figures."""
+def with_formula(
+    problem: TermProblem, solution: TermEstimate, gained: float, price: float
+) -> tuple[TermEstimate, str, int] | None:
+    """The term held to a formula and fitted with it, where the records do not object; the formula, its figures.
+
+    They may object by as much as the figures that it saves would cost, at a `price` each, where it stays near the term.
+    """
     from scipy.stats import chi2
 
     # a formula takes the place of the curve's priors: they are left out of its fit, and the misfit is the records' own
@@ -164,13 +169,13 @@ def with_formula(problem: TermProblem, solution: TermEstimate, gained: float) ->
         share = (
             problem.options.missing_term.pure_share if formula.pure else problem.options.missing_term.mixed_share
         )  # offsets and slopes are what the nominal model has tolerances for
-        rise = held.chi_square - state.chi_square
+        rise, saved = held.chi_square - state.chi_square, price * (k - formula.free_parameters)
         chance = float(chi2.isf(1e-3, k - formula.F.shape[1]))
-        if rise > max(chance, share * gained):
-            continue
         far = (
             relative_difference(problem, held.values, state.values) > problem.options.missing_term.formula_error
         )  # though the records may hardly know
+        if rise > max(chance, share * gained, 0.0 if far else saved):
+            continue
         if far and rise > chance + problem.options.missing_term.formula_error**2 * gained:
             continue
         scale = np.max(np.abs(formula.F), axis=0)
