@@ -19,14 +19,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
 import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -98,6 +99,7 @@ SHARED = 0.6  # of what a base parameter costs alone where others help to take i
 RULER_STEPS, LONGEST_STEP, UNMOVED = 3, 6.0, 0.1  # of the base parameters, in prior deviations
 FALLEN = 0.8  # of d'^2 from one step to the next: then it has settled
 TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equations are not trusted
+LONGEST = 240.0  # s of the processor, of the diagnosis after a next test
 BASELINE_EVERY = 8  # cases: the baselines refit a dozen candidates
 
 
@@ -611,6 +613,7 @@ def run_case(spec: Spec, earlier: Row | None, with_baselines: bool) -> Row:
             row |= _errors(tuned, found, caught, load_session(folder), row)
             if found.next_test is not None:
                 row["after_next_test"] = _after_next_test(tuned, found.next_test, Path(place) / "longer")
+                row["next_test_stopped"] = row["after_next_test"] is None
             if with_baselines:
                 start = time.perf_counter()
                 row["baselines"] = baselines(caught.nominal, caught.scores, caught.fits, found)
@@ -623,8 +626,10 @@ def run_case(spec: Spec, earlier: Row | None, with_baselines: bool) -> Row:
     return plain_json(row)
 
 
-def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> Row:
-    """What the diagnosis says once the test that it has asked for has been made on the plant."""
+def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> Row | None:
+    """What the diagnosis says once the test that it has asked for has been made on the plant; None where that takes
+    longer than `LONGEST`.
+    """
     inputs = test.inputs
     run = Run(
         name="next_test", shape="designed", rate=1.0 / float(inputs["time"][1]), command=inputs[tuned.case.drive],
@@ -633,8 +638,32 @@ def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> Row:
     )  # fmt: skip
     records = [*tuned.records, *responses(replace(tuned.case, runs=(run,)))]
     write(replace(tuned.case, runs=(*tuned.case.runs, run)), records, folder)
-    found = engine.diagnose(folder)
+    try:
+        with stopped_after(LONGEST):
+            found = engine.diagnose(folder)
+    except Stopped:
+        return None
     return {"verdict": found.verdict, "in_set": [one.label for one in found.candidates if one.in_set]}
+
+
+class Stopped(BaseException):
+    """Ends what takes too long: no handler of errors takes it for one."""
+
+
+@contextmanager
+def stopped_after(seconds: float) -> Iterator[None]:
+    """Raises `Stopped` in the main thread once it has worked so many seconds of the processor."""
+
+    def stop(*_: Any) -> None:
+        raise Stopped
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def _of_case(case: Case) -> Row:
