@@ -480,17 +480,37 @@ def _better_nominal(
     """The nominal model fitted from where a hypothesis has gone, if that is better without its causes too.
 
     Then most of what this explains is that the nominal fit had stopped short. Of a hypothesis that explains little
-    that is asked however much it would lose at first.
+    that is asked however much it would lose at first; once of those that have gone to the same point.
     """
+    begun = list[tuple[np.ndarray, NominalFit]]()
     for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
         gain = nominal.fit.chi_square - one.chi_square
-        try:
-            fit = evaluate_fit(nominal.study, one.point, (), nominal.fit.trajectories)
-            if fit.chi_square > one.chi_square + 0.5 * gain and not 0.0 < gain < options.isolation.slight_gain:
-                continue
-            better = refit_nominal(nominal, fit, 0.5 * gain)
-        except (SolveError, InputError):
-            continue
-        if rescored(better.study, nominal.fit).chi_square - better.fit.chi_square > 0.5 * gain:
+        better = next((fit for point, fit in begun if _is_near(nominal, one.point, point, options=options)), None)
+        if better is None and (better := _nominal_from(nominal, one, gain, options=options)) is not None:
+            begun.append((one.point, better))
+        if better and rescored(better.study, nominal.fit).chi_square - better.fit.chi_square > 0.5 * gain:
             return better
     return None
+
+
+def _nominal_from(nominal: NominalFit, one: Fit, gain: float, *, options: DiagnosisOptions) -> NominalFit | None:
+    """The nominal model fitted from where the fit of a hypothesis has gone; None where that need not be asked, or fails.
+    """
+    try:
+        fit = evaluate_fit(nominal.study, one.point, (), nominal.fit.trajectories)
+        if fit.chi_square > one.chi_square + 0.5 * gain and not 0.0 < gain < options.isolation.slight_gain:
+            return None
+        return refit_nominal(nominal, fit, 0.5 * gain)
+    except (SolveError, InputError):
+        return None
+
+
+def _is_near(nominal: NominalFit, point: np.ndarray, other: np.ndarray, *, options: DiagnosisOptions) -> bool:
+    """Whether a point (p,) is next to another one as far as a nominal fit is from this, by what the readings and the
+    priors tell of both.
+    """
+
+    def distance(by: np.ndarray) -> float:
+        return float(np.hypot(np.linalg.norm(nominal.J @ by), np.linalg.norm(by)))
+
+    return distance(point - other) < options.isolation.same_start * distance(other - nominal.fit.point)

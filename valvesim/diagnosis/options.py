@@ -123,6 +123,9 @@ class IsolationOptions:
     slight_gain: float = option(
         60.0, "1", "chi-square below which the nominal fit may be what explains it, fitted from there", JUDGEMENT
     )
+    same_start: float = option(
+        0.05, "1", "distance of two starts, as a share of the way there, below which they end alike", JUDGEMENT
+    )
     refined: int = option(3, "1", "best hypotheses that are refined", JUDGEMENT)
     refined_gain: float = option(
         30.0, "1", "chi-square that a refinement may gain: what is further behind is not refined", "mostly below 5"
