@@ -240,7 +240,7 @@ def _with_bench(
     adequate = is_adequate(nominal.fit, options=options.identification)
     if detect(scores)[0] and adequate and largest_shift(nominal.fit) > options.isolation.shifted:
         within = evaluate_fit(nominal.study, clipped_to_tolerance(nominal), (), nominal.fit.trajectories)
-        again = refit_nominal(nominal, within)
+        again = refit_nominal(nominal, within, options.isolation.same_end)
         if rescored(nominal.study, again.fit).chi_square >= nominal.fit.chi_square - options.isolation.slight_gain:
             again = nominal
         if not known:
@@ -494,8 +494,7 @@ def _better_nominal(
 
 
 def _nominal_from(nominal: NominalFit, one: Fit, gain: float, *, options: DiagnosisOptions) -> NominalFit | None:
-    """The nominal model fitted from where the fit of a hypothesis has gone; None where that need not be asked, or fails.
-    """
+    """The nominal model fitted from where a hypothesis has gone; None where that need not be asked, or fails."""
     try:
         fit = evaluate_fit(nominal.study, one.point, (), nominal.fit.trajectories)
         if fit.chi_square > one.chi_square + 0.5 * gain and not 0.0 < gain < options.isolation.slight_gain:

@@ -126,6 +126,9 @@ class IsolationOptions:
     same_start: float = option(
         0.05, "1", "distance of two starts, as a share of the way there, below which they end alike", JUDGEMENT
     )
+    same_end: float = option(
+        2.0, "1", "chi-square to which linearised equations tell the end of a fit from within tolerance", "chance"
+    )
     refined: int = option(3, "1", "best hypotheses that are refined", JUDGEMENT)
     refined_gain: float = option(
         30.0, "1", "chi-square that a refinement may gain: what is further behind is not refined", "mostly below 5"
