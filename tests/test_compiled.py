@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from valvesim.channels import INPUT_CHANNELS, Inputs, State
 from valvesim.errors import ValidityWarning
-from valvesim.inputs import Constant, Sine, merge
+from valvesim.inputs import Constant, Sine, Step, Table, merge
+from valvesim.simulation.scenario import Scenario
 from valvesim.simulation.scenario_toml import load_scenario
 from valvesim.simulation.temperature_knots import KNOT_ERROR, temperature_knots
 from valvesim.solver import codegen as compiled
@@ -289,6 +290,30 @@ def test_what_is_computed_ahead_is_as_straight_between_knots_as_the_coefficients
         prepare((knots[k] + knots[k + 1]) / 2.0, between[k])
     bend = np.abs(between - (at[1:] + at[:-1]) / 2.0) / np.maximum(np.abs(at).max(axis=0), 1e-300)
     assert len(path.times) > 100 and bend.max() < 3 * KNOT_ERROR
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.2])
+@pytest.mark.parametrize(
+    "oil",
+    [
+        Step(before=20.0, after=90.0, time=0.7),
+        Table(times=(0.0, 0.31, 0.77, 2.0), values=(20.0, 90.0, -10.0, 40.0)),
+        Sine(offset=40.0, amplitude=20.0, frequency=3.0),
+    ],
+    ids=["step", "table", "sine"],
+)
+def test_straight_lines_between_knots_hold_the_coefficients_wherever_a_course_bends(oil, lag):
+    """Against a path with nine more points between any two knots."""
+    effects = (CATALOGUE["thermal_lag"](time_constant=lag),) if lag else ()
+    scenario = Scenario(duration=2.0, oil_temperature=oil, effects=effects)
+    path, c = temperature_knots(scenario)
+    apart, shares = np.flatnonzero(np.diff(path.times) > 0.0), np.linspace(0.0, 1.0, 10)
+    finer = (path.times[apart, None] + np.diff(path.times)[apart, None] * shares).ravel()
+    _, exact = temperature_knots(scenario, knot_times=finer)
+    for line, own in zip(c, exact, strict=True):
+        line, own = (np.broadcast_to(values, np.shape(x)) for values, x in ((line, path.times), (own, finer)))
+        between = (line[apart, None] + np.diff(line)[apart, None] * shares).ravel()
+        assert np.abs(between - own).max() <= 3.0 * KNOT_ERROR * np.abs(own).max()
 
 
 def test_model_is_compiled_once():

@@ -126,7 +126,7 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
     monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
     monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted, near=(): replace(base.fit, point=point))
 
-    def refit(nominal, start):
+    def refit(nominal, start, within):
         asked.append(start.point.tolist())
         return renewed
 
@@ -500,6 +500,28 @@ def test_a_nominal_fit_that_stopped_short_is_made_anew_from_a_hypothesis(monkeyp
     monkeypatch.setattr(isolation, "refit_nominal", lambda nominal, fit, within: end)
     monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
     assert isolation._better_nominal(base, [lap], options=DIAGNOSIS) is (end if better else None)
+
+
+@pytest.mark.parametrize("apart, fits", [(0.0, 1), (0.04, 1), (0.06, 2), (5.0, 2)])
+def test_a_nominal_fit_is_begun_once_of_hypotheses_that_have_gone_to_one_point(monkeypatch, apart, fits):
+    base, begun = nominal(9000.0), []
+    base.J = np.array([[3.0], [4.0]])
+    first, second = hypothesis(8960.0, "spool_lap"), hypothesis(8970.0, "null_gap_asymmetry")
+    first.fit.point[:], second.fit.point[:] = 1.0, 1.0 + apart
+
+    def refit(nominal, fit, within):
+        begun.append(fit.point)
+        return SimpleNamespace(study=nominal.study, fit=replace(fit, chi_square=8998.0 - 17.0 * len(begun)))
+
+    def evaluated(study, point, fitted, near=()):
+        return replace(first.fit, point=point)
+
+    monkeypatch.setattr(isolation, "evaluate_fit", evaluated)
+    monkeypatch.setattr(isolation, "refit_nominal", refit)
+    monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
+    # the first ends 19 better, for 20 that are asked; half of what the second explains is 15
+    better = isolation._better_nominal(base, [second, first], options=DIAGNOSIS)
+    assert better.fit.chi_square == 8998.0 - 17.0 * fits and len(begun) == fits
 
 
 def test_where_nothing_is_found_about_a_nominal_fit_far_out_single_causes_are_fitted_from_within(monkeypatch):
