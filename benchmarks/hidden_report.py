@@ -33,7 +33,7 @@ SAME = {f"parameter:{e.figure}": e.name for e in CATALOGUE.values() if e.figure 
 TABLE_SEEDS = 130_000
 STRONG = 8.0  # d' from which the right cause must come first
 FORM_TARGET, FORM_ERROR = 40.0, 0.1
-LIKELY = DEFAULT_DIAGNOSIS.design.least_power  # a next test foretold to resolve so surely should
+LIKELY = DEFAULT_DIAGNOSIS.design.least_power  # a next test predicted to resolve so surely should
 POWER_BANDS = (0.0, 0.05, 0.3, LIKELY, 1.0)
 LEAST_ROOM = 0.05  # noise deviations between base and oracle: where there is less, nothing can be gained
 SINGLES = ("effect", "sensor", "parameter")
@@ -108,8 +108,8 @@ def resolved(row: Row) -> bool:
     return not both_left and (known(row["labels"]) in left or not in_set(row))
 
 
-def foretold(row: Row) -> float:
-    """The power with which the next test was foretold to resolve."""
+def predicted_power(row: Row) -> float:
+    """The power with which the next test was predicted to resolve."""
     return float(row["next_test"]["power"])
 
 
@@ -278,9 +278,9 @@ def _goals(done: Sequence[Row], failed: Sequence[Row]) -> str:
         else (f"median {np.median(gains):.3f} of {len(gains)} extended; {np.median(of_all):.3f} of all {len(of_all)}")
     )
     made = _made(done)
-    parted, likely = share(made, resolved), share([row for row in made if foretold(row) >= LIKELY], resolved)
+    parted, likely = share(made, resolved), share([row for row in made if predicted_power(row) >= LIKELY], resolved)
     stopped = sum(bool(row.get("next_test_stopped")) for row in done)
-    mean = float(np.mean([foretold(row) for row in made])) if made else 0.0
+    mean = float(np.mean([predicted_power(row) for row in made])) if made else 0.0
     lines = [
         ("false alarms on empty sessions", "at most 1 %", false, _at_most(false, 0.01)),
         (f"right cause first, d' >= {STRONG:g}, one hidden", "95 %", first, _at_least(first, 0.95)),
@@ -307,14 +307,14 @@ def _goals(done: Sequence[Row], failed: Sequence[Row]) -> str:
             _verdict(coverage.count, 0.93 <= coverage.hits / max(coverage.count, 1) <= 0.97),
         ),
         (
-            f"next test resolves the two, of those foretold to with {LIKELY:g} and more",
+            f"next test resolves the two, of those predicted to with {LIKELY:g} and more",
             "90 %",
             likely,
             _at_least(likely, 0.9),
         ),
         (
             "the same of all next tests",
-            f"{mean:.2f}, as foretold" if made else "as foretold",
+            f"{mean:.2f}, as predicted" if made else "as predicted",
             f"{parted}{f'; {stopped} more were stopped' if stopped else ''}",
             _verdict(parted.count, wilson(*parted)[0] <= mean <= wilson(*parted)[1]),
         ),
@@ -360,8 +360,8 @@ def _definitions() -> str:
 - **resolved**: the plant is put through the test and the longer session diagnosed: one of the two causes is out of the
   answer set, and the truth, where it was in the set before, is still in it. A diagnosis that takes longer than four
   minutes of the processor there is stopped, and told apart.
-- **foretold**: the power that the answer states for its next test, the probability that it resolves. That is
-  calibrated where the mean foretold lies within the interval of the share that resolved.
+- **predicted power**: the power that the answer states for its next test, the probability that it resolves. That is
+  calibrated where the mean predicted power lies within the interval of the share that resolved.
 - **seconds**: of `diagnose` on the wall clock, a worker a core, BLAS on one thread; beside it what the processor
   worked."""
 
@@ -702,30 +702,31 @@ def _next_tests(done: Sequence[Row]) -> str:
             _case(row),
             " / ".join(row["next_test"]["separates"]),
             row["next_test"]["description"],
-            f"{foretold(row):.2f}",
+            f"{predicted_power(row):.2f}",
             ", ".join(row["after_next_test"]["in_set"]) if row.get("after_next_test") else "",
             ("yes" if resolved(row) else "no") if row.get("after_next_test") else "",
         )
         for row in rows
     ]
     return (
-        "## Next tests\n\nProposed where causes could not be told apart, with the power foretold, and what was left "
+        "## Next tests\n\nProposed where causes could not be told apart, with the predicted power, and what was left "
         "in the answer set once the test had been made on the plant.\n\n"
         + _by_power(_made(done))
         + "\n\n"
-        + table(("case", "to tell apart", "test", "foretold", "left", "resolved"), lines)
+        + table(("case", "to tell apart", "test", "predicted power", "left", "resolved"), lines)
     )
 
 
 def _by_power(made: Sequence[Row]) -> str:
-    """How many resolved of those foretold alike."""
+    """How many resolved of those predicted alike."""
     lines = []
     for low, high in pairwise(POWER_BANDS):
-        rows = [row for row in made if low <= foretold(row) < high or foretold(row) == high == POWER_BANDS[-1]]
+        last = high == POWER_BANDS[-1]  # which holds its end
+        rows = [row for row in made if low <= predicted_power(row) < high or (last and predicted_power(row) == high)]
         if rows:
-            mean = f"{np.mean([foretold(row) for row in rows]):.2f}"
+            mean = f"{np.mean([predicted_power(row) for row in rows]):.2f}"
             lines.append((f"{low:g} to {high:g}", len(rows), mean, share(rows, resolved)))
-    return table(("foretold", "tests", "on average", "resolved"), lines)
+    return table(("predicted power", "tests", "on average", "resolved"), lines)
 
 
 def _times(done: Sequence[Row]) -> str:

@@ -53,7 +53,7 @@ def test_a_figure_is_the_effect_that_it_is_by_definition():
     assert not resolved(row(GAP, [figure, LAP], [figure, LAP], [GAP, LAP]))
 
 
-def test_the_mean_foretold_stands_beside_the_share_resolved():
+def test_the_mean_predicted_power_stands_beside_the_share_resolved():
     sure = [row(FRICTION, [LAP, FRICTION], [LAP, FRICTION], [FRICTION], power) for power in (0.8, 1.0)]
     unsure = [row(FRICTION, [LAP, FRICTION], [LAP, FRICTION], [LAP, FRICTION], 0.0)]
     lines = by_power([*sure, *unsure]).splitlines()[2:]

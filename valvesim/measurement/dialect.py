@@ -8,6 +8,7 @@ from __future__ import annotations
 import codecs
 import contextlib
 import csv
+import functools
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -137,7 +138,7 @@ class _Reading:
     kinds: tuple[str, ...]
     header: tuple[int, ...]  # indices of the lines of names and, where there is one, units
 
-    @property
+    @functools.cached_property
     def rank(self) -> tuple[bool, float, int, float]:
         """Whether a header fits, the share of columns that are no text, how many these are, and the share of their
         cells that are none."""
