@@ -505,9 +505,7 @@ def _nominal_from(nominal: NominalFit, one: Fit, gain: float, *, options: Diagno
 
 
 def _is_near(nominal: NominalFit, point: np.ndarray, other: np.ndarray, *, options: DiagnosisOptions) -> bool:
-    """Whether a point (p,) is next to another one as far as a nominal fit is from this, by what the readings and the
-    priors tell of both.
-    """
+    """Whether two points (p,) lie together as seen from a nominal fit, by what the readings and the priors tell."""
 
     def distance(by: np.ndarray) -> float:
         return float(np.hypot(np.linalg.norm(nominal.J @ by), np.linalg.norm(by)))

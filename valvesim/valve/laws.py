@@ -144,7 +144,7 @@ def lagged(times, values, time_constant):
 
 def linear_recursion(factors, added, first):
     """y_1 to y_m (..., m, k) of y_j = factors_j y_j-1 + added_j from y_0 = `first` (..., k); factors and what is added
-    are (..., m, k). Steps are joined by two, then by four and so on.
+    are (..., m, k), no factor much above one. Steps are joined by two, then by four and so on.
     """
     reach = 1
     while reach < np.shape(factors)[-2]:
