@@ -154,3 +154,13 @@ def test_what_hardly_helps_is_left_and_more_so_in_a_long_session(session):
         OPTIONS.fit.negligible_share * (1e6 - OPTIONS.fit.inadequate_ratio * 1e3)
     )
     assert long_session.negligible_reduction(1e3, 1e3) == 0.0
+
+
+@pytest.mark.parametrize("in_set, taken", [(["a"], ["a", "b", "c"]), (["a", "b"], ["a", "b", "c"]), ([], ["a", "b"])])
+def test_what_is_little_behind_the_answer_set_of_the_beginnings_is_taken_along(monkeypatch, in_set, taken):
+    """Half a deviation in evidence had left the truth behind, and the whole session named its rival for sure."""
+    behind = {"a": 0.0, "b": 6.5, "c": 17.0, "d": 19.0}
+    found = [SimpleNamespace(label=label, evidence=by) for label, by in behind.items()]
+    isolation = SimpleNamespace(nominal=None, found=found, answer_set=[one for one in found if one.label in in_set])
+    monkeypatch.setattr(leading_segments, "answer_set_width", lambda nominal, best: 6.0)
+    assert [one.label for one in leading_segments._taken_along(isolation, options=DIAGNOSIS)] == taken

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from valvesim.diagnosis.isolation import Isolation, isolate
+from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.bad_samples import without_outliers, without_saturation
@@ -43,7 +44,7 @@ def fit_coarse_to_fine(
             chosen = with_choice_of(prepared, segments.study)
             point = np.append(segments.fit.point[:p], np.zeros(len(chosen.nominal.parameters) - p))
             nominal = fit_nominal_near(chosen, point, full_weight=not segments.study.weights)
-            known = isolation.answer_set or isolation.found[: options.coarse_to_fine.taken_along]
+            known = _taken_along(isolation, options=options)
             fits = [replace(one.fit, point=one.fit.point[:p]) for one in known if one.fit.fitted]
             return _without_outliers(nominal), fits
     nominal = fit_nominal(prepared, lambda share: progress(stage, share))
@@ -51,6 +52,18 @@ def fit_coarse_to_fine(
         cleaned = without_saturation(prepared, nominal.study, nominal.fit)
         nominal = nominal if cleaned is prepared else fit_nominal(cleaned, lambda share: progress(stage, share))
     return _without_outliers(nominal), ()
+
+
+def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[FittedHypothesis]:
+    """The answer set of records' beginnings and what is not in it by little, for the rest may tell otherwise; the
+    likeliest where nothing is.
+    """
+    if not isolation.answer_set:
+        return isolation.found[: options.coarse_to_fine.taken_along]
+    best = isolation.answer_set[0]
+    worst = best.evidence + options.coarse_to_fine.taken_width * answer_set_width(isolation.nominal, best)
+    known = [one.label for one in isolation.answer_set]
+    return [*isolation.answer_set, *(o for o in isolation.found if o.evidence < worst and o.label not in known)]
 
 
 def _without_outliers(nominal: NominalFit) -> NominalFit:

@@ -220,6 +220,9 @@ class CoarseToFineOptions:
     taken_along: int = option(
         2, "1", "hypotheses that are taken along where none explains the leading segments", JUDGEMENT
     )
+    taken_width: float = option(
+        3.0, "1", "times the width of the answer set: what is no further behind there is taken along", JUDGEMENT
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
