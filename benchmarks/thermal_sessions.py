@@ -47,7 +47,9 @@ from valvesim.identification.study import PreparedSession, prepare_session, with
 
 Row = dict[str, Any]
 Records = list[dict[str, np.ndarray]]
-SETS = {"working": (710_000, 300), "second": (810_000, 300), "third": (910_000, 300)}  # first seed, sessions
+SETS = {  # first seed, sessions
+    "working": (710_000, 300), "second": (810_000, 300), "third": (910_000, 300), "fourth": (1_010_000, 300),
+}  # fmt: skip
 RESULTS = ROOT / "benchmarks" / "results" / "thermal_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "thermal_sessions.md"
 MEASURED = ("body", "torque_motor")
