@@ -193,6 +193,41 @@ def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run
 
 
 @pytest.mark.parametrize(
+    "left, promised, taken",
+    [
+        (1.9e4, 0.0, True),
+        (9e4, 8e4, True),  # it is on its way there
+        (2e6, 1e6, False),  # begun from a nominal fit that is lost, it is lost too
+        (None, 0.0, False),
+    ],
+)
+def test_another_way_is_taken_where_the_cause_leaves_no_more_under_it(monkeypatch, left, promised, taken):
+    rows, fit = 1e4, SimpleNamespace(chi_square=2e4, rows=1e4, point=None, fitted=())
+    base, other = (SimpleNamespace(fit=SimpleNamespace(chi_square=9e8, rows=rows), study=None) for _ in range(2))
+    under = None if left is None else SimpleNamespace(
+        chi_square=left, predicted_reduction=promised, rows=rows, point=None, fitted=()
+    )  # fmt: skip
+    for name, stub in {
+        "has_implausible_delays": lambda study, point: False,
+        "is_adequate": lambda fit, *, options: False,
+        "is_other_valve": lambda nominal, fit, *, options: False,
+        "leaves_noise": lambda fit, study, *, options: True,
+        "likeliest_starts": lambda nominal, scores: iter([("a",)]),
+        "fit_from_prior": lambda nominal, start, few: fit,
+        "fit_hypothesis": lambda nominal, start, linearisations: under if nominal is other else fit,
+        "score_test": lambda *_, **__: SimpleNamespace(linearised=(), columns=()),
+        "assembled": lambda *_: None,
+        "_tuned_beside": lambda *_: None,
+        "_likeliest": lambda *_, options: None,
+        "with_inputs_beside": lambda at, beside: other,
+        "_fitted_under": lambda nominal, at: at,
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    at, _, found = bench_faults.with_faults_beside_cause(base, "scores", (), options=DIAGNOSIS)
+    assert (at, found) == ((other, under) if taken else (base, fit))
+
+
+@pytest.mark.parametrize(
     "name, other, left, more",
     [
         ("spool_lap", "spool_coulomb_friction", 0.9, True),
@@ -583,7 +618,7 @@ def study_of_edges(after, right, runs=None):
     samples = max(after) + 17
     edges = [EdgeTime("a", "current", k) for k in after]
 
-    def run(point):
+    def run(point, near=None):
         if runs is not None:
             runs.append(point)
         read = np.zeros(samples)
@@ -620,12 +655,12 @@ def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
     runs = []
     study = study_of_edges([3], [(0.5, np.inf)], runs)  # it comes early
     start = np.array([5.0, -0.3])
-    found = searched_edges(study, SimpleNamespace(point=start, readings=(study.predictors[0].run(start),)))
+    found = searched_edges(study, SimpleNamespace(trajectories=(), point=start, readings=(study.predictors[0].run(start),)))
     assert found[0] == 5.0 and 0.5 < found[1] < 1.0  # the place next to the middle of all that leave nothing
     runs.clear()
     point = np.array([5.0, 1.0])
     read = study.predictors[0].run(point)
-    assert np.array_equal(searched_edges(study, SimpleNamespace(point=point, readings=(read,))), point)
+    assert np.array_equal(searched_edges(study, SimpleNamespace(trajectories=(), point=point, readings=(read,))), point)
     assert len(runs) == 1  # nothing is left there
 
 
@@ -636,14 +671,14 @@ def test_edges_of_a_record_are_looked_for_at_once_as_they_would_be_one_by_one(dr
     after, right, runs = np.cumsum(apart).tolist(), [(place - 0.3, place + 0.3) for place in places], []
     study = study_of_edges(after, right, runs)
     point = np.array([0.0, *now])
-    fit = SimpleNamespace(point=point, readings=(study.predictors[0].run(point),))
+    fit = SimpleNamespace(trajectories=(), point=point, readings=(study.predictors[0].run(point),))
     runs.clear()
     found = searched_edges(study, fit)
     assert len(runs) in (0, IDENTIFICATION.input.edge_places + 1)
     for k in range(len(after)):
         alone = study_of_edges([after[k]], [right[k]])
         at = point[[0, k + 1]]
-        fit = SimpleNamespace(point=at, readings=(alone.predictors[0].run(at),))
+        fit = SimpleNamespace(trajectories=(), point=at, readings=(alone.predictors[0].run(at),))
         assert found[k + 1] == searched_edges(alone, fit)[1]
 
 

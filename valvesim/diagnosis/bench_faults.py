@@ -148,7 +148,10 @@ def with_faults_beside_cause(
             break
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:
-            at, fit = better, fit_hypothesis(better, fit.fitted, linearisations=few)
+            other = fit_hypothesis(better, fit.fitted, linearisations=few)
+            if other is None or other.chi_square - other.predicted_reduction > fit.chi_square:
+                break  # begun from a nominal fit that is lost
+            at, fit = better, other
         elif not tried and not leaves_noise(fit, at.study, options=options):
             (at, fit), tried = _best_inputs(at, fit, few), True
         else:
