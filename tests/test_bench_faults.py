@@ -655,7 +655,8 @@ def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
     runs = []
     study = study_of_edges([3], [(0.5, np.inf)], runs)  # it comes early
     start = np.array([5.0, -0.3])
-    found = searched_edges(study, SimpleNamespace(trajectories=(), point=start, readings=(study.predictors[0].run(start),)))
+    fit = SimpleNamespace(trajectories=(), point=start, readings=(study.predictors[0].run(start),))
+    found = searched_edges(study, fit)
     assert found[0] == 5.0 and 0.5 < found[1] < 1.0  # the place next to the middle of all that leave nothing
     runs.clear()
     point = np.array([5.0, 1.0])
