@@ -591,7 +591,7 @@ def tuned_case(case: Case, target: float, earlier: Row | None, folder: Path) -> 
     return Tuned(case, distance=earlier["distance"], overlap=earlier["overlap"], records=responses(case), **own)
 
 
-def run_case(spec: Spec, earlier: Row | None, with_baselines: bool) -> Row:
+def run_case(spec: Spec, earlier: Row | None, with_baselines: bool, with_next_tests: bool) -> Row:
     """The line of a case. What fails is told in it: `outcome` "error", with the message."""
     row: Row = {**asdict(spec), "key": spec.key, "plant": PLANT, "outcome": "error"}
     begin = time.perf_counter()
@@ -611,7 +611,7 @@ def run_case(spec: Spec, earlier: Row | None, with_baselines: bool) -> Row:
             row |= _of_diagnosis(tuned.case, found)
             row["outcome"] = "done"
             row |= _errors(tuned, found, caught, load_session(folder), row)
-            if found.next_test is not None:
+            if found.next_test is not None and with_next_tests:
                 row["after_next_test"] = _after_next_test(tuned, found.next_test, Path(place) / "longer")
                 row["next_test_stopped"] = row["after_next_test"] is None
             if with_baselines:
@@ -757,7 +757,10 @@ def read_results(path: Path) -> list[Row]:
     return rows
 
 
-def run(todo: Sequence[Spec], path: Path, earlier: Mapping[str, Row], workers: int, with_baselines: bool) -> None:
+def run(
+    todo: Sequence[Spec], path: Path, earlier: Mapping[str, Row], workers: int, with_baselines: bool,
+    with_next_tests: bool,
+) -> None:  # fmt: skip
     """Run cases that the results do not hold yet; this process alone writes, a line at a time.
 
     `earlier` are rows by key, whose strengths are taken over.
@@ -772,7 +775,7 @@ def run(todo: Sequence[Spec], path: Path, earlier: Mapping[str, Row], workers: i
 
         def job(spec: Spec) -> tuple[Any, ...]:
             also_baselines = with_baselines and crc32(spec.key.encode()) % BASELINE_EVERY == 0
-            return run_case, spec, earlier.get(spec.key), also_baselines
+            return run_case, spec, earlier.get(spec.key), also_baselines, with_next_tests
 
         def add(spec: Spec, row: Row) -> str:
             file.write(json.dumps(row, ensure_ascii=False, allow_nan=False) + "\n")
@@ -840,6 +843,7 @@ def main() -> None:
     )
     parser.add_argument("--workers", type=int, default=cores())
     parser.add_argument("--baselines", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--next-tests", action=argparse.BooleanOptionalAction, default=True, help="make them")
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT, help="the report's file")
     options = parser.parse_args()
     chosen = [spec for spec in cases(options.seed_offset) if options.kinds is None or spec.kind in options.kinds]
@@ -848,7 +852,8 @@ def main() -> None:
         if options.what == "run":
             taken = {"plant": PLANT} if options.keep_strengths else {}
             earlier = {row["key"]: row | taken for row in read_results(options.strengths)}
-            return run(chosen, options.results, earlier, options.workers, options.baselines)
+            with_others = options.baselines, options.next_tests
+            return run(chosen, options.results, earlier, options.workers, *with_others)
     except KeyboardInterrupt:
         sys.exit(f"interrupted; what is done stands in {options.results}, the same command goes on from there")
     keys = {spec.key for spec in chosen}
