@@ -59,7 +59,7 @@ def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[Fit
     likeliest where nothing is.
     """
     if not isolation.answer_set:
-        return isolation.found[: options.coarse_to_fine.taken_along]
+        return list(isolation.found[: options.coarse_to_fine.taken_along])
     best = isolation.answer_set[0]
     worst = best.evidence + options.coarse_to_fine.taken_width * answer_set_width(isolation.nominal, best)
     known = [one.label for one in isolation.answer_set]
