@@ -99,7 +99,7 @@ SHARED = 0.6  # of what a base parameter costs alone where others help to take i
 RULER_STEPS, LONGEST_STEP, UNMOVED = 3, 6.0, 0.1  # of the base parameters, in prior deviations
 FALLEN = 0.8  # of d'^2 from one step to the next: then it has settled
 TAKEN_UP = 6.0  # times what is left: where they take up more, the linear equations are not trusted
-LONGEST = 240.0  # s of the processor, of the diagnosis after a next test
+LONGEST_DIAGNOSIS = 240.0  # s of the processor, of the diagnosis after a next test
 BASELINE_EVERY = 8  # cases: the baselines refit a dozen candidates
 
 
@@ -628,7 +628,7 @@ def run_case(spec: Spec, earlier: Row | None, with_baselines: bool, with_next_te
 
 def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> Row | None:
     """What the diagnosis says once the test that it has asked for has been made on the plant; None where that takes
-    longer than `LONGEST`.
+    longer than `LONGEST_DIAGNOSIS`.
     """
     inputs = test.inputs
     run = Run(
@@ -639,7 +639,7 @@ def _after_next_test(tuned: Tuned, test: NextTest, folder: Path) -> Row | None:
     records = [*tuned.records, *responses(replace(tuned.case, runs=(run,)))]
     write(replace(tuned.case, runs=(*tuned.case.runs, run)), records, folder)
     try:
-        with stopped_after(LONGEST):
+        with stopped_after(LONGEST_DIAGNOSIS):
             found = engine.diagnose(folder)
     except Stopped:
         return None

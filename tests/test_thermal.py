@@ -1,6 +1,7 @@
 """The thermal network against closed forms of one node, balances of the whole and the time constants of model.md 5."""
 
 import dataclasses
+from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
@@ -15,7 +16,14 @@ from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.coefficients import PART_NAMES
 from valvesim.valve.fluid import MIL_PRF_5606
-from valvesim.valve.thermal_network import THERMAL_NODES, ThermalNetwork, temperature_path, throttling_rise
+from valvesim.valve.thermal_network import (
+    THERMAL_NODES,
+    ThermalNetwork,
+    _mean_of_exponential,
+    _mean_of_ramp,
+    temperature_path,
+    throttling_rise,
+)
 
 NETWORK = ThermalNetwork()
 SEALED = ThermalNetwork(torque_motor_to_ambient=0.0, body_to_ambient=0.0)  # nothing lost to the air
@@ -347,15 +355,17 @@ def test_parts_of_several_networks_together_are_those_of_each_alone(factors):
             assert found == pytest.approx(getattr(alone.parts, part), rel=1e-12), part
 
 
+@pytest.mark.parametrize("decades, least", [(1.0, 1e-9), (3.0, 1e-6)])
 @given(
-    st.lists(st.floats(-3.0, 4.0), min_size=len(quantities(NETWORK)), max_size=len(quantities(NETWORK))),
+    st.lists(st.floats(-1.0, 4.0 / 3.0), min_size=len(quantities(NETWORK)), max_size=len(quantities(NETWORK))),
     st.sets(st.sampled_from(LINKS), max_size=len(LINKS)),
     st.lists(st.floats(-9.0, 3.0), min_size=1, max_size=40),
 )
-def test_the_parts_follow_any_network_as_its_matrix_exponential_has_it(powers, cut, spacings):
+def test_the_parts_follow_any_network_as_its_matrix_exponential_has_it(decades, least, powers, cut, spacings):
     from scipy.linalg import expm
 
-    figures = {name: getattr(NETWORK, name) * 10.0**by for name, by in zip(quantities(NETWORK), powers, strict=True)}
+    factors = dict(zip(quantities(NETWORK), 10.0 ** (decades * np.array(powers)), strict=True))
+    figures = {name: getattr(NETWORK, name) * factor for name, factor in factors.items()}
     network = ThermalNetwork(**{name: 0.0 if name in cut else min(value, 1e5) for name, value in figures.items()})
     times = np.cumsum([0.0, *(10.0**np.array(spacings))])
     oil = Table(times=(0.0, 0.3, 4.0), values=(20.0, 150.0, -30.0))
@@ -367,7 +377,18 @@ def test_the_parts_follow_any_network_as_its_matrix_exponential_has_it(powers, c
         block[:n, :n], block[:n, n : n + 2] = M * h, N * h
         block[n : n + 2, n + 2 :] = np.eye(2)
         T = (expm(block) @ [*T, *u[0], *(u[1] - u[0])])[:n]
-        assert values(path)[k + 1] == pytest.approx(T, rel=1e-7, abs=1e-6)
+        assert values(path)[k + 1] == pytest.approx(T, rel=0.1 * least, abs=least)
+
+
+@pytest.mark.parametrize("z", [0.0, -1e-300, -1e-12, -1e-5, -1e-3, -0.49, -0.5, -0.51, -3.0, -50.0, -1e6])
+def test_means_over_a_step_are_those_of_sixty_digits(z):
+    with localcontext() as digits:
+        digits.prec = 60
+        exact = Decimal(z)
+        e = exact.exp()
+        mean, ramp = ((e - 1) / exact, (e - 1 - exact) / exact**2) if z < -1e-20 else (1, Decimal("0.5"))
+    found = (float(mean_of(np.array([z]))[0]) for mean_of in (_mean_of_exponential, _mean_of_ramp))
+    assert tuple(found) == pytest.approx((float(mean), float(ramp)), rel=1e-14)
 
 
 def test_one_knot_is_the_start_alone():

@@ -485,7 +485,7 @@ def _better_nominal(
     begun = list[tuple[np.ndarray, NominalFit]]()
     for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
         gain = nominal.fit.chi_square - one.chi_square
-        better = next((fit for point, fit in begun if _is_near(nominal, one.point, point, options=options)), None)
+        better = next((fit for point, fit in begun if _lie_together(nominal, one.point, point, options=options)), None)
         if better is None and (better := _nominal_from(nominal, one, gain, options=options)) is not None:
             begun.append((one.point, better))
         if better and rescored(better.study, nominal.fit).chi_square - better.fit.chi_square > 0.5 * gain:
@@ -504,7 +504,7 @@ def _nominal_from(nominal: NominalFit, one: Fit, gain: float, *, options: Diagno
         return None
 
 
-def _is_near(nominal: NominalFit, point: np.ndarray, other: np.ndarray, *, options: DiagnosisOptions) -> bool:
+def _lie_together(nominal: NominalFit, point: np.ndarray, other: np.ndarray, *, options: DiagnosisOptions) -> bool:
     """Whether two points (p,) lie together as seen from a nominal fit, by what the readings and the priors tell."""
 
     def distance(by: np.ndarray) -> float:

@@ -77,16 +77,19 @@ def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None
     score_tests = {options.knots: scores, options.fine_knots: fine}
     ranked, margin = _ranked(score_tests, options=scores.options)
     for hypothesis, count in ranked[: options.estimated]:
-        alike = _alike(score_tests.get(count, scores), hypothesis, margin)
         penalty = options.complexity_penalty * hypothesis.complexity
-        found = _estimated(nominal, hypothesis, count, alike, least - penalty, price, options=scores.options)
+        found = _estimated(nominal, hypothesis, count, least - penalty, price, options=scores.options)
         if found is not None and found.chi_square + price * found.freedom + penalty < least:
-            least, best = found.chi_square + price * found.freedom + penalty, found
-    return best
+            least, best = found.chi_square + price * found.freedom + penalty, (hypothesis, count, found)
+    if best is None:
+        return None
+    hypothesis, count, found = best
+    alike = _alike(score_tests.get(count, scores), hypothesis, margin)
+    return replace(found, term=replace(found.term, alike=alike))
 
 
 def _estimated(
-    nominal: NominalFit, hypothesis: TermHypothesis, count: int, alike: tuple[str, ...], below: float, price: float, *,
+    nominal: NominalFit, hypothesis: TermHypothesis, count: int, below: float, price: float, *,
     options: DiagnosisOptions,
 ) -> RecoveredTerm | None:  # fmt: skip
     """A hypothesis's term on so many knots, held to a formula where there is one; None where its chi-square will not
@@ -104,7 +107,7 @@ def _estimated(
         error = relative_difference(problem, new.state.values, old)
     state = solution.state
     return RecoveredTerm(
-        _term_answer(problem, solution, formula, error, alike), problem.active(state.values, state.memory_log),
+        _term_answer(problem, solution, formula, error), problem.active(state.values, state.memory_log),
         state.point, state.chi_square, freedom, state.readings,
         problem.variant(state.point, state.values, state.memory_log),
     )  # fmt: skip
@@ -158,9 +161,7 @@ def _place(hypothesis: TermHypothesis) -> tuple[str, str]:
     return hypothesis.port.name, hypothesis.variable.name
 
 
-def _term_answer(
-    problem: TermProblem, solution: TermEstimate, formula: str, error: float, alike: tuple[str, ...]
-) -> Term:
+def _term_answer(problem: TermProblem, solution: TermEstimate, formula: str, error: float) -> Term:
     p, k = len(solution.state.point), len(problem.knots)
     variance = np.diag(solution.covariance)[p : p + k]
     hypothesis = problem.hypothesis
@@ -168,5 +169,5 @@ def _term_answer(
         port=hypothesis.port.name, port_unit=hypothesis.port.unit, variable=hypothesis.variable.name,
         variable_unit=hypothesis.variable.unit, memory=hypothesis.memory, at=tuple(map(float, problem.knots)),
         value=tuple(map(float, solution.state.values)), deviation=tuple(map(float, np.sqrt(np.maximum(variance, 0.0)))),
-        formula=formula, formula_error=error, alike=alike,
+        formula=formula, formula_error=error, alike=(),
     )  # fmt: skip

@@ -35,9 +35,9 @@ def temperature_knots(
         return _at_knots(path, np.arange(len(knot_times)), scenario, valve)
     commands = (scenario.oil_temperature, *scenario.part_temperatures.values())
     knots = first_knots(commands, scenario.duration, min(0.5, scenario.duration / 16.0))
-    straight, largest = np.zeros(len(knots) - 1, dtype=bool), None
+    halved, largest = np.ones(len(knots) - 1, dtype=bool), None  # which steps are halves of one that bends
     for _ in range(MOST_HALVINGS):
-        apart = np.flatnonzero((np.diff(knots) > 0.0) & ~straight)
+        apart = np.flatnonzero((np.diff(knots) > 0.0) & halved)
         middles = (knots[apart] + knots[apart + 1]) / 2.0
         tried = np.insert(knots, apart + 1, middles)
         path = scenario.temperatures(knots=tried)
@@ -53,8 +53,7 @@ def temperature_knots(
             break
         _check_number(len(knots), bend)
         knots = np.insert(knots, apart[bent] + 1, middles[bent])
-        halves = np.insert(np.isin(np.arange(len(straight)), apart[bent]), apart[bent], True)
-        straight = ~halves
+        halved = np.insert(np.isin(np.arange(len(halved)), apart[bent]), apart[bent], True)
     return _at_knots(path, np.delete(np.arange(len(tried)), at[~bent]), scenario, valve)
 
 

@@ -148,12 +148,10 @@ def linear_recursion(factors, added, first):
     """
     reach = 1
     while reach < np.shape(factors)[-2]:
-        later, sooner = (..., slice(reach, None), slice(None)), (..., slice(None, -reach), slice(None))
-        alone = (..., slice(None, reach), slice(None))
-        added, factors = (
-            np.concatenate([added[alone], factors[later] * added[sooner] + added[later]], axis=-2),
-            np.concatenate([factors[alone], factors[later] * factors[sooner]], axis=-2),
-        )
+        later = factors[..., reach:, :]
+        joined = later * added[..., :-reach, :] + added[..., reach:, :], later * factors[..., :-reach, :]
+        added = np.concatenate([added[..., :reach, :], joined[0]], axis=-2)
+        factors = np.concatenate([factors[..., :reach, :], joined[1]], axis=-2)
         reach *= 2
     return factors * first[..., None, :] + added
 

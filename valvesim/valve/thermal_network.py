@@ -183,17 +183,15 @@ def _followed(
 
 def _mean_of_exponential(z: np.ndarray) -> np.ndarray:
     """(e^z - 1)/z, the mean of e^(z s) over s from 0 to 1."""
-    far = np.where(np.abs(z) > 1e-5, z, 1.0)
-    return np.where(far == z, np.expm1(z) / far, 1.0 + z / 2.0)
+    return np.divide(np.expm1(z), z, out=np.ones_like(z), where=z != 0.0)
 
 
 def _mean_of_ramp(z: np.ndarray) -> np.ndarray:
     """(e^z - 1 - z)/z^2, the mean of s e^(z (1 - s)) over s from 0 to 1: by its series where that cancels."""
-    far, series = np.where(np.abs(z) > 0.5, z, 1.0), np.zeros_like(z)
-    near = np.where(np.abs(z) > 0.5, 0.0, z)
+    far, near, series = np.abs(z) > 0.5, np.clip(z, -0.5, 0.5), np.zeros_like(z)
     for k in range(17, 1, -1):  # 0.5^16/18! is below rounding
         series = (series * near + 1.0) / k
-    return np.where(np.abs(z) > 0.5, (np.expm1(z) - z) / far**2, series)
+    return np.divide(np.expm1(z) - z, z**2, out=series, where=far)
 
 
 def starting_temperatures(initial: float | Mapping[str, float] | None, oil: float) -> PartTemperatures:
