@@ -18,6 +18,7 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.bad_samples import without_outliers, without_saturation
 from valvesim.identification.fit import Fit, is_adequate
+from valvesim.identification.input_errors import with_input_errors
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near, with_choice_of
 from valvesim.identification.session import Record
 from valvesim.identification.study import PreparedSession, restricted_session
@@ -43,6 +44,7 @@ def fit_coarse_to_fine(
             p, segments = len(prepared.nominal.parameters), isolation.nominal
             chosen = with_choice_of(prepared, segments.study)
             point = np.append(segments.fit.point[:p], np.zeros(len(chosen.nominal.parameters) - p))
+            chosen = with_input_errors(chosen, point)
             nominal = fit_nominal_near(chosen, point, full_weight=not segments.study.weights)
             known = _taken_along(isolation, options=options)
             fits = [replace(one.fit, point=one.fit.point[:p]) for one in known if one.fit.fitted]

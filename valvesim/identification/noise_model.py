@@ -43,6 +43,19 @@ class NoiseModel:
         white /= self.innovation
         return white
 
+    def largest_variance(self, errors: np.ndarray, width: int, lags: int) -> np.ndarray:
+        """(n,) variance of independent errors, in units of the innovation's, to which correlated ones come at most once
+        whitened, by realisations of them (n, k): their own over `width` samples, times the sum of their correlations up
+        to so many `lags`. No correlation matrix has an eigenvalue beyond the largest sum of a row.
+        """
+        from scipy.ndimage import uniform_filter1d
+
+        white = self.whiten(errors, np.ones(len(errors), dtype=bool))
+        together = [float(np.sum(white[lag:] * white[: len(white) - lag])) for lag in range(lags + 1)]
+        alike = np.abs(together) / (together[0] or 1.0)
+        own = uniform_filter1d(np.mean(white**2, axis=1), width, mode="nearest")
+        return np.pad(own, (len(errors) - len(own), 0), mode="edge") * (2.0 * np.sum(alike) - alike[0])
+
     def kept(self, usable: np.ndarray) -> np.ndarray:
         """True for the samples (n,) whose rows `whiten` gives back."""
         touched = np.convolve(~usable, np.ones(len(self.lags) + 1))[: len(usable)] > 0.0

@@ -26,6 +26,7 @@ from valvesim.identification.input_choice import (
     input_spread,
     searched_edges,
 )
+from valvesim.identification.input_errors import with_input_errors
 from valvesim.identification.input_waves import dominant_wave, fitted_waves, tuned_waves, with_parameters
 from valvesim.identification.instrument_errors import instrument_errors
 from valvesim.identification.least_squares import (
@@ -67,8 +68,9 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
         reached = max(reached, share)
         progress(reached)
 
-    prepared, choice, nominal = _robust_with_inputs(prepared, ahead)
+    prepared, choice, nominal = _robust_with_inputs(with_input_errors(prepared), ahead)
     nominal = _with_own_noise(nominal, ahead)
+    prepared = replace(prepared, input_errors=with_input_errors(nominal.study, nominal.fit.point).input_errors)
     if not choice.parameters and choice.name not in (HELD_NAME, READ_BACK_NAME):  # edges may be seen by now
         choice, nominal = _under_better_choice(prepared, choice, nominal, ahead)
     full = _in_full(with_input_choice(prepared, choice, nominal.study), nominal, ahead)

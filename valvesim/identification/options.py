@@ -185,6 +185,9 @@ class InputNoiseOptions:
     spectrum: int = option(256, "1", "samples of each spectrum that tells the noise", JUDGEMENT)
     stretch: int = option(32, "1", "samples of the stretches whose spectra are asked; a record has more", JUDGEMENT)
     threshold: float = option(3.0, "1", "noise deviations below which a coefficient is noise", "0.3 % by chance")
+    realisations: int = option(8, "1", "realisations of it that tell what readings hang on it", JUDGEMENT)
+    width: int = option(5, "1", "samples over which these are averaged besides", JUDGEMENT)
+    lags: int = option(40, "1", "samples after which readings have forgotten it", "slowest readings, at 1 kHz")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -296,6 +296,7 @@ def _read_record(
             noise = input_noise(values[column], options=options.input_noise)
             if options.input_noise.least * scale < noise < options.audit.noise_motion * scale:
                 values[column] = without_noise(values[column], noise, options=options.input_noise)
+                record.input_noise[column] = noise
                 told = value_text(noise, UNITS[column])
                 notes.append(f"{name}: {column} has white noise of {told} (standard deviation); it is taken away, as "
                              "the instrument's and not the valve's")  # fmt: skip

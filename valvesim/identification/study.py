@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Self, TypeVar
 
 import numpy as np
@@ -34,6 +35,8 @@ class PreparedSession:
     """(record, channel): deviation (n,) of what readings hang on inputs between their samples, beside the noise."""
     discrepancy: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, kw_only=True)
     """The same of what the law of a cause may err by (model discrepancy; Kennedy and O'Hagan 2001)."""
+    input_errors: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, kw_only=True)
+    """(record, channel): realisations (n, k) of what readings hang on the noise of measured inputs."""
 
     def with_noise(self, noise: dict[tuple[str, float], NoiseModel]) -> Study:
         """The study under a noise, by channel and pace."""
@@ -92,10 +95,9 @@ class Study(PreparedSession):
         for name in record.outputs:
             noise = self.noise[name, record.pace]
             rows = noise.whiten(columns[name], record.usable[name])[:: self.stride]
-            known = (self.spread.get((record.name, name)), self.discrepancy.get((record.name, name)))
-            if wider := [deviation for deviation in known if deviation is not None]:
-                beside = np.sum(np.square(wider), axis=0)[noise.kept(record.usable[name])][:: self.stride]
-                rows /= np.sqrt(1.0 + beside / noise.innovation**2)[:, None]
+            if wider := self._variances(record, name):
+                beside = np.sum(wider, axis=0)[noise.kept(record.usable[name])][:: self.stride]
+                rows /= np.sqrt(1.0 + beside)[:, None]
             if (weights := self.weights.get((record.name, name))) is not None:
                 rows *= weights[:, None]
             white.append(rows)
@@ -103,14 +105,36 @@ class Study(PreparedSession):
 
     def log_determinant(self) -> float:
         """The log determinant of the noise covariance where readings may be off by the `spread`, less that without."""
-        total = 0.0
+        without, total = replace(self, spread={}), 0.0
         for predictor in self.predictors:
-            for name in predictor.record.outputs:
-                noise = self.noise[name, predictor.record.pace]
-                spread = self.spread.get((predictor.record.name, name), np.zeros(len(predictor.record.time)))
-                kept = spread[noise.kept(predictor.record.usable[name])][:: self.stride]
-                total += float(np.sum(np.log1p((kept / noise.innovation) ** 2)))
+            record = predictor.record
+            for name in record.outputs:
+                kept = self.noise[name, record.pace].kept(record.usable[name])
+                zero = [np.zeros(len(record.time))]
+                wider, narrower = (np.sum(zero + one._variances(record, name), axis=0) for one in (self, without))
+                total += float(np.sum(np.log((1.0 + wider) / (1.0 + narrower))[kept][:: self.stride]))
         return total
+
+    def _variances(self, record: Record, name: str) -> list[np.ndarray]:
+        """What a channel may be off by beside the noise, in variances (n,) of its innovation."""
+        key, noise = (record.name, name), self.noise[name, record.pace]
+        known = [one[key] for one in (self.spread, self.discrepancy) if key in one]
+        of_inputs = [self._input_variances[key]] if key in self._input_variances else []
+        return [(deviation / noise.innovation) ** 2 for deviation in known] + of_inputs
+
+    @cached_property
+    def _input_variances(self) -> dict[tuple[str, str], np.ndarray]:
+        """(record, channel): variances (n,) of the innovation that count for the noise of inputs. The channels of a
+        record feel one and the same noise: so many independent errors as they are come to no less.
+        """
+        records = {predictor.record.name: predictor.record for predictor in self.predictors}
+        return {
+            (record, name): len(records[record].outputs)
+            * self.noise[name, records[record].pace].largest_variance(
+                errors, self.options.input_noise.width, self.options.input_noise.lags
+            )
+            for (record, name), errors in self.input_errors.items()
+        }
 
     def with_weights(self, weights: Sequence[np.ndarray]) -> Study:
         """The study with weights (rows,) of each channel of each training record, in their order."""

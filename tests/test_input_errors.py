@@ -1,0 +1,110 @@
+"""The noise of a measured command acts on the readings through the valve: found, counted where it acts, no cause."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_plant import draw, write_session
+from scipy.linalg import toeplitz
+
+from valvesim.identification.input_errors import with_input_errors
+from valvesim.identification.noise_model import NoiseModel
+from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_session
+
+
+def with_command_noise(folder, share, seed):
+    """White noise of a share of the largest command on the current of every record."""
+    dice = np.random.default_rng(seed)
+    for file in sorted(folder.glob("*.csv")):
+        head, *rows = file.read_text().splitlines()
+        column = head.split(",").index("current [mA]")
+        cells = [row.split(",") for row in rows]
+        current = np.array([float(row[column]) for row in cells])
+        noisy = current + share * 8.0 * dice.normal(size=len(current))
+        lines = [",".join([*row[:column], f"{value:.6f}", *row[column + 1 :]])
+                 for row, value in zip(cells, noisy, strict=True)]  # fmt: skip
+        file.write_text("\n".join([head, *lines]) + "\n")
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("noisy")
+    write_session(draw(130010, "none"), folder)
+    clean = prepare_session(load_session(folder))
+    with_command_noise(folder, 5e-4, 1)
+    return clean, prepare_session(load_session(folder))
+
+
+def test_a_clean_command_has_no_errors(noisy):
+    assert with_input_errors(noisy[0]) is noisy[0]
+
+
+def test_what_readings_hang_on_the_noise_is_as_they_are_off(noisy):
+    """Against the readings under the command that the plant felt."""
+    from valvesim.identification.fit import predict_readings
+
+    clean, prepared = noisy
+    errors = with_input_errors(prepared).input_errors
+    read, true = (predict_readings(one, one.nominal.at(np.zeros(len(one.nominal.parameters)))) for one in noisy[::-1])
+    for k, predictor in enumerate(prepared.predictors[:2]):  # where nothing of the noise can be taken away
+        for name in ("internal_leakage", "spool_position"):
+            off = np.sqrt(np.mean((read[k][name] - true[k][name]) ** 2))
+            assert np.sqrt(np.mean(errors[predictor.record.name, name] ** 2)) == pytest.approx(off, rel=0.5)
+    assert {name for name, _ in errors} == {record.name for record in clean.session.training}
+
+
+def test_readings_count_less_where_the_noise_of_the_command_acts(noisy):
+    prepared = with_input_errors(noisy[1])
+    noise = {
+        (name, one.record.pace): NoiseModel(1e-8 if name == "internal_leakage" else 1e9, (), True, "stated")
+        for one in prepared.predictors
+        for name in one.record.outputs
+    }
+    with_errors, without = prepared.with_noise(noise), noisy[1].with_noise(noise)
+    record = prepared.predictors[0].record
+    ones = {name: np.ones((len(record.time), 1)) for name in record.outputs}
+    for name, less, full in zip(
+        record.outputs, *(one.whiten(prepared.predictors[0], ones) for one in (with_errors, without)), strict=True
+    ):
+        share = less / full
+        assert np.all(share <= 1.0)
+        assert np.min(share) < 0.7 if name == "internal_leakage" else np.min(share) > 0.999
+    assert with_errors.log_determinant() == 0.0  # it is alike under every way of the commands
+    spread = {(record.name, "internal_leakage"): np.full(len(record.time), 1e-8)}
+    told, plain = (replace(one, spread=spread).log_determinant() for one in (with_errors, without))
+    assert 0.0 < told < plain == pytest.approx(len(record.time) * np.log(2.0))
+
+
+@pytest.mark.parametrize("lags", [(), (0.6,)])
+@pytest.mark.parametrize("slow", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("uneven, most", [(1.0, 1.0), (10.0, 2.0)])  # within some samples of a jump by ten no bound
+def test_independent_errors_of_the_largest_variance_bound_the_correlated_ones(lags, slow, uneven, most):
+    """No direction of the whitened readings is off by more."""
+    n, noise, dice = 400, NoiseModel(2.0, lags, True, "stated"), np.random.default_rng(2)
+    size = np.where(np.arange(n) % 100 < 20, 0.5 * uneven, 0.5)  # much where lands pass null
+    covariance = size[:, None] * toeplitz(slow ** np.arange(n)) * size
+    root = np.linalg.cholesky(covariance + 1e-9 * np.eye(n))
+    options = OPTIONS.input_noise
+    found = noise.largest_variance(root @ dice.normal(size=(n, 200)), options.width, options.lags)
+    whiten = np.eye(n)
+    for k, lag in enumerate(lags, start=1):
+        whiten -= lag * np.eye(n, k=-k)
+    exact = (whiten @ covariance @ whiten.T / noise.innovation**2)[len(lags) :, len(lags) :]
+    bound = np.sqrt(found[len(lags) :])
+    assert found.shape == (n,)
+    largest = np.linalg.eigvalsh(exact / bound / bound[:, None])[-1]
+    assert 0.2 < largest < 1.05 * most  # no wider than five times either
+
+
+@pytest.mark.parametrize("seed, share", [(130010, 5e-4), (130001, 2e-3)])
+def test_a_healthy_valve_whose_command_is_measured_with_noise_stays_one(tmp_path, seed, share):
+    """Both raised an alarm: of the leakage, where lands pass null, it is ten times its own noise."""
+    import valvesim as vs
+
+    write_session(draw(seed, "none"), tmp_path)
+    with_command_noise(tmp_path, share, 1)
+    found = vs.diagnose(tmp_path)
+    assert found.verdict == "no_discrepancy"
+    assert any("current has white noise" in note for note in found.notes)

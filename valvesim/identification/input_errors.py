@@ -1,0 +1,63 @@
+"""What readings hang on the noise of measured inputs: the valve feels the input, the record has it with the noise of an
+instrument. As an error in variables that noise acts on the readings through the model, so that it is neither white nor
+even: where lands pass null little of it in the current is much in the leakage.
+
+Symbols
+    u input as recorded, e white noise of its instrument's deviation; y readings; y(u + e) - y(u) what they hang on it
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.fit import predict_readings
+from valvesim.identification.predictor import prepare_record
+from valvesim.identification.session import Record
+from valvesim.identification.study import Prepared
+
+
+def with_input_errors(prepared: Prepared, point: np.ndarray | None = None) -> Prepared:
+    """The prepared session with realisations of what its readings hang on the noise of its inputs, by the nominal model
+    at a point (p,), that of its prior where none is given. As it is where no input is noisy, or the model cannot be run
+    there.
+    """
+    records = [predictor.record for predictor in prepared.predictors]
+    if not any(record.input_noise for record in records):
+        return prepared
+    dice = np.random.default_rng(prepared.session.seed)
+    variant = prepared.nominal.at(np.zeros(len(prepared.nominal.parameters)) if point is None else point)
+    with suppress(SolveError, InputError):
+        as_recorded = predict_readings(prepared.without_oversampling(), variant)
+        others = [
+            predict_readings(_disturbed(prepared, dice), variant)
+            for _ in range(prepared.options.input_noise.realisations)
+        ]
+        errors = {
+            (record.name, name): np.column_stack([other[k][name] - as_recorded[k][name] for other in others])
+            for k, record in enumerate(records)
+            for name in record.outputs
+        }
+        return replace(prepared, input_errors=errors)
+    return prepared
+
+
+def _disturbed(prepared: Prepared, dice: np.random.Generator) -> Prepared:
+    """The prepared session with more of the noise that its inputs have; none of its records runs as another does."""
+    session, options = prepared.session, prepared.options
+    predictors = tuple(
+        prepare_record(session, _with_noise(one.record, dice), one.universe, options=options)
+        for one in prepared.predictors
+    )
+    alone = tuple(range(len(predictors)))
+    return replace(prepared, predictors=predictors, representatives=alone).without_oversampling()
+
+
+def _with_noise(record: Record, dice: np.random.Generator) -> Record:
+    noise = {
+        column: dice.normal(0.0, deviation, len(record.time)) for column, deviation in record.input_noise.items()
+    }
+    return replace(record, values=record.values | {column: record.values[column] + e for column, e in noise.items()})
