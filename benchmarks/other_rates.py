@@ -3,10 +3,12 @@
     .venv/bin/python benchmarks/other_rates.py 3200000 50            # healthy valves, by seeds
     .venv/bin/python benchmarks/other_rates.py 3300000 16 --effect   # each with an effect of random strength
     .venv/bin/python benchmarks/other_rates.py 3830000 12 --thinned  # of a bench, every second sample alone
+    .venv/bin/python benchmarks/other_rates.py 4000000 8 --command-noise 0.0005  # of the largest command, as measured
 
 200 Hz to 10 kHz, 0.2 to 5 s, a noise of 0.05 to 3 % of each channel's size. A line for each session: what was hidden,
 rate, duration, noise, and the answer. A thinned session is one of tests/bench_plant.py, whose commands go on smoothly
-or jump between the samples, logged at half the rate that its chirps and noises were made for.
+or jump between the samples, logged at half the rate that its chirps and noises were made for. Noise of the command is
+of its instrument: the valve does not feel it.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import random
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -24,7 +27,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: a w
     os.environ.setdefault(threads, "1")
 sys.path.insert(0, str(ROOT / "tests"))
 
-from bench_plant import draw_bench, keep_every_second_sample, write_bench_session  # noqa: E402
+from bench_plant import add_command_noise, draw_bench, keep_every_second_sample, write_bench_session  # noqa: E402
 from hidden_plant import draw, write_session  # noqa: E402
 
 import valvesim as vs  # noqa: E402
@@ -56,6 +59,16 @@ def thinned(seed: int, kind: str) -> tuple[object, ...]:
     return seed, ", ".join(name for name, _ in case.hidden) or "-", "500 Hz", *answer
 
 
+def noisily_commanded(seed: int, kind: str, share: float) -> tuple[object, ...]:
+    """The same of a session of 1 kHz whose commands are measured with noise of a share of the largest."""
+    case = draw(seed, kind)
+    with tempfile.TemporaryDirectory() as folder:
+        write_session(case, folder)
+        add_command_noise(folder, share, seed)
+        answer = answer_to(folder)
+    return seed, ", ".join(name for name, _ in case.hidden) or "-", f"{100 * share:g} % on the command", *answer
+
+
 def answer_to(folder: str) -> tuple[str, str]:
     """The answer to the session of a folder, with its seconds of processor."""
     worked = time.process_time()
@@ -73,9 +86,12 @@ def main() -> None:
     parser.add_argument("count", type=int)
     parser.add_argument("--effect", action="store_true", help="with an effect hidden in each")
     parser.add_argument("--thinned", action="store_true", help="of a bench, with every second sample alone")
+    parser.add_argument("--command-noise", type=float, metavar="SHARE", help="of the largest command, as measured")
     given = parser.parse_args()
+    drawn = thinned if given.thinned else diagnosed
+    if given.command_noise is not None:
+        drawn = partial(noisily_commanded, share=given.command_noise)
     for seed in range(given.first, given.first + given.count):
-        drawn = thinned if given.thinned else diagnosed
         print(*drawn(seed, "effect" if given.effect else "none"), sep=" | ", flush=True)
 
 

@@ -209,3 +209,15 @@ def keep_every_second_sample(folder: str | Path) -> None:
     for file in Path(folder).glob("*.csv"):
         heading, *rows = file.read_text().splitlines()
         file.write_text("\n".join((heading, *rows[::2], "")))
+
+
+def add_command_noise(folder: str | Path, share: float, seed: int) -> None:
+    """The commands of a session as an instrument with white noise measures them, of a share of the largest command."""
+    dice, files = np.random.default_rng(seed), sorted(Path(folder).glob("*.csv"))
+    tables = [[line.split(",") for line in file.read_text().splitlines()] for file in files]
+    column = next(k for k, name in enumerate(tables[0][0]) if name.startswith(("current", "voltage")))
+    largest = max(abs(float(row[column])) for _, *rows in tables for row in rows)
+    for file, (heading, *rows) in zip(files, tables, strict=True):
+        for row, off in zip(rows, dice.normal(0.0, share * largest, len(rows)), strict=True):
+            row[column] = f"{float(row[column]) + off:.7g}"
+        file.write_text("\n".join(map(",".join, [heading, *rows])) + "\n")

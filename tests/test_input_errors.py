@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_plant import add_command_noise
 from hidden_plant import draw, write_session
 from scipy.linalg import toeplitz
 
@@ -14,26 +15,12 @@ from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
 
 
-def with_command_noise(folder, share, seed):
-    """White noise of a share of the largest command on the current of every record."""
-    dice = np.random.default_rng(seed)
-    for file in sorted(folder.glob("*.csv")):
-        head, *rows = file.read_text().splitlines()
-        column = head.split(",").index("current [mA]")
-        cells = [row.split(",") for row in rows]
-        current = np.array([float(row[column]) for row in cells])
-        noisy = current + share * 8.0 * dice.normal(size=len(current))
-        lines = [",".join([*row[:column], f"{value:.6f}", *row[column + 1 :]])
-                 for row, value in zip(cells, noisy, strict=True)]  # fmt: skip
-        file.write_text("\n".join([head, *lines]) + "\n")
-
-
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("noisy")
     write_session(draw(130010, "none"), folder)
     clean = prepare_session(load_session(folder))
-    with_command_noise(folder, 5e-4, 1)
+    add_command_noise(folder, 5e-4, 1)
     return clean, prepare_session(load_session(folder))
 
 
@@ -104,7 +91,7 @@ def test_a_healthy_valve_whose_command_is_measured_with_noise_stays_one(tmp_path
     import valvesim as vs
 
     write_session(draw(seed, "none"), tmp_path)
-    with_command_noise(tmp_path, share, 1)
+    add_command_noise(tmp_path, share, 1)
     found = vs.diagnose(tmp_path)
     assert found.verdict == "no_discrepancy"
     assert any("current has white noise" in note for note in found.notes)
