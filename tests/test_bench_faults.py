@@ -687,9 +687,9 @@ def test_a_fit_is_refined_towards_its_best_and_a_long_one_left(biased_fit):
     study, best = biased_fit.study, biased_fit.fit
     k = [p.name for p in study.nominal.parameters].index("nozzle_diameter")
     off = evaluate_fit(study, best.point + 0.5 * np.eye(len(best.point))[k], ())
-    near = refined(biased_fit, off)
+    near = refined(study, off)
     assert off.chi_square - near.chi_square > 0.9 * (off.chi_square - best.chi_square) > 100.0
-    assert refined(replace(biased_fit, study=replace(study, is_long=True)), off) is off
+    assert refined(replace(study, is_long=True), off) is off
 
 
 def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():

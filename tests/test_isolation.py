@@ -295,7 +295,7 @@ def test_what_another_law_of_an_effect_does_better_is_no_second_cause(monkeypatc
 def test_what_is_far_behind_the_best_is_not_refined(monkeypatch):
     asked = []
 
-    def refined(nominal, fit):
+    def refined(study, fit):
         asked.append(fit.chi_square)
         return replace(fit, chi_square=fit.chi_square - 2.0)
 

@@ -250,7 +250,7 @@ def _with_bench(
             nominal, scores = again, score_test(again, again.fit, options=options)
     alarm, level = detect(scores)
     if alarm and not is_certain(scores, level):
-        nominal = linearise_nominal(nominal.study, refined(nominal, nominal.fit))
+        nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
         scores = score_test(nominal, nominal.fit, options=options)
     if [p.name for p in nominal.study.nominal.parameters[: len(names)]] != names:
         beside = []  # of other edges: those fits are not of this model

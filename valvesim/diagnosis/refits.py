@@ -318,7 +318,7 @@ def refined_hypotheses(
         promised = one.evidence - one.fit.predicted_reduction  # it may have stopped far short of that
         if promised < least + options.isolation.refined_gain and is_adequate(one.fit, options=options.identification):
             near.append(one)
-            better.append(FittedHypothesis(refined(nominal, one.fit), options=options))
+            better.append(FittedHypothesis(refined(nominal.study, one.fit), options=options))
     for fit in [one.fit for one in better]:
         if more := _without_negligible(fit, options.selection.negligible_amplitude):
             better += fit_starts(nominal, [more], fit.point, options=options)

@@ -49,8 +49,8 @@ class Fit:
     penalised chi-square.
 
     `rows` is the chi-square that noise alone would leave, `predicted_reduction` what the linearised equations still
-    promise, `occam_factor` what more freedom than the nominal fit's costs, see there. `trajectories` are kept for
-    `linearise_fit`.
+    promise, `occam_factor` twice the log ratio of prior to posterior width (MacKay 1992). `trajectories` are kept
+    for `linearise_fit`.
     """
 
     point: np.ndarray

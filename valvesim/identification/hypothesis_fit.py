@@ -24,10 +24,11 @@ from valvesim.identification.least_squares import (
     bounded_step,
     levenberg_marquardt,
     normal_equations,
+    occam_factor,
     predict_reduction,
     solve_normal,
 )
-from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance, occam_factor, robust_start
+from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance, robust_start
 from valvesim.identification.study import Study
 
 
@@ -98,7 +99,7 @@ def _fit_from_start(
     if not is_adequate(fit, options=study.options):
         return _fit_robustly(nominal, fit, linearisations, worthwhile)
     good = _worthwhile(nominal) if worthwhile is None else worthwhile
-    return _iterate_to_end(nominal, fit, jacobian, linearisations, good)
+    return _iterate_to_end(study, fit, jacobian, _ending(nominal), linearisations, good)
 
 
 def fit_from_prior(
@@ -145,10 +146,11 @@ def continue_from(nominal: NominalFit, fit: Fit, worthwhile: float | None = None
     except (SolveError, InputError):
         return None
     return _iterate_to_end(
-        nominal,
+        study,
         fit,
         jacobian,
-        study.options.fit.most_linearisations,
+        _ending(nominal),
+        nominal.study.options.fit.most_linearisations,
         _worthwhile(nominal) if worthwhile is None else worthwhile,
     )
 
@@ -191,7 +193,6 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int, worthwhile
         between = down_weight_peaks(without_oversampling, linearised)
         start = rescored(between, fit)
         near = _iterate(
-            nominal,
             between,
             start,
             jacobian_of(between, fit, linearised, columns),
@@ -205,9 +206,10 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int, worthwhile
             return replace(fit, predicted_reduction=promised, occam_factor=near.occam_factor, trajectories=())
         linearised, columns = linearise_fit(study, fit)
     return _iterate_to_end(
-        nominal,
+        study,
         fit,
         jacobian_of(study, fit, linearised, columns),
+        _ending(nominal),
         linearisations,
         _worthwhile(nominal) if worthwhile is None else worthwhile,
     )
@@ -234,20 +236,15 @@ def _ending(nominal: NominalFit) -> Callable[[Fit], float]:
     return enough
 
 
-def _iterate_to_end(nominal: NominalFit, fit: Fit, jacobian: np.ndarray, linearisations: int, good: float) -> Fit:
+def _iterate_to_end(
+    study: Study, fit: Fit, jacobian: np.ndarray, ending: Callable[[Fit], float], linearisations: int, good: float
+) -> Fit:
     """The end of a fit by `_iterate`. Its trajectories are not kept: of hundreds of fits they fill the memory."""
-    end = _iterate(nominal, nominal.study, fit, jacobian, _ending(nominal), linearisations, good)
-    return replace(end, trajectories=())
+    return replace(_iterate(study, fit, jacobian, ending, linearisations, good), trajectories=())
 
 
 def _iterate(
-    nominal: NominalFit,
-    study: Study,
-    fit: Fit,
-    jacobian: np.ndarray,
-    ending: Callable[[Fit], float],
-    linearisations: int,
-    good: float,
+    study: Study, fit: Fit, jacobian: np.ndarray, ending: Callable[[Fit], float], linearisations: int, good: float
 ) -> Fit:
     """Levenberg-Marquardt with the Jacobian taken anew where it no longer holds; with the Occam factor in the end."""
     for iteration in range(1, linearisations + 1):
@@ -259,7 +256,8 @@ def _iterate(
         if fit.predicted_reduction < enough or stuck or hopeless or iteration == linearisations:
             break
         jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
-    return replace(fit, occam_factor=occam_factor(nominal, study, fit, jacobian))
+    H, _ = normal_equations(fit, jacobian, options=study.options)
+    return replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
 
 
 def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...]) -> Fit | None:

@@ -232,13 +232,14 @@ def normal_equations(
     return H, gradient
 
 
-def log_precision(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -> float:
-    """ln det of the posterior precision of all parameters of a fit, nuisance and fitted ones, in units of their priors;
-    of `H` see `normal_equations`.
+def occam_factor(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -> float:
+    """The Occam factor of a fit (MacKay 1992): ln det of the posterior precision of the fitted candidates in units of
+    their priors, nuisance parameters marginalised.
     """
     p, layout = len(fit.point), fit.layout
-    wide = [3.0 * e.candidate.typical if not shape else options.fit.shape_deviation for e, shape in layout]
-    deviation = np.array([1.0] * p + wide)
-    amplitude = np.array([0.0] * p + [1.0 if not shape else 0.0 for _, shape in layout])
-    sign, value = np.linalg.slogdet(H * np.outer(deviation, deviation) + np.diag(amplitude))
+    scale = np.array([3.0 * e.candidate.typical if not shape else options.fit.shape_deviation for e, shape in layout])
+    left = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
+    amplitude = np.array([1.0 if not shape else 0.0 for _, shape in layout])
+    scaled = left * np.outer(scale, scale) + np.diag(amplitude)
+    sign, value = np.linalg.slogdet(scaled)
     return float(value) if sign > 0 else 0.0

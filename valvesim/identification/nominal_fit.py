@@ -29,13 +29,7 @@ from valvesim.identification.input_choice import (
 from valvesim.identification.input_errors import with_input_errors
 from valvesim.identification.input_waves import dominant_wave, fitted_waves, tuned_waves, with_parameters
 from valvesim.identification.instrument_errors import instrument_errors
-from valvesim.identification.least_squares import (
-    bounded_step,
-    levenberg_marquardt,
-    log_precision,
-    normal_equations,
-    predict_reduction,
-)
+from valvesim.identification.least_squares import bounded_step, levenberg_marquardt, normal_equations, predict_reduction
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import evaluated_under_own_noise, identify_noise, initial_noise
 from valvesim.identification.prior import NominalModel, NuisanceParameter
@@ -567,20 +561,6 @@ def assembled(
 ) -> NominalFit:
     """The parts of a nominal fit put together, its Jacobian whitened."""
     return NominalFit(study, fit, tuple(linearised), tuple(columns), study.stack(columns))
-
-
-def occam_factor(nominal: NominalFit, study: Study, fit: Fit, jacobian: np.ndarray) -> float:
-    """The Occam factor of a fit with candidates over the nominal one (MacKay 1992): twice the logarithm of the ratio of
-    their prior to their posterior width, and by how much narrower the nuisance parameters become than in the nominal
-    fit, of which some act on the readings only where the candidate does. The study is the nominal fit's, or that with
-    other weights.
-    """
-    J = nominal.J if study is nominal.study else study.stack(nominal.columns)
-    of_fit, of_nominal = (
-        log_precision(normal_equations(one, its, options=study.options)[0], one, options=study.options)
-        for one, its in ((fit, jacobian), (nominal.fit, J))
-    )
-    return of_fit - of_nominal
 
 
 def robust_start(

@@ -10,16 +10,15 @@ from dataclasses import replace
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
-from valvesim.identification.least_squares import levenberg_marquardt
-from valvesim.identification.nominal_fit import NominalFit, occam_factor
+from valvesim.identification.least_squares import levenberg_marquardt, normal_equations, occam_factor
+from valvesim.identification.study import Study
 
 
-def refined(nominal: NominalFit, fit: Fit) -> Fit:
-    """A fit near its best continued by Jacobians of its own, with the Occam factor over a nominal fit in the end.
+def refined(study: Study, fit: Fit) -> Fit:
+    """A fit near its best continued by Jacobians of its own, with the Occam factor in the end.
 
     In a long session, where that takes too long, it is left as it is; and so where it cannot be simulated.
     """
-    study = nominal.study
     if study.is_long:
         return fit
     enough = study.options.fit.hypothesis_ftol
@@ -30,7 +29,8 @@ def refined(nominal: NominalFit, fit: Fit) -> Fit:
             return fit
         before = fit.chi_square
         fit, jacobian = levenberg_marquardt(study, fit, jacobian, enough)
-        fit = replace(fit, occam_factor=occam_factor(nominal, study, fit, jacobian))
+        H, _ = normal_equations(fit, jacobian, options=study.options)
+        fit = replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
         if before - fit.chi_square < study.options.fit.refined_gain:
             break
     return fit
