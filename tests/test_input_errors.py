@@ -12,7 +12,7 @@ from valvesim.identification.input_errors import with_input_errors
 from valvesim.identification.noise_model import NoiseModel
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_session
+from valvesim.identification.study import prepare_session, without_test
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +62,31 @@ def test_readings_count_less_where_the_noise_of_the_command_acts(noisy):
     spread = {(record.name, "internal_leakage"): np.full(len(record.time), 1e-8)}
     told, plain = (replace(one, spread=spread).log_determinant() for one in (with_errors, without))
     assert 0.0 < told < plain == pytest.approx(len(record.time) * np.log(2.0))
+
+
+def test_without_one_of_its_tests_a_session_has_the_errors_of_the_others(noisy):
+    prepared = with_input_errors(noisy[1])
+    noise = {
+        (name, one.record.pace): NoiseModel(1e-8, (), True, "stated")
+        for one in prepared.predictors
+        for name in one.record.outputs
+    }
+    left = without_test(prepared, prepared.predictors[1].record.test).with_noise(noise)
+    first = prepared.predictors[0]
+    ones = {name: np.ones((len(first.record.time), 1)) for name in first.record.outputs}
+    both = (study.whiten(first, ones) for study in (left, prepared.with_noise(noise)))
+    assert all(map(np.array_equal, *both))
+
+
+def test_a_long_session_is_run_with_the_noise_less_often(noisy):
+    few = with_input_errors(replace(noisy[1], is_long=True)).input_errors
+    assert {errors.shape[1] for errors in few.values()} == {OPTIONS.input_noise.long_realisations}
+
+
+def test_errors_of_a_record_shorter_than_their_memory_are_counted():
+    noise, errors = NoiseModel(1.0, (0.5,), True, "stated"), np.random.default_rng(1).normal(size=(12, 50))
+    assert noise.largest_variance(errors, 5, 40).shape == (12,)
+    assert np.all(noise.largest_variance(0.0 * errors, 5, 40) == 0.0)
 
 
 @pytest.mark.parametrize("lags", [(), (0.6,)])

@@ -28,13 +28,13 @@ def with_input_errors(prepared: Prepared, point: np.ndarray | None = None) -> Pr
     records = [predictor.record for predictor in prepared.predictors]
     if not any(record.input_noise for record in records):
         return prepared
-    dice = np.random.default_rng(prepared.session.seed)
+    dice, options = np.random.default_rng(prepared.session.seed), prepared.options.input_noise
     variant = prepared.nominal.at(np.zeros(len(prepared.nominal.parameters)) if point is None else point)
     with suppress(SolveError, InputError):
         as_recorded = predict_readings(prepared.without_oversampling(), variant)
         others = [
             predict_readings(_disturbed(prepared, dice), variant)
-            for _ in range(prepared.options.input_noise.realisations)
+            for _ in range(options.long_realisations if prepared.is_long else options.realisations)
         ]
         errors = {
             (record.name, name): np.column_stack([other[k][name] - as_recorded[k][name] for other in others])

@@ -51,7 +51,7 @@ class NoiseModel:
         from scipy.ndimage import uniform_filter1d
 
         white = self.whiten(errors, np.ones(len(errors), dtype=bool))
-        together = [float(np.sum(white[lag:] * white[: len(white) - lag])) for lag in range(lags + 1)]
+        together = [float(np.sum(white[lag:] * white[: len(white) - lag])) for lag in range(min(lags + 1, len(white)))]
         alike = np.abs(together) / (together[0] or 1.0)
         own = uniform_filter1d(np.mean(white**2, axis=1), width, mode="nearest")
         return np.pad(own, (len(errors) - len(own), 0), mode="edge") * (2.0 * np.sum(alike) - alike[0])

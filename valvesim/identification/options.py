@@ -186,6 +186,7 @@ class InputNoiseOptions:
     stretch: int = option(32, "1", "samples of the stretches whose spectra are asked; a record has more", JUDGEMENT)
     threshold: float = option(3.0, "1", "noise deviations below which a coefficient is noise", "0.3 % by chance")
     realisations: int = option(8, "1", "realisations of it that tell what readings hang on it", JUDGEMENT)
+    long_realisations: int = option(2, "1", "the same of a long session, whose samples are many", JUDGEMENT)
     width: int = option(5, "1", "samples over which these are averaged besides", JUDGEMENT)
     lags: int = option(40, "1", "samples after which readings have forgotten it", "slowest readings, at 1 kHz")
 
