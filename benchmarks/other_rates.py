@@ -28,7 +28,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: a w
 sys.path.insert(0, str(ROOT / "tests"))
 
 from bench_plant import add_command_noise, draw_bench, keep_every_second_sample, write_bench_session  # noqa: E402
-from hidden_plant import draw, write_session  # noqa: E402
+from hidden_plant import Case, draw, write_session  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 
@@ -45,8 +45,7 @@ def diagnosed(seed: int, kind: str) -> tuple[object, ...]:
     with tempfile.TemporaryDirectory() as folder:
         write_session(case, folder)
         answer = answer_to(folder)
-    hidden = ", ".join(name for name, _ in case.hidden) or "-"
-    return seed, hidden, f"{rate:g} Hz", f"{duration:g} s", f"{100 * noise:.2g} %", *answer
+    return seed, hidden_words(case), f"{rate:g} Hz", f"{duration:g} s", f"{100 * noise:.2g} %", *answer
 
 
 def thinned(seed: int, kind: str) -> tuple[object, ...]:
@@ -56,7 +55,7 @@ def thinned(seed: int, kind: str) -> tuple[object, ...]:
         write_bench_session(case, bench, folder)
         keep_every_second_sample(folder)
         answer = answer_to(folder)
-    return seed, ", ".join(name for name, _ in case.hidden) or "-", "500 Hz", *answer
+    return seed, hidden_words(case), "500 Hz", *answer
 
 
 def noisily_commanded(seed: int, kind: str, share: float) -> tuple[object, ...]:
@@ -66,7 +65,11 @@ def noisily_commanded(seed: int, kind: str, share: float) -> tuple[object, ...]:
         write_session(case, folder)
         add_command_noise(folder, share, seed)
         answer = answer_to(folder)
-    return seed, ", ".join(name for name, _ in case.hidden) or "-", f"{100 * share:g} % on the command", *answer
+    return seed, hidden_words(case), f"{100 * share:g} % on the command", *answer
+
+
+def hidden_words(case: Case) -> str:
+    return ", ".join(name for name, _ in case.hidden) or "-"
 
 
 def answer_to(folder: str) -> tuple[str, str]:

@@ -24,6 +24,15 @@ def noisy(tmp_path_factory):
     return clean, prepare_session(load_session(folder))
 
 
+def leakage_noise(prepared):
+    """Noise of a fine leakage meter; all others read next to nothing."""
+    return {
+        (name, one.record.pace): NoiseModel(1e-8 if name == "internal_leakage" else 1e9, (), True, "stated")
+        for one in prepared.predictors
+        for name in one.record.outputs
+    }
+
+
 def test_a_clean_command_has_no_errors(noisy):
     assert with_input_errors(noisy[0]) is noisy[0]
 
@@ -44,11 +53,7 @@ def test_what_readings_hang_on_the_noise_is_as_they_are_off(noisy):
 
 def test_readings_count_less_where_the_noise_of_the_command_acts(noisy):
     prepared = with_input_errors(noisy[1])
-    noise = {
-        (name, one.record.pace): NoiseModel(1e-8 if name == "internal_leakage" else 1e9, (), True, "stated")
-        for one in prepared.predictors
-        for name in one.record.outputs
-    }
+    noise = leakage_noise(prepared)
     with_errors, without = prepared.with_noise(noise), noisy[1].with_noise(noise)
     record = prepared.predictors[0].record
     ones = {name: np.ones((len(record.time), 1)) for name in record.outputs}
@@ -66,11 +71,7 @@ def test_readings_count_less_where_the_noise_of_the_command_acts(noisy):
 
 def test_without_one_of_its_tests_a_session_has_the_errors_of_the_others(noisy):
     prepared = with_input_errors(noisy[1])
-    noise = {
-        (name, one.record.pace): NoiseModel(1e-8, (), True, "stated")
-        for one in prepared.predictors
-        for name in one.record.outputs
-    }
+    noise = leakage_noise(prepared)
     left = without_test(prepared, prepared.predictors[1].record.test).with_noise(noise)
     first = prepared.predictors[0]
     ones = {name: np.ones((len(first.record.time), 1)) for name in first.record.outputs}

@@ -105,14 +105,15 @@ class Study(PreparedSession):
 
     def log_determinant(self) -> float:
         """The log determinant of the noise covariance where readings may be off by the `spread`, less that without."""
-        without, total = replace(self, spread={}), 0.0
+        total = 0.0
         for predictor in self.predictors:
             record = predictor.record
             for name in record.outputs:
-                kept = self.noise[name, record.pace].kept(record.usable[name])
-                zero = [np.zeros(len(record.time))]
-                wider, narrower = (np.sum(zero + one._variances(record, name), axis=0) for one in (self, without))
-                total += float(np.sum(np.log((1.0 + wider) / (1.0 + narrower))[kept][:: self.stride]))
+                if (spread := self.spread.get((record.name, name))) is not None:
+                    noise = self.noise[name, record.pace]
+                    whole = 1.0 + np.sum(self._variances(record, name), axis=0)
+                    gained = np.log(whole / (whole - (spread / noise.innovation) ** 2))
+                    total += float(np.sum(gained[noise.kept(record.usable[name])][:: self.stride]))
         return total
 
     def _variances(self, record: Record, name: str) -> list[np.ndarray]:
