@@ -4,11 +4,12 @@
     .venv/bin/python benchmarks/other_rates.py 3300000 16 --effect   # each with an effect of random strength
     .venv/bin/python benchmarks/other_rates.py 3830000 12 --thinned  # of a bench, every second sample alone
     .venv/bin/python benchmarks/other_rates.py 4000000 8 --command-noise 0.0005  # of the largest command, as measured
+    .venv/bin/python benchmarks/other_rates.py 4100000 8 --command-grid 0.001  # the same, as a coarse logger writes
 
 200 Hz to 10 kHz, 0.2 to 5 s, a noise of 0.05 to 3 % of each channel's size. A line for each session: what was hidden,
 rate, duration, noise, and the answer. A thinned session is one of tests/bench_plant.py, whose commands go on smoothly
-or jump between the samples, logged at half the rate that its chirps and noises were made for. Noise of the command is
-of its instrument: the valve does not feel it.
+or jump between the samples, logged at half the rate that its chirps and noises were made for. Noise and rounding of the
+command are of its instrument: the valve does not feel them.
 """
 
 from __future__ import annotations
@@ -27,7 +28,13 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy: a w
     os.environ.setdefault(threads, "1")
 sys.path.insert(0, str(ROOT / "tests"))
 
-from bench_plant import add_command_noise, draw_bench, keep_every_second_sample, write_bench_session  # noqa: E402
+from bench_plant import (  # noqa: E402
+    add_command_noise,
+    draw_bench,
+    keep_every_second_sample,
+    round_commands,
+    write_bench_session,
+)
 from hidden_plant import Case, draw, write_session  # noqa: E402
 
 import valvesim as vs  # noqa: E402
@@ -68,6 +75,16 @@ def noisily_commanded(seed: int, kind: str, share: float) -> tuple[object, ...]:
     return seed, hidden_words(case), f"{100 * share:g} % on the command", *answer
 
 
+def coarsely_commanded(seed: int, kind: str, share: float) -> tuple[object, ...]:
+    """The same of a session of 1 kHz whose commands are logged on a grid of a share of the largest."""
+    case = draw(seed, kind)
+    with tempfile.TemporaryDirectory() as folder:
+        write_session(case, folder)
+        round_commands(folder, share)
+        answer = answer_to(folder)
+    return seed, hidden_words(case), f"command to {100 * share:g} %", *answer
+
+
 def hidden_words(case: Case) -> str:
     return ", ".join(name for name, _ in case.hidden) or "-"
 
@@ -90,10 +107,13 @@ def main() -> None:
     parser.add_argument("--effect", action="store_true", help="with an effect hidden in each")
     parser.add_argument("--thinned", action="store_true", help="of a bench, with every second sample alone")
     parser.add_argument("--command-noise", type=float, metavar="SHARE", help="of the largest command, as measured")
+    parser.add_argument("--command-grid", type=float, metavar="SHARE", help="of the largest command, as logged")
     given = parser.parse_args()
     drawn = thinned if given.thinned else diagnosed
     if given.command_noise is not None:
         drawn = partial(noisily_commanded, share=given.command_noise)
+    if given.command_grid is not None:
+        drawn = partial(coarsely_commanded, share=given.command_grid)
     for seed in range(given.first, given.first + given.count):
         print(*drawn(seed, "effect" if given.effect else "none"), sep=" | ", flush=True)
 

@@ -19,7 +19,7 @@ Imperfections
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -213,11 +213,21 @@ def keep_every_second_sample(folder: str | Path) -> None:
 
 def add_command_noise(folder: str | Path, share: float, seed: int) -> None:
     """The commands of a session as an instrument with white noise measures them, of a share of the largest command."""
-    dice, files = np.random.default_rng(seed), sorted(Path(folder).glob("*.csv"))
+    dice = np.random.default_rng(seed)
+    _measure_commands(folder, lambda commands, largest: commands + dice.normal(0.0, share * largest, len(commands)))
+
+
+def round_commands(folder: str | Path, share: float) -> None:
+    """The commands of a session as a logger with a grid of a share of the largest command writes them."""
+    _measure_commands(folder, lambda commands, largest: np.round(commands / share / largest) * share * largest)
+
+
+def _measure_commands(folder: str | Path, measured: Callable[[np.ndarray, float], np.ndarray]) -> None:
+    files = sorted(Path(folder).glob("*.csv"))
     tables = [[line.split(",") for line in file.read_text().splitlines()] for file in files]
     column = next(k for k, name in enumerate(tables[0][0]) if name.startswith(("current", "voltage")))
     largest = max(abs(float(row[column])) for _, *rows in tables for row in rows)
     for file, (heading, *rows) in zip(files, tables, strict=True):
-        for row, off in zip(rows, dice.normal(0.0, share * largest, len(rows)), strict=True):
-            row[column] = f"{float(row[column]) + off:.7g}"
+        for row, read in zip(rows, measured(np.array([float(row[column]) for row in rows]), largest), strict=True):
+            row[column] = f"{read:.7g}"
         file.write_text("\n".join(map(",".join, [heading, *rows])) + "\n")

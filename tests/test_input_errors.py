@@ -1,10 +1,10 @@
-"""The noise of a measured command acts on the readings through the valve: found, counted where it acts, no cause."""
+"""Noise and rounding of a measured command act on the readings through the valve: found, counted there, no cause."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_plant import add_command_noise
+from bench_plant import add_command_noise, round_commands
 from hidden_plant import draw, write_session
 from scipy.linalg import toeplitz
 
@@ -121,3 +121,47 @@ def test_a_healthy_valve_whose_command_is_measured_with_noise_stays_one(tmp_path
     found = vs.diagnose(tmp_path)
     assert found.verdict == "no_discrepancy"
     assert any("current has white noise" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("seed", [130010, 130020])
+def test_a_healthy_valve_whose_command_is_logged_coarsely_stays_one(tmp_path, seed):
+    """In the first the error of rounding was named, for sure, as spool silting."""
+    import valvesim as vs
+
+    write_session(draw(seed, "none"), tmp_path)
+    round_commands(tmp_path, 1e-3)
+    found = vs.diagnose(tmp_path)
+    assert found.verdict == "no_discrepancy"
+    assert any("current: readings sit on a grid" in note for note in found.notes)
+
+
+def test_what_readings_hang_on_the_rounding_is_as_they_are_off(noisy, tmp_path):
+    from valvesim.identification.fit import predict_readings
+
+    write_session(draw(130010, "none"), tmp_path)
+    round_commands(tmp_path, 1e-3)
+    coarse = prepare_session(load_session(tmp_path))
+    errors = with_input_errors(coarse).input_errors
+    at_prior = np.zeros(len(coarse.nominal.parameters))
+    true, read = (predict_readings(one, one.nominal.at(at_prior)) for one in (noisy[0], coarse))
+    for k, predictor in enumerate(coarse.predictors):
+        for name in ("internal_leakage", "spool_position"):
+            off = np.sqrt(np.mean((read[k][name] - true[k][name]) ** 2))
+            assert 0.7 * off < np.sqrt(np.mean(errors[predictor.record.name, name] ** 2)) < 2.5 * off
+
+
+@pytest.mark.parametrize("share, counts", [(1e-4, False), (1e-3, True), (4e-3, True), (2e-2, False)])
+def test_a_grid_counts_from_where_it_matters_to_where_it_is_a_staircase(tmp_path, share, counts):
+    write_session(draw(130010, "none"), tmp_path)
+    round_commands(tmp_path, share)
+    session = load_session(tmp_path)
+    assert all(bool(record.input_resolution) == counts for record in session.records)
+
+
+def test_one_staircase_among_other_records_is_no_grid(tmp_path):
+    write_session(draw(130010, "none"), tmp_path)
+    kept = {file.name: file.read_text() for file in sorted(tmp_path.glob("*.csv"))[1:]}
+    round_commands(tmp_path, 4e-3)
+    for name, text in kept.items():
+        (tmp_path / name).write_text(text)
+    assert not any(record.input_resolution for record in load_session(tmp_path).records)

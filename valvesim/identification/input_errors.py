@@ -1,9 +1,10 @@
-"""What readings hang on the noise of measured inputs: the valve feels the input, the record has it with the noise of an
-instrument. As an error in variables that noise acts on the readings through the model, so that it is neither white nor
-even: where lands pass null little of it in the current is much in the leakage.
+"""What readings hang on the errors of measured inputs: the valve feels the input, the record has it rounded and with
+the noise of an instrument. As an error in variables that acts on the readings through the model, so that it is neither
+white nor even: where lands pass null little of it in the current is much in the leakage.
 
 Symbols
-    u input as recorded, e white noise of its instrument's deviation; y readings; y(u + e) - y(u) what they hang on it
+    u input as recorded, e another error that its instrument may have made; y readings; y(u + e) - y(u) what they hang
+    on it
 """
 
 from __future__ import annotations
@@ -15,18 +16,19 @@ import numpy as np
 
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import predict_readings
+from valvesim.identification.input_noise import rounding_error
 from valvesim.identification.predictor import prepare_record
 from valvesim.identification.session import Record
 from valvesim.identification.study import Prepared
 
 
 def with_input_errors(prepared: Prepared, point: np.ndarray | None = None) -> Prepared:
-    """The prepared session with realisations of what its readings hang on the noise of its inputs, by the nominal model
-    at a point (p,), that of its prior where none is given. As it is where no input is noisy, or the model cannot be run
-    there.
+    """The prepared session with realisations of what its readings hang on the errors of its inputs, by the nominal
+    model at a point (p,), that of its prior where none is given. As it is where no input has any, or the model cannot
+    be run there.
     """
     records = [predictor.record for predictor in prepared.predictors]
-    if not any(record.input_noise for record in records):
+    if not any(record.input_noise or record.input_resolution for record in records):
         return prepared
     dice, options = np.random.default_rng(prepared.session.seed), prepared.options.input_noise
     variant = prepared.nominal.at(np.zeros(len(prepared.nominal.parameters)) if point is None else point)
@@ -46,18 +48,23 @@ def with_input_errors(prepared: Prepared, point: np.ndarray | None = None) -> Pr
 
 
 def _disturbed(prepared: Prepared, dice: np.random.Generator) -> Prepared:
-    """The prepared session with more of the noise that its inputs have; none of its records runs as another does."""
+    """The prepared session with more of the errors that its inputs have; none of its records runs as another does."""
     session, options = prepared.session, prepared.options
     predictors = tuple(
-        prepare_record(session, _with_noise(one.record, dice), one.universe, options=options)
+        prepare_record(session, _with_errors(one.record, dice), one.universe, options=options)
         for one in prepared.predictors
     )
     alone = tuple(range(len(predictors)))
     return replace(prepared, predictors=predictors, representatives=alone).without_oversampling()
 
 
-def _with_noise(record: Record, dice: np.random.Generator) -> Record:
-    noise = {
-        column: dice.normal(0.0, deviation, len(record.time)) for column, deviation in record.input_noise.items()
-    }
-    return replace(record, values=record.values | {column: record.values[column] + e for column, e in noise.items()})
+def _with_errors(record: Record, dice: np.random.Generator) -> Record:
+    """The record with more of the noise and the rounding that its inputs have; of the noise the rounding is a part."""
+    read = {}
+    for column in {*record.input_noise, *record.input_resolution}:
+        values, step = record.values[column], record.input_resolution.get(column, 0.0)
+        rest = max(record.input_noise.get(column, 0.0) ** 2 - step**2 / 12.0, 0.0)
+        read[column] = values + dice.normal(0.0, np.sqrt(rest), len(values))
+        if step:
+            read[column] += rounding_error(values, step, dice)
+    return replace(record, values=record.values | read)

@@ -10,7 +10,7 @@ import numpy as np
 
 from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.session import OUTPUTS, PART_TEMPERATURES, UNITS, Record, Sensor, value_text
+from valvesim.identification.session import INPUTS, OUTPUTS, PART_TEMPERATURES, UNITS, Record, Sensor, value_text
 from valvesim.measurement.quality import grid_step, noise_of
 from valvesim.units import DISPLAY, quantities
 from valvesim.valve.fluid import COMPUTED_RANGE, KELVIN
@@ -153,6 +153,27 @@ def note_disagreement(records: Sequence[Record], notes: list[str], *, options: I
                     f"(rms), where neighbouring readings scatter by {value_text(scatter, unit)}: it counts as noise, "
                     "and hides what is smaller"
                 )
+
+
+def audited_resolutions(
+    recordings: Sequence[dict[str, np.ndarray]], valve: Valve, notes: list[str], *, options: IdentificationOptions
+) -> dict[str, float]:
+    """The steps of the grids on which commands and pressures (n,), NaN where missing, were read that are coarse enough
+    to matter. One record alone may be on a grid of what was commanded.
+    """
+    resolutions = {}
+    for column in INPUTS:
+        readings = [read[column][np.isfinite(read[column])] for read in recordings if column in read]
+        if column.endswith("_temperature") or not sum(map(len, readings)):
+            continue
+        step, scale = grid_step(readings, finest=0.0), input_scale(column, valve)
+        if options.input_noise.least * scale < step / np.sqrt(12.0) and step < options.input_noise.coarsest * scale:
+            resolutions[column] = step
+            notes.append(
+                f"{column}: readings sit on a grid of {value_text(step, UNITS[column])}; what that rounds off is the "
+                "instrument's and not the valve's"
+            )
+    return resolutions
 
 
 def audited_sensors(

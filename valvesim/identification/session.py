@@ -54,7 +54,8 @@ class Record:
     its mean. `role` is "train" or "test"; records with one label `repeats` are repeats of one test. `path` is its
     first file, and `line_of(sample)` a line in it, None where it has none. `shares[channel]` is the share of the
     samples that a sensor slower than the record reads. `input_noise[column]` is the standard deviation of the white
-    noise that the instrument of an input has put upon it, where it is known to have any.
+    noise that the instrument of an input has put upon it, where it is known to have any, and `input_resolution[column]`
+    the step of the grid on which it was read, where that is coarse enough to matter.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Record:
     line_of: Callable[[int], int | None] = no_line
     shares: dict[str, float] = field(default_factory=dict)
     input_noise: dict[str, float] = field(default_factory=dict)
+    input_resolution: dict[str, float] = field(default_factory=dict)
 
     def place(self, sample: int) -> str:
         """Where a sample stands, in words: its line, or its time."""

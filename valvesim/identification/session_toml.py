@@ -19,9 +19,10 @@ import numpy as np
 from valvesim.errors import InputError, nearest, unknown_name
 from valvesim.identification.bad_samples import measured_samples
 from valvesim.identification.holdout import hold_out
-from valvesim.identification.input_noise import input_noise, without_noise
+from valvesim.identification.input_noise import input_noise, without_noise, without_rounding
 from valvesim.identification.options import DEFAULT_IDENTIFICATION, IdentificationOptions
 from valvesim.identification.record_audit import (
+    audited_resolutions,
     audited_sensors,
     check_command,
     check_conditions,
@@ -92,14 +93,19 @@ def _load(
         listed = _listed(folder, table.get("records"), columns)
         stated = stated_sensors(table.get("sensors", {}))
     notes: list[str] = []
-    records = []
+    recordings = []
     for entry in listed:
         try:
-            recording = read_recording([folder / file for file in entry.files], RECORDED, stated=entry.columns)
+            paths = [folder / file for file in entry.files]
+            recordings.append(read_recording(paths, RECORDED, stated=entry.columns))
         except InputError as error:
             with contextlib.nullcontext() if error.file else located(path, text, document="session"):
                 raise error from None
-        records.append(_read_record(recording, entry, session, notes, options=options))
+    resolutions = audited_resolutions([one.values for one in recordings], session.valve, notes, options=options)
+    records = [
+        _read_record(recording, entry, session, resolutions, notes, options=options)
+        for recording, entry in zip(recordings, listed, strict=True)
+    ]
     check_drive(records)
     check_replicates(records, session.valve, options=options)
     with located(path, text, document="session"):
@@ -264,9 +270,12 @@ def _called(file: str) -> str:
 
 
 def _read_record(
-    recording: Recording, entry: ListedRecord, session: Session, notes: list[str], *, options: IdentificationOptions
-) -> Record:
-    """One record, audited on its own; every reading of an output channel still counts as usable."""
+    recording: Recording, entry: ListedRecord, session: Session, resolutions: dict[str, float], notes: list[str],
+    *, options: IdentificationOptions,
+) -> Record:  # fmt: skip
+    """One record, audited on its own, with the resolutions of its inputs; every reading of an output channel still
+    counts as usable.
+    """
     path, name, time, values = recording.paths[0], entry.name, recording.time, dict(recording.values)
     if "current" not in values and "voltage" not in values:
         raise InputError(f"no column 'current' or 'voltage'{nearest('current', recording.left_out)}", file=path)
@@ -293,6 +302,9 @@ def _read_record(
         if is_at_rest(values[column], scale, options=options):
             values[column] = np.full(len(time), np.mean(values[column]))
         elif not column.endswith("_temperature"):  # these are smoothed where they drive the model
+            if column in resolutions:
+                record.input_resolution[column] = resolutions[column]
+                values[column] = without_rounding(values[column], resolutions[column])
             noise = input_noise(values[column], options=options.input_noise)
             if options.input_noise.least * scale < noise < options.audit.noise_motion * scale:
                 values[column] = without_noise(values[column], noise, options=options.input_noise)
