@@ -60,6 +60,7 @@ from valvesim.identification.nominal_fit import (
     has_uncertain_inputs,
     linearise_nominal,
     linearised_at,
+    point_under,
     under_other_inputs,
     with_inputs_beside,
     with_inputs_reviewed,
@@ -148,9 +149,9 @@ def with_faults_beside_cause(
             break
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:
-            other = fit_hypothesis(better, fit.fitted, linearisations=few)
+            other = fit_hypothesis(better, fit.fitted, point_under(better, at, fit.point), few)
             if other is None or other.chi_square - other.predicted_reduction > fit.chi_square:
-                break  # begun from a nominal fit that is lost
+                break
             at, fit = better, other
         elif not tried and not leaves_noise(fit, at.study, options=options):
             (at, fit), tried = _best_inputs(at, fit, few), True

@@ -423,6 +423,14 @@ def with_inputs_beside(nominal: NominalFit, beside: NominalFit) -> NominalFit:
     return nominal if better.name == now.name else _near_under(without, better, nominal, _point_by_name(nominal))
 
 
+def point_under(other: NominalFit, nominal: NominalFit, point: np.ndarray) -> np.ndarray:
+    """A point of a fit in the study of a nominal one, as a point (p,) of another study: what that alone has is as it
+    was fitted there.
+    """
+    near = _point_by_name(other) | dict(zip(_point_by_name(nominal), point, strict=True))
+    return _named_point(other.study.nominal, near)
+
+
 def under_other_inputs(nominal: NominalFit, beside: Fit | None = None) -> list[NominalFit]:
     """A nominal fit within tolerance, not fitted again, under each other way of its commands: with edges where they
     jump. Where there is a fit of causes `beside` it, its figures are the ones of that, and no sensor is late.
