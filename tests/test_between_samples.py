@@ -36,6 +36,7 @@ from valvesim.identification.nominal_fit import (
     _plain_choice,
     fit_nominal,
     has_implausible_delays,
+    point_under,
     under_other_inputs,
     with_input_choice,
     with_inputs_reviewed,
@@ -354,6 +355,18 @@ def test_a_fit_is_looked_at_under_each_other_way_of_its_commands_with_edges_wher
     delays = are_delays(nominal.study.nominal)
     for other in under_other_inputs(nominal, beside):
         assert np.array_equal(other.fit.point[:p], np.where(delays, 0.0, -0.5)) and delays.any()
+
+
+def test_a_point_under_another_way_keeps_its_figures_and_takes_the_edges_as_they_were_fitted(stepped):
+    _, session = stepped
+    nominal = _at_nominal(prepare_session(session), {})
+    beside = np.arange(1.0, len(nominal.fit.point) + 1.0)  # of a fit of causes
+    for other in under_other_inputs(nominal):
+        other = replace(other, fit=replace(other.fit, point=np.full(len(other.fit.point), 0.25)))
+        point = point_under(other, nominal, beside)
+        assert np.array_equal(point[: len(beside)], beside)
+        assert np.all(point[len(beside) :] == 0.25)
+        assert np.array_equal(point_under(nominal, other, point), beside)  # and back
 
 
 def test_commands_of_records_too_slow_to_show_the_valve_s_motion_go_straight(stepped):
