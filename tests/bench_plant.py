@@ -211,21 +211,32 @@ def keep_every_second_sample(folder: str | Path) -> None:
         file.write_text("\n".join((heading, *rows[::2], "")))
 
 
+COMMANDS = ("current", "voltage")
+
+
 def add_command_noise(folder: str | Path, share: float, seed: int) -> None:
     """The commands of a session as an instrument with white noise measures them, of a share of the largest command."""
     dice = np.random.default_rng(seed)
-    _measure_commands(folder, lambda commands, largest: commands + dice.normal(0.0, share * largest, len(commands)))
+    _measure_anew(folder, COMMANDS, lambda read, largest: read + dice.normal(0.0, share * largest, len(read)))
 
 
 def round_commands(folder: str | Path, share: float) -> None:
     """The commands of a session as a logger with a grid of a share of the largest command writes them."""
-    _measure_commands(folder, lambda commands, largest: np.round(commands / share / largest) * share * largest)
+    _measure_anew(folder, COMMANDS, lambda read, largest: np.round(read / share / largest) * share * largest)
 
 
-def _measure_commands(folder: str | Path, measured: Callable[[np.ndarray, float], np.ndarray]) -> None:
+def round_temperatures(folder: str | Path, step: float) -> None:
+    """The oil temperatures of a session as a logger with a grid of that many kelvin writes them."""
+    _measure_anew(folder, ("oil_temperature",), lambda read, largest: np.round(read / step) * step)
+
+
+def _measure_anew(
+    folder: str | Path, columns: tuple[str, ...], measured: Callable[[np.ndarray, float], np.ndarray]
+) -> None:
+    """The first of these columns in all records of a session, by what was `measured` of it and its largest reading."""
     files = sorted(Path(folder).glob("*.csv"))
     tables = [[line.split(",") for line in file.read_text().splitlines()] for file in files]
-    column = next(k for k, name in enumerate(tables[0][0]) if name.startswith(("current", "voltage")))
+    column = next(k for k, name in enumerate(tables[0][0]) if name.startswith(columns))
     largest = max(abs(float(row[column])) for _, *rows in tables for row in rows)
     for file, (heading, *rows) in zip(files, tables, strict=True):
         for row, read in zip(rows, measured(np.array([float(row[column]) for row in rows]), largest), strict=True):

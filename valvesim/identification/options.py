@@ -173,7 +173,8 @@ class InputOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class InputNoiseOptions:
-    """How noise and rounding of an instrument are taken from the command and the pressures that were measured with it.
+    """How noise and rounding of an instrument are taken from the command and the pressures that were measured with it,
+    and rounding from temperatures.
 
     White noise that is more than `AuditOptions.noise_motion` is no noise but an excitation, and stays.
     """
@@ -183,6 +184,7 @@ class InputNoiseOptions:
         "measured: at ten times as much the armature of a healthy valve was possibly too light",
     )  # fmt: skip
     coarsest: float = option(5e-3, "1", "share of an input's scale: a coarser grid is a staircase's", JUDGEMENT)
+    coarsest_temperature: float = option(2.0, "delta_degC", "coarser readings were held there", JUDGEMENT)
     spectrum: int = option(256, "1", "samples of each spectrum that tells the noise", JUDGEMENT)
     stretch: int = option(32, "1", "samples of the stretches whose spectra are asked; a record has more", JUDGEMENT)
     threshold: float = option(3.0, "1", "noise deviations below which a coefficient is noise", "0.3 % by chance")

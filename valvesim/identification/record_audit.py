@@ -158,19 +158,22 @@ def note_disagreement(records: Sequence[Record], notes: list[str], *, options: I
 def audited_resolutions(
     recordings: Sequence[dict[str, np.ndarray]], valve: Valve, notes: list[str], *, options: IdentificationOptions
 ) -> dict[str, float]:
-    """The steps of the grids on which commands and pressures (n,), NaN where missing, were read that are coarse enough
-    to matter. One record alone may be on a grid of what was commanded.
+    """The steps of the grids on which inputs (n,), NaN where missing, were read that are coarse enough to matter. One
+    record alone may be on a grid of what was commanded; and what is read in whole tens was held there.
     """
     resolutions = {}
     for column in INPUTS:
         readings = [read[column][np.isfinite(read[column])] for read in recordings if column in read]
-        if column.endswith("_temperature") or not sum(map(len, readings)):
+        if not sum(map(len, readings)):
             continue
         step, scale = grid_step(readings, finest=0.0), input_scale(column, valve)
-        if options.input_noise.least * scale < step / np.sqrt(12.0) and step < options.input_noise.coarsest * scale:
+        is_temperature = column.endswith("_temperature")
+        coarsest = options.input_noise.coarsest_temperature if is_temperature else options.input_noise.coarsest * scale
+        if options.input_noise.least * scale < step / np.sqrt(12.0) and step < coarsest:
             resolutions[column] = step
             notes.append(
-                f"{column}: readings sit on a grid of {value_text(step, UNITS[column])}; what that rounds off is the "
+                f"{column}: readings sit on a grid of "
+                f"{value_text(step, 'delta_degC' if is_temperature else UNITS[column])}; what that rounds off is the "
                 "instrument's and not the valve's"
             )
     return resolutions

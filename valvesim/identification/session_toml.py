@@ -299,12 +299,14 @@ def _read_record(
     record = Record(name, time, values, usable, entry.role, entry.repeats, path, recording.line_of, shares)
     for column in record.inputs:
         scale = input_scale(column, session.valve)
+        if column in resolutions:
+            record.input_resolution[column] = resolutions[column]
         if is_at_rest(values[column], scale, options=options):
             values[column] = np.full(len(time), np.mean(values[column]))
-        elif not column.endswith("_temperature"):  # these are smoothed where they drive the model
-            if column in resolutions:
-                record.input_resolution[column] = resolutions[column]
-                values[column] = without_rounding(values[column], resolutions[column])
+            continue
+        if column in resolutions:
+            values[column] = without_rounding(values[column], resolutions[column])
+        if not column.endswith("_temperature"):  # these are smoothed where they drive the model
             noise = input_noise(values[column], options=options.input_noise)
             if options.input_noise.least * scale < noise < options.audit.noise_motion * scale:
                 values[column] = without_noise(values[column], noise, options=options.input_noise)
