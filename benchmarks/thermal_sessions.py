@@ -2,6 +2,7 @@
 
     .venv/bin/python benchmarks/thermal_sessions.py run --count 20      # of the working set; goes on where it stopped
     .venv/bin/python benchmarks/thermal_sessions.py run --set third     # to be opened once, at the end
+    .venv/bin/python benchmarks/thermal_sessions.py run --set fifth --thermometer 0.5  # of a grid of so many kelvin
     .venv/bin/python benchmarks/thermal_sessions.py report              # docs/thermal_sessions.md from what there is
 
 A session is drawn by tests/thermal_plant.py. A third are of healthy valves; in the others one of twelve causes is
@@ -32,6 +33,7 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
 import hidden_plant  # noqa: E402
 import numpy as np  # noqa: E402
+from bench_plant import round_temperatures  # noqa: E402
 from hidden_report import wilson  # noqa: E402
 from thermal_plant import CAUSES, draw_thermal, write_thermal_session  # noqa: E402
 
@@ -49,6 +51,7 @@ Row = dict[str, Any]
 Records = list[dict[str, np.ndarray]]
 SETS = {  # first seed, sessions
     "working": (710_000, 300), "second": (810_000, 300), "third": (910_000, 300), "fourth": (1_010_000, 300),
+    "fifth": (1_060_000, 300),
 }  # fmt: skip
 RESULTS = ROOT / "benchmarks" / "results" / "thermal_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "thermal_sessions.md"
@@ -79,11 +82,15 @@ def drawn(spec: Row) -> hidden_plant.Case:
 
 
 def diagnosed(spec: Row) -> Row:
-    """One session, written to a folder and diagnosed from that alone."""
+    """One session, written to a folder and diagnosed from that alone; with a `thermometer` its oil's temperature is read
+    on a grid of so many kelvin.
+    """
     case, row = drawn(spec), dict(spec)
     with tempfile.TemporaryDirectory() as folder:
         strength, clean, row["distance"] = tuned(case, Path(folder))
         write_thermal_session(case, folder, clean, MEASURED if spec["measured"] else (), strength)
+        if "thermometer" in spec:
+            round_temperatures(folder, spec["thermometer"])
         worked = time.process_time()
         try:
             found = vs.diagnose(folder)
@@ -196,7 +203,7 @@ def meter_noise(meter: hidden_plant.Meter) -> NoiseModel:
     return NoiseModel(innovation, (rho,) if rho else (), True, "the plant's")
 
 
-def run(name: str, count: int | None, results: Path) -> None:
+def run(name: str, count: int | None, results: Path, thermometer: Row) -> None:
     """Diagnose what the results do not have yet, a line each."""
     results.parent.mkdir(parents=True, exist_ok=True)
     done = {row["seed"] for row in read_rows(results)}
@@ -206,7 +213,7 @@ def run(name: str, count: int | None, results: Path) -> None:
         if count is not None and k >= count:
             break
         if spec["seed"] not in done:
-            row = diagnosed(spec) | {"engine": engine}
+            row = diagnosed(spec | thermometer) | {"engine": engine}
             with open(results, "a", encoding="utf-8") as file:
                 file.write(json.dumps(row, ensure_ascii=False) + "\n")
             print(*_cells(row), sep=" | ", flush=True)
@@ -318,11 +325,12 @@ def main() -> None:
     parser.add_argument("what", choices=("run", "distances", "report"))
     parser.add_argument("--set", choices=tuple(SETS), default="working", dest="name")
     parser.add_argument("--count", type=int, help="the first so many of the set")
+    parser.add_argument("--thermometer", type=float, metavar="KELVIN", help="resolution of the oil's, as run")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT)
     given = parser.parse_args()
     if given.what == "run":
-        run(given.name, given.count, given.results)
+        run(given.name, given.count, given.results, {"thermometer": given.thermometer} if given.thermometer else {})
     elif given.what == "distances":
         measure_distances(given.name, given.results)
     else:

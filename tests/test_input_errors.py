@@ -188,15 +188,17 @@ def test_oil_whose_temperature_is_logged_in_whole_degrees_warms_evenly(tmp_path)
 @pytest.mark.parametrize(
     "seed, hidden, verdict, drawn",
     [
-        (1010006, None, "no_discrepancy", {"profile": "launch", "network": "structure", "rate": 50.0, "duration": 40}),
-        (1010001, "thermal_lag", "cause", {"profile": "warm_up", "network": "scattered", "rate": 100.0, "duration": 20}),
+        (1010006, None, "no_discrepancy", ("launch", "structure", 50.0, 40.0)),
+        (1010001, "thermal_lag", "cause", ("warm_up", "scattered", 100.0, 20.0)),
     ],
 )
 def test_warm_ups_by_a_thermometer_in_whole_degrees(tmp_path, seed, hidden, verdict, drawn):
     """The first was named for two figures, for sure; the second was unknown."""
     import valvesim as vs
 
-    write_session(draw_thermal(seed, hidden=hidden, **drawn), tmp_path)
+    profile, network, rate, duration = drawn
+    case = draw_thermal(seed, hidden=hidden, profile=profile, network=network, rate=rate, duration=duration)
+    write_session(case, tmp_path)
     round_temperatures(tmp_path, 1.0)
     found = vs.diagnose(tmp_path)
     assert found.verdict == verdict
