@@ -82,7 +82,7 @@ def drawn(spec: Row) -> hidden_plant.Case:
 
 
 def diagnosed(spec: Row) -> Row:
-    """One session, written to a folder and diagnosed from that alone; with a `thermometer` its oil's temperature is read
+    """One session, written to a folder and diagnosed from that alone; with a `thermometer` the oil is read
     on a grid of so many kelvin.
     """
     case, row = drawn(spec), dict(spec)
@@ -330,7 +330,8 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=DOCUMENT)
     given = parser.parse_args()
     if given.what == "run":
-        run(given.name, given.count, given.results, {"thermometer": given.thermometer} if given.thermometer else {})
+        coarse = {} if given.thermometer is None else {"thermometer": given.thermometer}
+        run(given.name, given.count, given.results, coarse)
     elif given.what == "distances":
         measure_distances(given.name, given.results)
     else:
