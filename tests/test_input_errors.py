@@ -12,8 +12,10 @@ from thermal_plant import draw_thermal
 from valvesim.identification.input_errors import with_input_errors
 from valvesim.identification.noise_model import NoiseModel
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
+from valvesim.identification.record_audit import audited_resolutions
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session, without_test
+from valvesim.valve.parameters import Valve
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +151,34 @@ def test_what_readings_hang_on_the_rounding_is_as_they_are_off(noisy, tmp_path):
         for name in ("internal_leakage", "spool_position"):
             off = np.sqrt(np.mean((read[k][name] - true[k][name]) ** 2))
             assert 0.7 * off < np.sqrt(np.mean(errors[predictor.record.name, name] ** 2)) < 2.5 * off
+
+
+def test_errors_of_inputs_are_the_same_in_every_process(tmp_path):
+    """A set of names would be gone through in an order of its own."""
+    import subprocess
+    import sys
+
+    write_session(draw(130010, "none"), tmp_path)
+    round_commands(tmp_path, 1e-3)
+    round_temperatures(tmp_path, 0.5)
+    script = (
+        "import sys, numpy as np; from valvesim.identification.session_toml import load_session;"
+        "from valvesim.identification.input_errors import _with_errors;"
+        "record = _with_errors(load_session(sys.argv[1]).records[0], np.random.default_rng(1));"
+        "print(*(record.values[name].sum().hex() for name in record.inputs))"
+    )
+    call = [sys.executable, "-c", script, str(tmp_path)]
+    runs = [subprocess.run(call, env={"PYTHONHASHSEED": k}, text=True, check=True, stdout=-1) for k in ("1", "2", "3")]
+    assert len({run.stdout for run in runs}) == 1
+
+
+def test_a_current_that_answers_a_voltage_is_no_input_with_a_grid():
+    volts, current = np.sin(np.arange(200.0)), np.round(np.sin(np.arange(200.0)), 1) * 1e-3
+    notes = []
+    values = [{"voltage": volts, "current": current}]
+    assert audited_resolutions(values, Valve(), notes, options=OPTIONS) == {} and notes == []
+    alone = audited_resolutions([{"current": current / 10.0}], Valve(), notes, options=OPTIONS)
+    assert alone == {"current": pytest.approx(1e-5)} and len(notes) == 1
 
 
 @pytest.mark.parametrize("share, counts", [(1e-4, False), (1e-3, True), (4e-3, True), (2e-2, False)])

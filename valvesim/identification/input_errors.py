@@ -61,10 +61,11 @@ def _disturbed(prepared: Prepared, dice: np.random.Generator) -> Prepared:
 def _with_errors(record: Record, dice: np.random.Generator) -> Record:
     """The record with more of the noise and the rounding that its inputs have; of the noise the rounding is a part."""
     read = {}
-    for column in {*record.input_noise, *record.input_resolution}:
+    for column in record.inputs:
         values, step = record.values[column], record.input_resolution.get(column, 0.0)
-        rest = max(record.input_noise.get(column, 0.0) ** 2 - step**2 / 12.0, 0.0)
-        read[column] = values + dice.normal(0.0, np.sqrt(rest), len(values))
+        noise = record.input_noise.get(column, 0.0)
+        if rest := max(noise**2 - step**2 / 12.0, 0.0):
+            read[column] = values + dice.normal(0.0, np.sqrt(rest), len(values))
         if step:
-            read[column] += rounding_error(values, step, dice)
+            read[column] = read.get(column, values) + rounding_error(values, step, dice)
     return replace(record, values=record.values | read)

@@ -163,7 +163,8 @@ def audited_resolutions(
     """
     resolutions = {}
     for column in INPUTS:
-        readings = [read[column][np.isfinite(read[column])] for read in recordings if column in read]
+        driven = [read for read in recordings if column in read and not (column == "current" and "voltage" in read)]
+        readings = [read[column][np.isfinite(read[column])] for read in driven]
         if not sum(map(len, readings)):
             continue
         step, scale = grid_step(readings, finest=0.0), input_scale(column, valve)
