@@ -20,6 +20,7 @@ import random
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -65,24 +66,14 @@ def thinned(seed: int, kind: str) -> tuple[object, ...]:
     return seed, hidden_words(case), "500 Hz", *answer
 
 
-def noisily_commanded(seed: int, kind: str, share: float) -> tuple[object, ...]:
-    """The same of a session of 1 kHz whose commands are measured with noise of a share of the largest."""
+def commanded(seed: int, kind: str, measure: Callable[[str, int], None], told: str) -> tuple[object, ...]:
+    """The same of a session of 1 kHz whose commands are measured anew, by its folder and the seed."""
     case = draw(seed, kind)
     with tempfile.TemporaryDirectory() as folder:
         write_session(case, folder)
-        add_command_noise(folder, share, seed)
+        measure(folder, seed)
         answer = answer_to(folder)
-    return seed, hidden_words(case), f"{100 * share:g} % on the command", *answer
-
-
-def coarsely_commanded(seed: int, kind: str, share: float) -> tuple[object, ...]:
-    """The same of a session of 1 kHz whose commands are logged on a grid of a share of the largest."""
-    case = draw(seed, kind)
-    with tempfile.TemporaryDirectory() as folder:
-        write_session(case, folder)
-        round_commands(folder, share)
-        answer = answer_to(folder)
-    return seed, hidden_words(case), f"command to {100 * share:g} %", *answer
+    return seed, hidden_words(case), told, *answer
 
 
 def hidden_words(case: Case) -> str:
@@ -110,10 +101,15 @@ def main() -> None:
     parser.add_argument("--command-grid", type=float, metavar="SHARE", help="of the largest command, as logged")
     given = parser.parse_args()
     drawn = thinned if given.thinned else diagnosed
-    if given.command_noise is not None:
-        drawn = partial(noisily_commanded, share=given.command_noise)
-    if given.command_grid is not None:
-        drawn = partial(coarsely_commanded, share=given.command_grid)
+    if (noise := given.command_noise) is not None:
+        drawn = partial(
+            commanded, measure=lambda folder, seed: add_command_noise(folder, noise, seed),
+            told=f"{100 * noise:g} % on the command",
+        )  # fmt: skip
+    if (grid := given.command_grid) is not None:
+        drawn = partial(
+            commanded, measure=lambda folder, seed: round_commands(folder, grid), told=f"command to {100 * grid:g} %"
+        )
     for seed in range(given.first, given.first + given.count):
         print(*drawn(seed, "effect" if given.effect else "none"), sep=" | ", flush=True)
 
