@@ -139,6 +139,21 @@ def test_a_detent_is_finer_than_the_first_look_and_found_all_the_same():
     assert np.linalg.norm(np.array(term.value) - true) < 0.1 * np.linalg.norm(true)
 
 
+def test_a_dead_band_of_the_torque_is_found_as_a_jump_at_no_current():
+    u = np.array([-1e-2, -2e-6, 2e-6, 1e-2])
+    dead_band = term_effect("armature_torque", "current", u, 2e-4 * np.array([1.0, 1.0, -1.0, -1.0]), name="hidden")
+    nominal = fit_nominal(prepare_session(session_of(dead_band(share=1.0))))
+    found = recover_term(nominal, score_test(nominal, nominal.fit, options=DIAGNOSIS))
+    term = found.term
+    assert (term.port, term.variable, term.memory) == ("armature_torque", "current", NONE)
+    amplitude, _, form = term.formula.partition(" ")
+    assert form == "sign(i) N*m, i = current in A" and found.freedom == 1
+    assert float(amplitude) == pytest.approx(-2e-4, rel=0.1)
+    np.testing.assert_allclose(np.abs(term.value), 2e-4, rtol=0.1)
+    variant = found.variant  # and so it runs, and is written
+    assert variant.effects[-1].effect.name == "recovered_term"
+
+
 @pytest.mark.slow
 def test_a_slight_term_gets_few_knots():
     nominal = fit_nominal(prepare_session(session_of(cubic(0.2))))

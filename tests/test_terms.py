@@ -4,12 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from valvesim.channels import Inputs, State
 from valvesim.errors import InputError
 from valvesim.solver.codegen import source
 from valvesim.valve.additive_term import (
+    JUMP_SHARE,
     LAG,
     LAG_TIMES,
     NONE,
@@ -17,6 +20,7 @@ from valvesim.valve.additive_term import (
     PORTS,
     VARIABLES,
     TermHypothesis,
+    jump_hypotheses,
     linear_b_splines,
     term_effect,
     term_hypotheses,
@@ -205,21 +209,42 @@ def test_every_port_is_tried_with_every_variable():
     assert {f.time_constant for f in found if f.memory == LAG} == set(LAG_TIMES)
     assert all(f.width > 0.0 for f in found if f.memory == PATH)
     assert {f.variable.name for f in found if f.memory == PATH} == {"spool_position", "armature_angle"}
+    jumping = [(f.port.name, f.variable.name) for f in jump_hypotheses()]
+    assert sorted(jumping) == sorted((port.name, name) for port in PORTS.values() for name in port.own)
+    assert all(f.jumps for f in jump_hypotheses()) and not any(f.jumps for f in found)
+
+
+@given(
+    low=st.floats(-1e7, 1e7), span=st.floats(1e-9, 1e7), count=st.integers(2, 60),
+    hypothesis=st.sampled_from((*term_hypotheses()[:1], *jump_hypotheses())),
+)  # fmt: skip
+def test_knots_rise_over_the_range_and_lie_close_beside_a_jump(low, span, count, hypothesis):
+    high = low + max(span, 1e-6 * abs(low))
+    knots = hypothesis.knots(low, high, count)
+    assert len(knots) == count and knots[0] == low and knots[-1] == high and np.all(np.diff(knots) > 0.0)
+    if hypothesis.jumps and low < 0.0 < high and count >= 4:
+        below, above = knots[knots < 0.0][-1], knots[knots > 0.0][0]
+        assert above - below == pytest.approx(JUMP_SHARE * (high - low))
+    else:
+        np.testing.assert_allclose(np.diff(knots), (high - low) / (count - 1), rtol=1e-6)
 
 
 def test_labels_tell_families_apart_in_words():
-    found = term_hypotheses()
+    found = (*term_hypotheses(), *jump_hypotheses())
     labels = [hypothesis.label for hypothesis in found]
     assert len(set(labels)) == len(labels) == len(set(found))
     lagged = TermHypothesis(PORTS["spool_force"], VARIABLES["current"], LAG, time_constant=3e-3)
     assert lagged.label == "spool force as a function of current lagged by 3 ms"
     turned = TermHypothesis(PORTS["armature_torque"], VARIABLES["armature_angle"], PATH, width=1e-5)
     assert turned.label == "armature torque as a function of direction of armature angle"
+    assert jump_hypotheses()[0].label == "armature torque as a function of current with a jump at zero"
 
 
 def test_a_function_of_a_ports_own_variable_is_no_oddity_and_memory_is_one_more():
     force = PORTS["spool_force"]
     assert TermHypothesis(force, VARIABLES["spool_velocity"]).complexity == 0  # a damper
     assert TermHypothesis(force, VARIABLES["current"]).complexity == 1
+    assert TermHypothesis(force, VARIABLES["spool_position"], jumps=True).complexity == 1  # a preload
+    assert TermHypothesis(PORTS["armature_torque"], VARIABLES["pilot_differential_pressure"]).complexity == 0
     assert TermHypothesis(force, VARIABLES["current"], LAG, LAG_TIMES[0]).complexity == 2
     assert all(set(port.own) <= set(VARIABLES) and port.own for port in PORTS.values())

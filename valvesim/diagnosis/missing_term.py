@@ -12,6 +12,7 @@ Symbols
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +27,7 @@ from valvesim.identification.fit import Fit, FittedCandidate, rescored
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.study import Study
-from valvesim.valve.additive_term import NONE, TermHypothesis
+from valvesim.valve.additive_term import NONE, TermHypothesis, jump_hypotheses
 from valvesim.valve.effect import ActiveEffect
 
 
@@ -64,17 +65,12 @@ def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None
     options = scores.options.missing_term
     price = float(np.log(len(nominal.fit.residual)))
     least, best = nominal.fit.chi_square - options.minimum_gain, None
-    for_terms = replace(
-        nominal, study=replace(nominal.study, candidates=())
-    )  # `scores` has tested the candidates already
-    fine = score_test(
-        for_terms,
-        nominal.fit,
-        terms=[f for f in scores.hypotheses if f.memory == NONE],
-        knots=options.fine_test_knots,
-        options=scores.options,
-    )
-    score_tests = {options.knots: scores, options.fine_knots: fine}
+    continuous = [f for f in scores.hypotheses if f.memory == NONE]
+    score_tests = [
+        (options.knots, scores),
+        (options.knots, _terms_tested(nominal, jump_hypotheses(), options.knots, options=scores.options)),
+        (options.fine_knots, _terms_tested(nominal, continuous, options.fine_test_knots, options=scores.options)),
+    ]
     ranked, margin = _ranked(score_tests, options=scores.options)
     for hypothesis, count in ranked[: options.estimated]:
         penalty = options.complexity_penalty * hypothesis.complexity
@@ -84,8 +80,16 @@ def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None
     if best is None:
         return None
     hypothesis, count, found = best
-    alike = _alike(score_tests.get(count, scores), hypothesis, margin)
-    return replace(found, term=replace(found.term, alike=alike))
+    as_fine = [tests for knots, tests in score_tests if (knots == options.fine_knots) == (count == options.fine_knots)]
+    return replace(found, term=replace(found.term, alike=_alike(as_fine, hypothesis, margin)))
+
+
+def _terms_tested(
+    nominal: NominalFit, terms: Sequence[TermHypothesis], knots: int, *, options: DiagnosisOptions
+) -> ScoreTest:
+    """The nominal fit tested for other terms alone, on so many knots."""
+    bare = replace(nominal, study=replace(nominal.study, candidates=()))
+    return score_test(bare, nominal.fit, terms=terms, knots=knots, options=options)
 
 
 def _estimated(
@@ -114,15 +118,15 @@ def _estimated(
 
 
 def _ranked(
-    score_tests: dict[int, ScoreTest], *, options: DiagnosisOptions
+    score_tests: Sequence[tuple[int, ScoreTest]], *, options: DiagnosisOptions
 ) -> tuple[list[tuple[TermHypothesis, int]], float]:
     """Families worth estimating, best first, each with its knots; and the penalty of an oddity.
 
-    `score_tests` are by the knots that a term gets which shows there; what counts is what a term hypothesis explains
-    less what its freedom costs.
+    `score_tests` come with the knots that a term gets which shows there; what counts is what a term hypothesis
+    explains less what its freedom costs.
     """
     gains, found = [], []
-    for count, scores in score_tests.items():
+    for count, scores in score_tests:
         price = np.log(max(sum(scores.gram.rows), 2))
         for hypothesis, (value, freedom) in zip(scores.hypotheses, scores.term_tests(), strict=True):
             gains.append(value - price * freedom)
@@ -141,24 +145,29 @@ def _ranked(
         if score[k] < options.missing_term.score_share * score[order[0]]:
             break
         hypothesis, count = found[k]
-        if all((_place(f), f.memory) != (_place(hypothesis), hypothesis.memory) for f, _ in ranked):
+        if all(_kind(f) != _kind(hypothesis) for f, _ in ranked):
             ranked.append((hypothesis, count))
     return ranked, margin
 
 
-def _alike(scores: ScoreTest, hypothesis: TermHypothesis, margin: float) -> tuple[str, ...]:
+def _alike(score_tests: Sequence[ScoreTest], hypothesis: TermHypothesis, margin: float) -> tuple[str, ...]:
     """Labels of the other term hypotheses that explain nearly as much, best first: of each port and variable the
     best.
     """
-    gains = [value for value, _ in scores.term_tests()]
-    least = max(g for g, f in zip(gains, scores.hypotheses, strict=True) if _place(f) == _place(hypothesis)) - margin
-    near = [scores.hypotheses[k] for k in np.argsort(gains, kind="stable")[::-1] if gains[k] > least]
+    gains = [(gain, f) for tests in score_tests
+             for (gain, _), f in zip(tests.term_tests(), tests.hypotheses, strict=True)]  # fmt: skip
+    least = max(gain for gain, f in gains if _place(f) == _place(hypothesis)) - margin
+    near = [f for gain, f in sorted(gains, key=lambda one: -one[0]) if gain > least]
     places = dict.fromkeys(map(_place, near))
     return tuple(next(f.label for f in near if _place(f) == place) for place in places if place != _place(hypothesis))
 
 
 def _place(hypothesis: TermHypothesis) -> tuple[str, str]:
     return hypothesis.port.name, hypothesis.variable.name
+
+
+def _kind(hypothesis: TermHypothesis) -> tuple[tuple[str, str], str, bool]:
+    return _place(hypothesis), hypothesis.memory, hypothesis.jumps
 
 
 def _term_answer(problem: TermProblem, solution: TermEstimate, formula: str, error: float) -> Term:

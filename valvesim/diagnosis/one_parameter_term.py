@@ -24,8 +24,6 @@ from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.projection import direction_statistic
 from valvesim.valve.additive_term import NONE, TermHypothesis, term_effect
 
-WRITTEN_FORMS = PLAIN_FORMS | {"sign({x})": np.sign}
-
 
 @dataclass(frozen=True, eq=False)
 class TriedForm:
@@ -83,7 +81,7 @@ def _tried_forms(scores: ScoreTest, *, options: DiagnosisOptions) -> list[TriedF
             continue
         penalty = options.missing_term.complexity_penalty * hypothesis.complexity
         knots = np.linspace(*span, len(block)) / np.max(np.abs(span))
-        for text, of in WRITTEN_FORMS.items():
+        for text, of in PLAIN_FORMS.items():
             amplitude, reduction = direction_statistic(scores.terms.projected, block, of(knots))
             if reduction > 0.0:
                 found.append(TriedForm(hypothesis, text, of, span, amplitude, reduction - penalty))

@@ -26,7 +26,7 @@ from valvesim.identification.projection import ProjectedScores, block_statistic,
 from valvesim.valve.additive_term import LAG, NONE, PATH, PORTS, VARIABLES, TermHypothesis
 
 FORMS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], ...]] = {
-    NONE: (*PLAIN_FORMS.values(), np.sign),
+    NONE: tuple(PLAIN_FORMS.values()),
     LAG: (lambda u: u,),
     PATH: (np.ones_like, np.abs),
 }

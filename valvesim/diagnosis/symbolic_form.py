@@ -25,6 +25,7 @@ PLAIN_FORMS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "{x} |{x}|": lambda u: u * np.abs(u),
     "{x}^3": lambda u: u**3,
     "|{x}|": np.abs,
+    "sign({x})": np.sign,
 }
 """Forms of one parameter as they are written, of a variable (k,)."""
 
@@ -59,8 +60,8 @@ class LibraryFunction:
 
 
 def formula_library(u: np.ndarray, x: str) -> list[LibraryFunction]:
-    """The shapes that a formula may have, over knots u (k,)."""
-    reach, spacing = float(np.max(np.abs(u))), float(np.min(np.diff(u)))
+    """The shapes that a formula may have, over knots u (k,), but for a jump evenly spaced."""
+    reach, spacing = float(np.max(np.abs(u))), float(np.median(np.diff(u)))
     widths = reach * np.geomspace(0.02, 1.0, 25)
     periods = np.geomspace(3.0 * spacing, 1.5 * float(np.ptp(u)), 80)
 

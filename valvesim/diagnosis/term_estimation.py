@@ -131,7 +131,7 @@ def estimate_term(
     low, high = (float(u) for u in np.quantile(visited, [options.missing_term.tail, 1.0 - options.missing_term.tail]))
     if not high > low:
         return None
-    knots = np.linspace(low, high, count)
+    knots = hypothesis.knots(low, high, count)
     problem = TermProblem(study, hypothesis, knots, linear_b_splines(visited, knots).sum(axis=0), 1.0, options=options)
     p = len(nominal.fit.point)
     V = term_columns(problem, nominal.linearised, None)

@@ -46,7 +46,7 @@ def term_basis(
     direction where it has one.
     """
     u = argument(linear, hypothesis)
-    basis = linear_b_splines(u, np.linspace(*over, count))
+    basis = linear_b_splines(u, hypothesis.knots(*over, count))
     if hypothesis.memory != PATH:
         return basis
     step = np.diff(u, prepend=u[0]) / hypothesis.width  # Dahl's memory of a path of straight steps

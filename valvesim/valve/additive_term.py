@@ -26,7 +26,8 @@ from valvesim.valve.laws import dahl_rate
 class Port:
     """A place where a term may act: its unit, what a term w adds there, and its element's `own` variables.
 
-    A spring answers its deflection, a damper its rate, a leak its pressure: a function of another variable is rarer.
+    A spring answers its deflection, a damper its rate, a leak its pressure, and the oil of the nozzles pushes the flapper
+    by their pressures: a function of another variable is rarer.
     """
 
     name: str
@@ -65,7 +66,12 @@ class Variable:
 PORTS = {
     port.name: port
     for port in (
-        Port("armature_torque", "N*m", "armature torque balance", ("current", "armature_angle")),
+        Port(
+            "armature_torque",
+            "N*m",
+            "armature torque balance",
+            ("current", "armature_angle", "pilot_differential_pressure"),
+        ),
         Port(
             "pilot_flow",
             "m^3/s",
@@ -90,22 +96,35 @@ VARIABLES = {
 NONE, LAG, PATH = "none", "lag", "path"  # what a term remembers: nothing, the variable of a while ago, its direction
 MEMORIES = (NONE, LAG, PATH)
 LAG_TIMES = (3e-3, 3e-2)  # s, at which lagged variables are looked for
+JUMP_SHARE = 2e-3  # of the range on either side of zero over which a term jumps: what a sharp edge is rounded by
 
 
 @dataclass(frozen=True)
 class TermHypothesis:
-    """Where a term acts and what it is a function of. `time_constant` (s) of a lag; `width` of a path's memory."""
+    """Where a term acts and what it is a function of. `time_constant` (s) of a lag; `width` of a path's memory.
+
+    A function that `jumps` does so at zero, as a dead band or a preload does.
+    """
 
     port: Port
     variable: Variable
     memory: str = NONE
     time_constant: float = 0.0
     width: float = 0.0
+    jumps: bool = False
 
     @property
     def complexity(self) -> int:
-        """In how many ways it is rarer than a function of the port's own variable, without memory."""
-        return (self.memory != NONE) + (self.variable.name not in self.port.own)
+        """In how many ways it is rarer than a continuous function of the port's own variable, without memory."""
+        return (self.memory != NONE) + (self.variable.name not in self.port.own) + self.jumps
+
+    def knots(self, low: float, high: float, count: int) -> np.ndarray:
+        """So many knots (count,) from low to high, evenly; where it jumps between them, two lie close beside zero."""
+        if not self.jumps or count < 4 or not low < 0.0 < high:
+            return np.linspace(low, high, count)
+        below = min(max(round(-low / (high - low) * count), 2), count - 2)
+        below_zero = np.linspace(low, JUMP_SHARE * low, below)
+        return np.concatenate([below_zero, np.linspace(JUMP_SHARE * high, high, count - below)])
 
     @property
     def label(self) -> str:
@@ -115,11 +134,13 @@ class TermHypothesis:
             what += f" lagged by {self.time_constant * 1e3:.3g} ms"
         if self.memory == PATH:
             what = f"direction of {what}"
+        if self.jumps:
+            what += " with a jump at zero"
         return f"{self.port.name.replace('_', ' ')} as a function of {what}"
 
 
 def term_hypotheses() -> tuple[TermHypothesis, ...]:
-    """All that are looked for."""
+    """All continuous ones that are looked for."""
     found = []
     for port in PORTS.values():
         for variable in VARIABLES.values():
@@ -129,6 +150,11 @@ def term_hypotheses() -> tuple[TermHypothesis, ...]:
             if variable.rate:
                 found.append(TermHypothesis(port, variable, PATH, width=0.1 * variable.scale))
     return tuple(found)
+
+
+def jump_hypotheses() -> tuple[TermHypothesis, ...]:
+    """Those that jump at zero: of each port's own variables."""
+    return tuple(TermHypothesis(port, VARIABLES[name], jumps=True) for port in PORTS.values() for name in port.own)
 
 
 def linear_b_splines(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
