@@ -607,3 +607,11 @@ def test_sensor_lag_takes_uneven_samples():
         read("sensor_lag", 5e-3, READING._replace(oil_temperature=20.0)), rel=1e-9, abs=1e-15
     )
     assert np.array_equal(everywhere, lagged(uneven, line.values, 5e-3))
+
+
+def test_what_hangs_on_a_coefficient_that_stands_still_has_a_plainer_effect():
+    for effect in CATALOGUE.values():
+        if effect.feature:
+            assert hasattr(Valve().at(AT_20), effect.feature) and effect.plainer in CATALOGUE, effect.name
+    pinch, coulomb = (CATALOGUE[name] for name in ("spool_thermal_pinch", "spool_coulomb_friction"))
+    assert pinch.feature == "radial_clearance" and not coulomb.feature

@@ -242,6 +242,24 @@ def test_a_users_effect_is_looked_for_at_each_value_sought_and_a_discrete_one_is
     assert all([p.name for p in c.shapes()] == ["path"] for c in found)
 
 
+def test_a_pinch_is_looked_for_where_the_clearance_may_change():
+    def offered(sleeve_expansion, span, **thermal):
+        base = small_session()
+        valve = replace(base.valve, spool_expansion=1.1e-5, sleeve_expansion=sleeve_expansion)
+        records = tuple(
+            replace(r, values={**r.values, "oil_temperature": np.linspace(20.0, 20.0 + span, len(r.time))})
+            for r in base.records
+        )
+        session = replace(base, valve=valve, records=records, thermal=replace(base.thermal, **thermal))
+        names = {c.name for c in candidates_of(session, nominal_model_of(session, options=OPTIONS))}
+        assert {"spool_coulomb_friction", "spool_stribeck_friction", "spool_silting"} <= names
+        return "spool_thermal_pinch" in names
+
+    assert offered(1.1e-5, 0.0) and offered(1.1e-5, 20.0)  # parts that trail the oil: of a network
+    assert not offered(1.1e-5, 20.0, network=None)  # all at the oil's temperature: of alloys that expand alike
+    assert not offered(1.3e-5, 1.0, network=None) and offered(1.3e-5, 60.0, network=None)
+
+
 def test_only_amplitudes_that_make_sense_are_looked_for(candidates):
     assert candidate(candidates, "spool_coulomb_friction").one_sided
     assert not candidate(candidates, "null_gap_asymmetry").one_sided

@@ -18,6 +18,7 @@ from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.prior import NominalModel, NuisanceParameter, ToleratedSensorError, measured_channels
 from valvesim.identification.session import Session
 from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.coefficients import PartTemperatures
 from valvesim.valve.effect import ActiveEffect, Effect
 from valvesim.valve.equations import AT_20
 from valvesim.valve.parameters import Valve
@@ -215,7 +216,7 @@ def candidates_of(session: Session, nominal: NominalModel) -> tuple[Candidate, .
                     Candidate(effect.name, one) for one in _paced(effect.on(channel), session, options=nominal.options)
                 ]
             continue
-        if effect.name in known:
+        if effect.name in known or not _may_show_feature(effect, session, options=nominal.options):
             continue
         sought = [[(p.name, value) for value in p.sought] for p in effect.parameters if p.sought]
         found += [
@@ -227,6 +228,18 @@ def candidates_of(session: Session, nominal: NominalModel) -> tuple[Candidate, .
     own = [p for p in nominal.parameters if p.sensor is None and p.input is None]
     found += [Candidate(f"parameter:{p.name}", parameter=p) for p in own]
     return tuple(found)
+
+
+def _may_show_feature(effect: Effect, session: Session, *, options: IdentificationOptions) -> bool:
+    """Whether the coefficient that an effect's own feature hangs on may change in a session: if it stands still, the
+    plainer effect is all there is of it. Parts at the oil's temperature change it by what they expand unlike.
+    """
+    if not effect.feature or session.thermal.network is not None:
+        return True
+    oil = np.concatenate([record.values["oil_temperature"] for record in session.training])
+    parts = PartTemperatures.uniform(np.array([np.nanmin(oil), np.nanmax(oil)]))
+    low, high = np.broadcast_to(getattr(session.valve.at(parts, oil=session.oil), effect.feature), 2)
+    return abs(high - low) > options.prior.least_feature * abs(low)
 
 
 def _with_equivalent(candidate: Candidate, nominal: NominalModel) -> Candidate:

@@ -256,6 +256,9 @@ class PriorOptions:
     network_reach: float = option(
         100.0, "1", "factor within which a figure of the thermal network is sought either way", JUDGEMENT
     )
+    least_feature: float = option(
+        0.01, "1", "share by which a coefficient changes that an effect's own feature hangs on, to show it", JUDGEMENT
+    )
     beyond_records: float = option(
         5.0, "1", "times the longest record: a time constant of what hardly moves in it", JUDGEMENT
     )

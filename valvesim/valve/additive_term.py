@@ -26,8 +26,8 @@ from valvesim.valve.laws import dahl_rate
 class Port:
     """A place where a term may act: its unit, what a term w adds there, and its element's `own` variables.
 
-    A spring answers its deflection, a damper its rate, a leak its pressure, and the oil of the nozzles pushes the flapper
-    by their pressures: a function of another variable is rarer.
+    A spring answers its deflection, a damper its rate, a leak its pressure, and the pressures of the nozzles push the
+    flapper: a function of another variable is rarer.
     """
 
     name: str

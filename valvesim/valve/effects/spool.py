@@ -126,6 +126,7 @@ SPOOL = (
         doc="a spool warmer than its sleeve rubs: -k max(0, h_0 - radial clearance) z, z of Dahl",
         location=_FRICTION_PLACE,
         plainer="spool_coulomb_friction",
+        feature="radial_clearance",
         signature="friction that comes in a warm-up and goes when the sleeve has followed; none at even temperature",
         advice=Advice(
             part="spool and sleeve",
