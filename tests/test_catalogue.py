@@ -610,8 +610,8 @@ def test_sensor_lag_takes_uneven_samples():
 
 
 def test_what_hangs_on_a_coefficient_that_stands_still_has_a_plainer_effect():
-    for effect in CATALOGUE.values():
-        if effect.feature:
-            assert hasattr(Valve().at(AT_20), effect.feature) and effect.plainer in CATALOGUE, effect.name
+    for one in CATALOGUE.values():
+        if one.feature:
+            assert hasattr(Valve().at(AT_20), one.feature) and one.plainer in CATALOGUE, one.name
     pinch, coulomb = (CATALOGUE[name] for name in ("spool_thermal_pinch", "spool_coulomb_friction"))
     assert pinch.feature == "radial_clearance" and not coulomb.feature
