@@ -96,7 +96,7 @@ VARIABLES = {
 NONE, LAG, PATH = "none", "lag", "path"  # what a term remembers: nothing, the variable of a while ago, its direction
 MEMORIES = (NONE, LAG, PATH)
 LAG_TIMES = (3e-3, 3e-2)  # s, at which lagged variables are looked for
-JUMP_SHARE = 2e-3  # of the range on either side of zero over which a term jumps: what a sharp edge is rounded by
+JUMP_SHARE = 5e-3  # of the range on either side of zero over which a term jumps: what a sharp edge is rounded by
 
 
 @dataclass(frozen=True)
