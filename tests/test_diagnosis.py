@@ -27,7 +27,13 @@ from valvesim.diagnosis.model_selection import (
     ranked,
 )
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
-from valvesim.diagnosis.refits import _from_best_point, _restarted_within_tolerance, fit_starts, pairs_from_members
+from valvesim.diagnosis.refits import (
+    _from_best_point,
+    _from_usual_shapes,
+    _restarted_within_tolerance,
+    fit_starts,
+    pairs_from_members,
+)
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
     CAUSE,
@@ -503,6 +509,35 @@ def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypa
     )
     found = _known_hypotheses(SimpleNamespace(study=None, fit=lap), [lap, air], lambda share: None, options=DIAGNOSIS)
     assert [(one.label, one.fit.chi_square) for one in found] == [("entrained_air", 0.5)]
+
+
+def test_a_best_with_a_shape_at_its_bound_is_fitted_again_from_its_usual_shape(monkeypatch):
+    asked = []
+
+    def fit_hypothesis(nominal, start, point, worthwhile=None):
+        asked.append((start, point))
+        return Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0)
+
+    monkeypatch.setattr(refits, "fit_hypothesis", fit_hypothesis)
+    monkeypatch.setattr(refits, "largest_adequate", lambda fit, options: np.inf)
+    air, lap = explained(100.0, "entrained_air"), explained(110.0, "spool_lap")
+    (member,) = air.fit.fitted
+    (exponent,) = member.candidate.shapes()
+
+    def at(value):
+        return replace(air, fit=replace(air.fit, fitted=(replace(member, shapes=((exponent.name, value),)),)))
+
+    nominal = SimpleNamespace(fit=lap.fit)
+    for bound in exponent.bounds:
+        (again,) = _from_usual_shapes(nominal, [lap, at(bound)], options=DIAGNOSIS)
+        (start,), point = asked[-1]
+        assert again.label == "entrained_air" and point is air.fit.point
+        assert start.shapes == ((exponent.name, exponent.default),) and start.above_neutral == member.above_neutral
+    del asked[:]
+    assert not _from_usual_shapes(nominal, [lap, at(1.2)], options=DIAGNOSIS)  # within
+    assert not _from_usual_shapes(nominal, [explained(90.0, "spool_lap"), at(1.0)], options=DIAGNOSIS)  # not the best
+    monkeypatch.setattr(refits, "is_adequate", lambda fit, options: False)  # far off a bound tells nothing
+    assert not _from_usual_shapes(nominal, [lap, at(1.0)], options=DIAGNOSIS) and not asked
 
 
 def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_that_does_not(monkeypatch):

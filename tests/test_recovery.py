@@ -194,6 +194,13 @@ def test_where_else_a_term_would_do_is_said_in_words(found):
     assert len(set(found.term.alike)) == len(found.term.alike)
 
 
+def test_what_a_term_remembers_is_said_in_words(found):
+    lagged, path = (replace(found.term, memory=memory).in_words() for memory in (LAG, PATH))
+    assert found.term.in_words() == "a term in the spool force that depends on the spool position"
+    assert lagged == "a term in the spool force that depends on the lagged spool position"
+    assert path == "a term in the spool force that depends on the direction of the spool position"
+
+
 def test_nothing_is_recovered_where_nothing_is_hidden():
     plain = fit_nominal(prepare_session(session_of()))
     assert recover_term(plain, score_test(plain, plain.fit, options=DIAGNOSIS)) is None

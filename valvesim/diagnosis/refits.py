@@ -27,6 +27,7 @@ def restarted(
     if not found:
         return []
     more = pairs_from_members(nominal, found, options=options)
+    more += _from_usual_shapes(nominal, [*found, *more], options=options)
     least = min((one.fit for one in (*found, *more)), key=lambda fit: fit.chi_square)
     more += _from_best_point(nominal, [*found, *more], least, options=options)
     near = is_adequate(least, options=options.identification)
@@ -59,6 +60,27 @@ def pairs_from_members(
             if fit is not None and fit.chi_square < pair.chi_square:
                 again.append(continue_fit(nominal, fit.with_fitted((*fit.fitted, replace(other, above_neutral=0.0)))))
     return [FittedHypothesis(fit, options=options) for fit in again if fit is not None]
+
+
+def _from_usual_shapes(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The best fitted again where one of its shapes has ended at a bound: from its figures, with the shapes where they
+    are looked for. At a bound it may be in the wrong one of several valleys.
+    """
+    best = distinct(found, options=options)[0].fit
+    if not any(map(_is_at_bound, best.fitted)) or not is_adequate(best, options=options.identification):
+        return []
+    start = tuple(
+        with_shapes(one.candidate, one.above_neutral) if _is_at_bound(one) else one for one in best.fitted
+    )  # fmt: skip
+    return fit_starts(nominal, [start], best.point, others=found, options=options)
+
+
+def _is_at_bound(member: FittedCandidate) -> bool:
+    """Whether a shape is as small or as large as it may be."""
+    shapes = dict(member.shapes)
+    return any(shapes.get(p.name, p.default) in p.bounds for p in member.candidate.shapes())
 
 
 def _from_best_point(

@@ -12,6 +12,7 @@ import numpy as np
 
 from valvesim.io import write_atomically
 from valvesim.shown import Shown
+from valvesim.valve.additive_term import LAG, PATH
 
 NO_DISCREPANCY, CAUSE, AMBIGUOUS, UNKNOWN = "no_discrepancy", "cause", "ambiguous", "unknown"
 
@@ -171,7 +172,8 @@ class Term:
     def in_words(self) -> str:
         """Where it acts and what it depends on."""
         place, argument = (name.replace("_", " ") for name in (self.port, self.variable))
-        return f"a term in the {place} that depends on the {argument}"
+        remembered = {LAG: "lagged ", PATH: "direction of the "}.get(self.memory, "")
+        return f"a term in the {place} that depends on the {remembered}{argument}"
 
 
 @dataclass(frozen=True, kw_only=True)
