@@ -323,6 +323,10 @@ def test_errors_of_instruments_that_explain_it_together_are_told_with_the_fewest
     told = answer(alarm=False, joint_errors=few)
     assert told.verdict == NO_DISCREPANCY and "397 of the chi-square together" in told.notes[-1]
     assert "with the fewest figures: the oil temperature is off by up to 0.7 K" in told.notes[-1]
+    assert told.summary == (
+        "No discrepancy beyond what errors of the instruments explain together (the oil temperature is off by up to "
+        "0.7 K); a cause may act so too."
+    )
     assert JointErrors(397.0, (), 1000.0).words == "a little of each"
 
 

@@ -109,6 +109,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
     study, session, verdict = nominal.study, nominal.study.session, conclusion.verdict
     extension = _extended(conclusion)
     best, answer_set, bench = conclusion.best, conclusion.answer_set, isolation.bench
+    errors = isolation.joint_errors.words if isolation.joint_errors is not None else ""
     second = isolation.second_level
     candidates = candidate_answers(
         nominal, isolation.found, answer_set, level, conclusion.doubt, second, options=options
@@ -117,7 +118,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         title=session.title,
         verdict=verdict,
         causes=tuple(c.name for c in best.candidates) if verdict == CAUSE and best is not None else (),
-        summary=summary_text(verdict, answer_set, extension.term, conclusion.because, conclusion.doubt),
+        summary=summary_text(verdict, answer_set, extension.term, conclusion.because, conclusion.doubt, errors),
         location=location_text(verdict, answer_set),
         candidates=tuple(candidates),
         parameters=confidence_intervals(nominal, isolation.final) if conclusion.is_named else (),

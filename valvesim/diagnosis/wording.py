@@ -15,12 +15,21 @@ OTHERWISE = "that the parts follow the oil otherwise than assumed"
 
 
 def summary_text(
-    verdict: str, in_set: Sequence[FittedHypothesis], term: Term | None, inadequate: str = "", unknown_reason: str = ""
+    verdict: str,
+    in_set: Sequence[FittedHypothesis],
+    term: Term | None,
+    inadequate: str = "",
+    unknown_reason: str = "",
+    errors: str = "",
 ) -> str:
     """The answer in one sentence; `inadequate` and `unknown_reason` say why nothing, or not all, is named; of a
-    healthy valve `inadequate` is what the bench did."""
+    healthy valve `inadequate` is what the bench did, and `errors` those of the instruments that none shows by itself.
+    """
     if verdict == NO_DISCREPANCY and inadequate:
         return f"The bench, not the valve: {inadequate}; with that the model explains the records within their noise."
+    if verdict == NO_DISCREPANCY and errors:
+        beyond = f"what errors of the instruments explain together ({errors})"
+        return f"No discrepancy beyond {beyond}; a cause may act so too."
     if verdict == NO_DISCREPANCY:
         return "No discrepancy: the model explains the records within their noise and its own tolerances."
     if verdict == CAUSE:
