@@ -69,11 +69,9 @@ def _from_usual_shapes(
     are looked for. At a bound it may be in the wrong one of several valleys.
     """
     best = distinct(found, options=options)[0].fit
-    if not any(map(_is_at_bound, best.fitted)) or not is_adequate(best, options=options.identification):
+    start = tuple(with_shapes(one.candidate, one.above_neutral) if _is_at_bound(one) else one for one in best.fitted)
+    if start == best.fitted or not is_adequate(best, options=options.identification):
         return []
-    start = tuple(
-        with_shapes(one.candidate, one.above_neutral) if _is_at_bound(one) else one for one in best.fitted
-    )  # fmt: skip
     return fit_starts(nominal, [start], best.point, others=found, options=options)
 
 

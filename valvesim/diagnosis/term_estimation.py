@@ -103,7 +103,7 @@ class TermProblem:
 
         The direction of a path turns its sign, so that nothing takes its offset up.
         """
-        u = np.linspace(-1.0, 1.0, len(self.knots))
+        u = np.interp(self.knots, self.knots[[0, -1]], [-1.0, 1.0])
         return np.column_stack([np.ones_like(u), u])[:, : {NONE: 2, LAG: 1, PATH: 0}[self.hypothesis.memory]]
 
     def evaluate(self, point: np.ndarray, values: np.ndarray, memory_log: float) -> TermFit:
