@@ -315,7 +315,25 @@ def test_without_an_alarm_the_bench_is_told_and_not_the_valve(answer):
     told = answer(alarm=False, bench=(ripple,))
     assert (told.verdict, told.reason, told.bench) == (NO_DISCREPANCY, BENCH, (ripple.label,))
     assert told.summary.startswith(f"The bench, not the valve: {ripple.label}") and ripple in told.what_to_do
-    assert any(ripple.label in note for note in answer(bench=(ripple,)).notes)  # beside an unknown cause it is a note
+    unknown = answer(bench=(ripple,), recovered=None)
+    assert any(ripple.label in note for note in unknown.notes)  # beside an unknown cause it is a note
+
+
+def test_the_bench_is_told_beside_a_term_by_what_it_does_beside_the_term(answer, found, monkeypatch):
+    ripple = WhatToDo(label="the supply ripples by 3 bar", part="pump", inspect="-", confirm="-", remedy="-")
+    asked = []
+
+    def told_faults(scores, options):
+        asked.append(scores.fit)
+        return (ripple,) if len(asked) == 1 else ()
+
+    monkeypatch.setattr(conclusion, "told_faults", told_faults)
+    assert answer(bench=(ripple,)).bench == (ripple.label,)
+    gone = answer(bench=(ripple,))  # errors had made up for some of the term
+    assert gone.verdict == UNKNOWN and gone.term is found.term and not gone.bench
+    assert not any(ripple.label in note for note in gone.notes)
+    assert all(fit.chi_square == pytest.approx(found.chi_square, rel=1e-3) for fit in asked)
+    assert not answer().bench and len(asked) == 2  # nothing had been told
 
 
 def test_errors_of_instruments_that_explain_it_together_are_told_with_the_fewest(answer):

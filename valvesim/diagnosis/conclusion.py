@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.apart import odd_test
+from valvesim.diagnosis.bench_faults import told_faults
 from valvesim.diagnosis.detection import beyond_noise, is_certain, is_inadequate
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
@@ -24,7 +25,9 @@ from valvesim.diagnosis.result import (
     OTHER_VALVE,
     RECORDS_APART,
     UNKNOWN,
+    WhatToDo,
 )
+from valvesim.diagnosis.score_test import score_test
 from valvesim.diagnosis.term_entry import as_catalogue_entry
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit
@@ -83,6 +86,8 @@ def conclude(isolation: Isolation) -> Conclusion:
         point = recovered.point if recovered is not None else _fit_of(isolation, best).point
         far = figures_at_limit(nominal.study, point)
         recovered = None if far else recovered
+        if recovered is not None and isolation.bench:
+            isolation = replace(isolation, bench=_faults_beside_term(nominal, recovered, options=options))
     doubts = [unknown_reason] if unknown_reason else []
     if isolation.joint_errors is not None and answer_set:
         what = "it" if len(answer_set[0].candidates) == 1 else "a part of it"
@@ -96,6 +101,14 @@ def conclude(isolation: Isolation) -> Conclusion:
     elif verdict == NO_DISCREPANCY and isolation.bench:
         reason, because = BENCH, "; ".join(one.label for one in isolation.bench)
     return Conclusion(isolation, verdict, answer_set, best, unknown_reason, doubt, recovered, reason, because, odd)
+
+
+def _faults_beside_term(
+    nominal: NominalFit, recovered: RecoveredTerm, *, options: DiagnosisOptions
+) -> tuple[WhatToDo, ...]:
+    """What the bench did beside a term: without it, errors of the instruments had made up for some of the term."""
+    beside = score_test(nominal, recovered.as_fit(nominal.study), terms=(), options=options)
+    return told_faults(beside, options=options)
 
 
 def _hypotheses(isolation: Isolation) -> tuple[FittedHypothesis | None, tuple[FittedHypothesis, ...], str]:
