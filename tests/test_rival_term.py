@@ -67,6 +67,6 @@ def fitted(*, truth, shown, amount=2.0):
 )
 def test_terms_that_explain_more_or_as_much_at_several_places_are_rivals(monkeypatch, truth, shown, rivals):
     scores, none = fitted(truth=truth, shown=shown)
-    monkeypatch.setattr(rival_term, "score_test", lambda *_, **__: none)
+    monkeypatch.setattr(rival_term, "term_score_test", lambda *_, **__: none)
     monkeypatch.setattr(rival_term, "term_spans", lambda linearised, terms: [(-1.0, 1.0)] * len(terms))
     assert set(rival_terms(Nominal(Study()), scores)) == set(rivals)

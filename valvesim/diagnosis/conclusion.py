@@ -27,7 +27,7 @@ from valvesim.diagnosis.result import (
     UNKNOWN,
     WhatToDo,
 )
-from valvesim.diagnosis.score_test import score_test
+from valvesim.diagnosis.score_test import term_score_test
 from valvesim.diagnosis.term_entry import as_catalogue_entry
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit
@@ -107,7 +107,7 @@ def _faults_beside_term(
     nominal: NominalFit, recovered: RecoveredTerm, *, options: DiagnosisOptions
 ) -> tuple[WhatToDo, ...]:
     """What the bench did beside a term: without it, errors of the instruments had made up for some of the term."""
-    beside = score_test(nominal, recovered.as_fit(nominal.study), terms=(), options=options)
+    beside = term_score_test(nominal, recovered.as_fit(nominal.study), options=options)
     return told_faults(beside, options=options)
 
 

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import Term
-from valvesim.diagnosis.score_test import ScoreTest, score_test
+from valvesim.diagnosis.score_test import ScoreTest, term_score_test
 from valvesim.diagnosis.symbolic_form import relative_difference, with_formula
 from valvesim.diagnosis.term_estimation import TermEstimate, TermProblem, estimate_term
 from valvesim.identification.candidates import Candidate
@@ -66,10 +67,11 @@ def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None
     price = float(np.log(len(nominal.fit.residual)))
     least, best = nominal.fit.chi_square - options.minimum_gain, None
     continuous = [f for f in scores.hypotheses if f.memory == NONE]
+    tested = partial(term_score_test, nominal, nominal.fit, options=scores.options)
     score_tests = [
         (options.knots, scores),
-        (options.knots, _terms_tested(nominal, jump_hypotheses(), options.knots, options=scores.options)),
-        (options.fine_knots, _terms_tested(nominal, continuous, options.fine_test_knots, options=scores.options)),
+        (options.knots, tested(jump_hypotheses(), options.knots)),
+        (options.fine_knots, tested(continuous, options.fine_test_knots)),
     ]
     ranked, margin = _ranked(score_tests, options=scores.options)
     for hypothesis, count in ranked[: options.estimated]:
@@ -80,16 +82,9 @@ def recover_term(nominal: NominalFit, scores: ScoreTest) -> RecoveredTerm | None
     if best is None:
         return None
     hypothesis, count, found = best
-    as_fine = [tests for knots, tests in score_tests if (knots == options.fine_knots) == (count == options.fine_knots)]
-    return replace(found, term=replace(found.term, alike=_alike(as_fine, hypothesis, margin)))
-
-
-def _terms_tested(
-    nominal: NominalFit, terms: Sequence[TermHypothesis], knots: int, *, options: DiagnosisOptions
-) -> ScoreTest:
-    """The nominal fit tested for other terms alone, on so many knots."""
-    bare = replace(nominal, study=replace(nominal.study, candidates=()))
-    return score_test(bare, nominal.fit, terms=terms, knots=knots, options=options)
+    is_fine = count == options.fine_knots  # gains on few and on many knots do not compare
+    comparable = [tests for knots, tests in score_tests if (knots == options.fine_knots) == is_fine]
+    return replace(found, term=replace(found.term, alike=_alike(comparable, hypothesis, margin)))
 
 
 def _estimated(

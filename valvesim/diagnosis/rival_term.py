@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from valvesim.diagnosis.options import MissingTermOptions
-from valvesim.diagnosis.score_test import ScoreTest, score_test, term_spans
+from valvesim.diagnosis.score_test import ScoreTest, term_score_test, term_spans
 from valvesim.diagnosis.symbolic_form import PLAIN_FORMS
 from valvesim.identification.fit_jacobian import perturbation
 from valvesim.identification.nominal_fit import NominalFit
@@ -38,9 +38,8 @@ def rival_terms(nominal: NominalFit, final: ScoreTest) -> tuple[TermHypothesis, 
     where its own law does alone.
     """
     options = final.options.missing_term
-    bare = replace(nominal, study=replace(nominal.study, candidates=()))
-    remembering = score_test(
-        bare, final.fit, terms=_remembering(final, options), knots=2, known=final, options=final.options
+    remembering = term_score_test(
+        nominal, final.fit, _remembering(final, options), 2, known=final, options=final.options
     )
     own, _ = block_statistic(_without_cause(final), final.terms.own)
     best: dict[tuple[str, str], tuple[float, TermHypothesis]] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -178,6 +178,20 @@ def score_test(
         study, fit, tuple(linearised), tuple(J), tuple(own), gram, candidates, sizes, tuple(terms), knots, freed,
         project(gram, 0, q + count).without(freed), options=options,
     )  # fmt: skip
+
+
+def term_score_test(
+    nominal: NominalFit,
+    fit: Fit,
+    terms: Sequence[TermHypothesis] = (),
+    knots: int | None = None,
+    *,
+    known: ScoreTest | None = None,
+    options: DiagnosisOptions,
+) -> ScoreTest:
+    """The same for terms alone, which is quicker: no candidate is tested."""
+    bare = replace(nominal, study=replace(nominal.study, candidates=()))
+    return score_test(bare, fit, terms=terms, knots=knots, known=known, options=options)
 
 
 def search_size(candidate: Candidate, *, options: IdentificationOptions) -> float:

@@ -238,7 +238,8 @@ def _may_show_feature(effect: Effect, session: Session, *, options: Identificati
         return True
     oil = np.concatenate([record.values["oil_temperature"] for record in session.training])
     parts = PartTemperatures.uniform(np.array([np.nanmin(oil), np.nanmax(oil)]))
-    low, high = np.broadcast_to(getattr(session.valve.at(parts, oil=session.oil), effect.feature), 2)
+    coefficients = session.valve.at(parts, oil=session.oil, routes=session.thermal.routes)
+    low, high = np.broadcast_to(getattr(coefficients, effect.feature), 2)
     return abs(high - low) > options.prior.least_feature * abs(low)
 
 
