@@ -10,6 +10,7 @@ import pytest
 from valvesim.diagnosis import experiment_design
 from valvesim.diagnosis.experiment_design import ExperimentPower, design, nested_rival, rival_beside, simulate_library
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
+from valvesim.diagnosis.joint_refit import joint_distance
 from valvesim.diagnosis.model_selection import FittedHypothesis, least_gain_of_second, nested_levels
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.power import nested_power, separation_power
@@ -28,8 +29,9 @@ from valvesim.valve.parameters import Valve
 
 NOISE = {"spool_position": 2e-6, "load_flow": 2e-6}
 LABELS = ("spool_coulomb_friction", "spool_lap")
-EXACT = replace(DIAGNOSIS, design=replace(DIAGNOSIS.design, model_error=0.0, examined=4))
-"""Options for a model that is the plant."""
+EXACT = replace(DIAGNOSIS, design=replace(DIAGNOSIS.design, model_error=0.0, examined=4, refitted=0))
+"""Options for a model that is the plant, and its linear answers."""
+REFITTED = replace(EXACT, design=replace(EXACT.design, refitted=2))
 
 
 def plain_six(more):
@@ -270,6 +272,41 @@ def test_what_linear_answers_miss_does_not_count(nominal, fits, monkeypatch):
 def judged(power, repeats, duration=1.0):
     time = np.linspace(0.0, duration, 3)
     return ExperimentPower(Experiment("a", time, time, time, 1.0, 0.0), repeats, 1.0, power)
+
+
+def test_a_refit_of_session_and_experiment_leaves_no_more_than_both_differ_by(nominal, fits):
+    trial = trials_of(nominal, fits[0])[0]
+    delta = trial.beyond(nominal.fit)
+    once, twice = (joint_distance(nominal, trial.predictor, fits[0], nominal.fit, n) for n in (1, 2))
+    assert 0.0 < once <= np.linalg.norm(delta) and once < twice <= np.sqrt(2.0) * np.linalg.norm(delta)
+    assert joint_distance(nominal, trial.predictor, nominal.fit, nominal.fit, 1) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_experiment_is_proposed_by_refits_that_are_simulated(nominal, fits, found, monkeypatch):
+    tried = []
+
+    def follows(nominal, predictor, true, wrong, replicates):
+        tried.append(predictor.record.name)
+        return 1e-3 if predictor.record.name in found.description else 50.0
+
+    monkeypatch.setattr(experiment_design, "joint_distance", follows)
+    other = designed(nominal, *fits, LABELS, plain_six, REFITTED)
+    assert tried[0] in found.description and other.description not in found.description
+    assert other.power >= DIAGNOSIS.design.power and tried[-1] in other.description
+
+
+def test_what_cannot_be_refitted_is_not_proposed(nominal, fits, monkeypatch):
+    def fails(*args):
+        raise SolveError("no valve has these figures")
+
+    monkeypatch.setattr(experiment_design, "joint_distance", fails)
+    assert designed(nominal, *fits, LABELS, plain_six, REFITTED).power == 0.0
+
+
+def test_a_long_session_is_not_refitted_for_an_experiment(nominal, fits, found, monkeypatch):
+    monkeypatch.setattr(experiment_design, "joint_distance", None)
+    long = replace(nominal, study=replace(nominal.study, is_long=True))
+    assert designed(long, *fits, LABELS, plain_six, REFITTED).description == found.description
 
 
 def test_the_shortest_that_is_hardly_less_sure_is_chosen():

@@ -9,7 +9,8 @@ Symbols
     m what A misses of the answer to the step of that refit: where answers are not linear, at a stop or a turn, they
     hang on what no model has right, and repeats do not tell it better; W = 1/(1/n + m^2) of each row
     d^2 = delta'W delta - delta'W A (P + A'W A)^-1 A'W delta: by so much the chi-square of the wrong one of the two will
-    rise more than that of the true one, with deviation 2 d. The first is ahead by b in the session already, by the
+    rise more than that of the true one, with deviation 2 d; of a test that is to be proposed no more than a refit by
+    the simulation leaves (`joint_distance`). The first is ahead by b in the session already, by the
     chi-square and by the evidence, of which the one that helps less counts; w is what the answer set will ask for, no
     model is the plant: the more there is to explain, the more, and n e^2 s's besides, which the plant will do otherwise
     than any model of it; s what the readings move, e `DesignOptions.model_error`
@@ -21,12 +22,13 @@ Symbols
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
+from valvesim.diagnosis.joint_refit import joint_distance
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.power import nested_power, separation_power
 from valvesim.diagnosis.result import NextTest
@@ -35,7 +37,6 @@ from valvesim.identification.fit import Fit, moved_fit, predict_readings
 from valvesim.identification.fit_jacobian import perturbed_fits, step_sizes
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.linearised_record import linearise_record
-from valvesim.identification.noise_model import NoiseModel
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import RecordPredictor, prepare_record
@@ -108,10 +109,16 @@ class SimulatedExperiment:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentPower:
+    """A trial replicated: the distance that a refit leaves, and what `more` the likeliest explains then; `is_refitted`
+    where that is by simulation and not by linear answers.
+    """
+
     trial: Experiment
     repeats: int
     distance: float
     power: float
+    more: float = 0.0
+    is_refitted: bool = False
 
     @property
     def duration(self) -> float:
@@ -210,12 +217,20 @@ def design(
     run = _most_promising(run, rival.power, options=options)
     known = _known(nominal, rival.fit)
     shortest = min(float(one.trial.time[-1]) for one, _ in run)
-    chosen = list[ExperimentPower]()
+    chosen, tried = list[ExperimentPower](), [one for one, _ in run]
+
+    def is_found() -> bool:
+        return any(each.power >= options.design.power and each.duration <= shortest for each in chosen)
+
     for one, delta in run:
         chosen += _judge(one, delta, rival, known, options=options)
-        if any(each.power >= options.design.power and each.duration <= shortest for each in chosen):
-            break  # none is shorter
-    best = _chosen(chosen, options=options) or ExperimentPower(run[0][0].trial, 1, 0.0, 0.0)
+        if is_found():
+            chosen = _with_best_refitted(nominal, tried, chosen, rival, options=options)
+            if is_found():
+                break  # none is shorter
+    chosen = _with_best_refitted(nominal, tried, chosen, rival, options=options)
+    best = _chosen([one for one in chosen if one.is_refitted] or chosen, options=options)
+    best = best or ExperimentPower(run[0][0].trial, 1, 0.0, 0.0)
     others = dict.fromkeys(
         one.trial.description for one in sorted(chosen, key=lambda one: -one.power)
         if one.trial is not best.trial and one.power >= min(options.design.power, best.power)
@@ -282,6 +297,61 @@ def _chosen(judged: Sequence[ExperimentPower], *, options: DiagnosisOptions) -> 
     return min(able, key=lambda one: (one.duration, -one.power), default=None)
 
 
+def _with_best_refitted(
+    nominal: NominalFit,
+    tried: Sequence[SimulatedExperiment],
+    judged: Sequence[ExperimentPower],
+    rival: Rival,
+    *,
+    options: DiagnosisOptions,
+) -> list[ExperimentPower]:
+    """The judged with the best of them by refits of session and experiment together, so far as that is worth the time;
+    others of its trial are taken to keep the same share of their distances.
+    """
+    known = list(judged)
+    while sum(one.is_refitted for one in known) < options.design.refitted and not nominal.study.is_long:
+        best = _chosen(known, options=options)
+        if best is None or best.is_refitted or best.power < options.design.uninformative_power:
+            break
+        of_trial = next(one for one in tried if one.trial is best.trial)
+        found = _refitted(nominal, of_trial, best, rival, options=options)
+        share = found.distance / best.distance
+        for k, one in enumerate(known):
+            if one is best:
+                known[k] = found
+            elif one.trial is best.trial and not one.is_refitted:
+                power = rival.power(share * one.distance, one.more, one.repeats * of_trial.error)
+                known[k] = replace(one, distance=share * one.distance, power=power)
+    return known
+
+
+def _refitted(
+    nominal: NominalFit,
+    tried: SimulatedExperiment,
+    judged: ExperimentPower,
+    rival: Rival,
+    *,
+    options: DiagnosisOptions,
+) -> ExperimentPower:
+    """A judged trial by refits of session and experiment together: of the nominal model, and of whichever of the two
+    may follow the other. No power where one fails.
+    """
+    n, distance, more = judged.repeats, judged.distance, judged.more
+    fits = tried.fit, rival.fit
+
+    def power() -> float:
+        return rival.power(distance, more, n * tried.error)
+
+    try:
+        more = max(more, joint_distance(nominal, tried.predictor, tried.fit, nominal.fit, n) ** 2)
+        for wrong, true, may_follow in zip(fits, reversed(fits), rival.refitted, strict=True):
+            if may_follow and power() >= options.design.uninformative_power:
+                distance = min(distance, joint_distance(nominal, tried.predictor, true, wrong, n))
+    except (SolveError, InputError):
+        distance = 0.0
+    return replace(judged, distance=distance, power=power(), more=more, is_refitted=True)
+
+
 def _simulated(
     nominal: NominalFit,
     trial: Experiment,
@@ -312,14 +382,9 @@ def _difference(
 def _white(study: Study, predictor: RecordPredictor, columns: dict[str, np.ndarray]) -> np.ndarray:
     """Whitened columns (rows, k) of a new record, by the noise of each channel at the nearest rate that it was seen."""
     record = predictor.record
-
-    def noise(channel: str) -> NoiseModel:
-        own = {rate: found for (name, rate), found in study.noise.items() if name == channel}
-        return own[min(own, key=lambda rate: abs(float(np.log(rate / record.rate))))]
-
-    known = {name for name, _ in study.noise}
+    near = {name: study.noise_near(name, record.pace) for name in record.outputs}
     return np.concatenate([
-        noise(name).whiten(columns[name], record.usable[name]) for name in record.outputs if name in known
+        noise.whiten(columns[name], record.usable[name]) for name, noise in near.items() if noise is not None
     ])  # fmt: skip
 
 
@@ -360,7 +425,7 @@ def _judge(
         more, distance = tried.explained(n), np.inf
 
         def judged(distance: float) -> ExperimentPower:
-            return ExperimentPower(tried.trial, n, distance, rival.power(distance, more, n * tried.error))
+            return ExperimentPower(tried.trial, n, distance, rival.power(distance, more, n * tried.error), more)
 
         if rival.refitted[0]:
             distance = _distance(tried, tried.refit, delta, n)

@@ -61,11 +61,11 @@ def holdout_gain(
         traces += traces_of(study, record, reads)
         white = []
         for name in record.outputs:
-            key = _nearest_noise_key(study, name, record.pace)
-            if key is None:
+            noise = study.noise_near(name, record.pace)
+            if noise is None:
                 continue
             columns = np.column_stack([residual_of(record, read)[name][:, 0] for read in reads])
-            white.append(study.noise[key].whiten(columns, record.usable[name]))
+            white.append(noise.whiten(columns, record.usable[name]))
         if not white:
             continue
         squares = np.concatenate([w**2 for w in white])
@@ -141,9 +141,9 @@ def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:
 
 def _white(study: Study, record: Record, columns: dict[str, np.ndarray]) -> np.ndarray:
     """Whitened columns (rows, k) of the channels whose noise training has seen."""
-    keys = {name: _nearest_noise_key(study, name, record.pace) for name in record.outputs}
+    near = {name: study.noise_near(name, record.pace) for name in record.outputs}
     return np.concatenate(
-        [study.noise[key].whiten(columns[name], record.usable[name]) for name, key in keys.items() if key is not None]
+        [noise.whiten(columns[name], record.usable[name]) for name, noise in near.items() if noise is not None]
     )
 
 
@@ -156,12 +156,6 @@ def _change_interval(squares: np.ndarray, seed: int, *, options: DiagnosisOption
     ratio = np.divide(after, before, out=np.ones_like(after), where=before > 0.0)
     low, high = np.quantile(ratio - 1.0, options.hold_out.interval) * squares[:, 0].mean()
     return float(low), float(high)
-
-
-def _nearest_noise_key(study: Study, channel: str, rate: float) -> tuple[str, float] | None:
-    """The key of the noise of a channel at the nearest rate; None where training has not seen the channel."""
-    rates = [r for name, r in study.noise if name == channel]
-    return (channel, min(rates, key=lambda r: abs(np.log(r / rate)))) if rates else None
 
 
 def _block_means(change: np.ndarray, seed: int, draws: int = 1000) -> np.ndarray:
@@ -177,11 +171,11 @@ def traces_of(study: Study, record: Record, reads: Sequence[dict[str, np.ndarray
     """A record's readings beside those of the nominal and of the extended model, channel by channel."""
     found = []
     for name in record.outputs:
-        key = _nearest_noise_key(study, name, record.pace)
+        noise = study.noise_near(name, record.pace)
         found.append(
             Trace(record=record.name, channel=name, unit=CHANNEL_UNITS[name], role=record.role, time=record.time,
                   measured=np.where(record.usable[name], record.values[name], np.nan),
                   base=reads[0][name], extended=reads[1][name],
-                  noise=study.noise[key].deviation if key is not None else 0.0)
+                  noise=noise.deviation if noise is not None else 0.0)
         )  # fmt: skip
     return found

@@ -103,6 +103,11 @@ class Study(PreparedSession):
             white.append(rows)
         return white
 
+    def noise_near(self, channel: str, rate: float) -> NoiseModel | None:
+        """The noise of a channel at the nearest rate that it was seen at; None where it was not."""
+        seen = {pace: noise for (name, pace), noise in self.noise.items() if name == channel}
+        return seen[min(seen, key=lambda pace: abs(np.log(pace / rate)))] if seen else None
+
     def log_determinant(self) -> float:
         """The log determinant of the noise covariance where readings may be off by the `spread`, less that without."""
         total = 0.0
@@ -229,6 +234,28 @@ def with_records(prepared: Prepared, records: Sequence[Record], notes: Sequence[
     )
     predictors = tuple(replace(one, record=found.get(one.record.name, one.record)) for one in prepared.predictors)
     return replace(prepared, session=session, predictors=predictors)
+
+
+def with_experiment(study: Study, predictor: RecordPredictor, replicates: int) -> Study:
+    """The study with a further record, whose rows count as so many replicates of it; of channels whose noise is known.
+    """
+    record = predictor.record
+    near = {name: study.noise_near(name, record.pace) for name in record.outputs}
+    noise = {(name, record.pace): one for name, one in near.items() if one is not None}
+    usable = {name: record.usable[name] for name, _ in noise}
+    predictor = replace(predictor, record=replace(record, usable=usable))
+    predictors = (*study.predictors, predictor)
+    counting = {
+        (record.name, name): np.full(int(one.kept(usable[name]).sum()), np.sqrt(replicates))
+        for (name, _), one in noise.items()
+    }
+    return replace(
+        study,
+        predictors=predictors,
+        representatives=_representatives(predictors, study.nominal),
+        noise=study.noise | noise,
+        weights=study.weights | counting,
+    )
 
 
 def without_test(prepared: PreparedSession, test: str) -> PreparedSession:
