@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -21,12 +22,14 @@ from valvesim.identification.between_samples import (
     added_input,
     added_on_grid,
     command_jumps,
+    corners_of,
     deviating,
     deviating_command,
     piecewise_command,
+    sampled_edges,
     undersampled_share,
 )
-from valvesim.identification.input_choice import HELD_NAME, are_delays, edge_time, input_choices
+from valvesim.identification.input_choice import HELD_NAME, are_delays, edge_parameter, input_choices
 from valvesim.identification.input_waves import wave_parameters, with_parameters
 from valvesim.identification.instrument_errors import instrument_errors
 from valvesim.identification.linearised_record import linearise_record
@@ -83,6 +86,63 @@ def test_edges_together_are_edges_one_by_one(seed):
     for edge, amount in edges:
         one_by_one = edge.apply(edge.apply(one_by_one, (TIME, values), -amount), (TIME, values), amount)
     np.testing.assert_allclose(deviating((TIME, values), ((smooth, 1.0), *edges)), one_by_one, rtol=1e-12)
+
+
+def ramps(dice, least, most, duration=0.4):
+    """Times and values of corners: ramps, each so many seconds long, between levels that are held."""
+    t, u = [0.0], [0.0]
+    while t[-1] < duration:
+        rise = dice.uniform(least, most)
+        t += [t[-1] + dice.uniform(6e-3, 12e-3), t[-1] + rise]
+        t[-1] = t[-2] + rise
+        u += [u[-1], u[-1] + dice.choice((-1.0, 1.0)) * dice.uniform(0.3, 1.0)]
+    return np.array(t), np.array(u)
+
+
+def off_by(t, u, deviation, values):
+    """By how much at most a command lies off one of corners (t, u), but for its first and last samples."""
+    fine = np.linspace(TIME[4], TIME[-5], 20 * 391 + 1)
+    pieces = straight_pieces(TIME, values) if deviation is None else applied(deviation, values)
+    return np.abs(value(pieces, fine) - np.interp(fine, t, u)).max()
+
+
+@given(st.integers(0, 10_000))
+def test_ramps_of_which_two_intervals_are_known_are_known_with_their_corners(seed):
+    t, u = ramps(np.random.default_rng(seed), 3.05e-3, 8e-3)
+    values = np.interp(TIME, t, u)
+    found = corners_of(record_of(values), options=OPTIONS)
+    assert off_by(t, u, None, values) > 0.02 and off_by(t, u, found, values) < 0.007  # of those taken to be at a sample
+    np.testing.assert_allclose(value(applied(found, values), TIME), values, atol=1e-12)
+
+
+@given(st.floats(0.05, 0.45), st.floats(0.55, 0.95))
+def test_a_ramp_of_which_one_interval_is_known_is_known_between_levels(early, late):
+    t, u = np.array([0.0, 0.2 + 1e-3 * early, 0.202 + 1e-3 * late, 0.4]), np.array([0.0, 0.0, 1.0, 1.0])
+    values = np.interp(TIME, t, u)
+    assert off_by(t, u, corners_of(record_of(values), options=OPTIONS), values) < 1e-9
+
+
+@given(st.integers(0, 10_000))
+def test_edges_within_which_samples_were_taken_are_what_they_were_by_their_duration(seed):
+    dice = np.random.default_rng(seed)
+    at, lasting, share = np.arange(4, 390, dice.integers(5, 9)), dice.uniform(5e-5, 9e-4), dice.uniform(0.1, 0.9)
+    start, level = TIME[at] - share * lasting, np.cumsum(dice.choice((-1.0, 1.0), len(at)) * dice.uniform(0.2, 1.0))
+    t = np.column_stack([start, start + lasting]).ravel()
+    u = np.column_stack([np.append(0.0, level[:-1]), level]).ravel()
+    values, fine = np.interp(TIME, t, u), np.linspace(0.0, TIME[-1], 20 * 399 + 1)
+    found = sampled_edges(record_of(values), options=OPTIONS)
+    assert found.at == tuple(at)
+    exact = value(applied(found, values, lasting - 0.5e-3), fine)
+    np.testing.assert_allclose(exact, np.interp(fine, t, u), atol=1e-9)
+    for amount in (-1.0, 0.0, 1.0):  # held within a step, whatever it is
+        assert np.all(np.diff(applied(found, values, amount)[1:, 0]) > 0.0)
+
+
+def test_smooth_commands_jumps_and_levels_have_neither_corners_nor_edges_through_samples():
+    jump = np.where(TIME < 0.2, 0.0, 1.0)
+    for values in (CHIRP, jump, np.zeros(400), np.round(5.0 * TIME), 3.0 * TIME, CHIRP[:3]):
+        record = SimpleNamespace(name="a", command="current", time=TIME[: len(values)], values={"current": values})
+        assert corners_of(record, options=OPTIONS) is None and sampled_edges(record, options=OPTIONS) is None
 
 
 def test_held_samples_stay_and_smooth_ones_go_through_the_samples():
@@ -346,7 +406,7 @@ def test_a_fit_is_looked_at_under_each_other_way_of_its_commands_with_edges_wher
     nominal = replace(nominal, fit=replace(nominal.fit, point=nominal.fit.point + 5.0))
     others = under_other_inputs(nominal)
     kinds = [{type(one).__name__ for one, _ in other.study.nominal.variant.deviations} for other in others]
-    assert kinds == [{"Held"}, set(), {"Smooth"}]
+    assert kinds == [{"Held"}, {"Corners"}, {"Corners", "Smooth"}]
     p = len(nominal.fit.point)
     for other, edges in zip(others, (False, True, True), strict=True):
         assert (len(other.fit.point) > p) is edges
@@ -383,9 +443,37 @@ def test_commands_of_records_too_slow_to_show_the_valve_s_motion_go_straight(ste
 def test_an_edge_may_be_anywhere_in_its_interval_and_nowhere_else(stepped):
     _, session = stepped
     record = session.training[0]
-    parameter = edge_time(record, EdgeTime(record.name, record.command, 10))
+    parameter = edge_parameter(record, EdgeTime(record.name, record.command, 10))
     assert parameter.at(99.0) == pytest.approx(5e-4) and parameter.at(-99.0) == pytest.approx(-5e-4)
     assert parameter.deviation == pytest.approx(1e-3 / np.sqrt(12.0))
+
+
+def with_command(case, command_of):
+    """A case with other commands, of its times, its runs' largest current each, and dice: repeats have the same."""
+    runs = []
+    for run in case.runs:
+        t, dice = np.arange(len(run.command)) / (1e3 * FINE), np.random.default_rng(crc32(run.command.tobytes()))
+        runs.append(replace(run, command=command_of(t, float(np.abs(run.command).max()), dice)))
+    return replace(case, runs=tuple(runs))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["ramps", "edges"])
+def test_a_healthy_valve_under_ramps_between_samples_or_edges_through_them_stays_healthy(tmp_path, command):
+    """A stranger's sessions: ramps of 2 ms raised alarms, edges of 50 us at the sample named the armature's inertia."""
+    case, bench = draw_bench(505, "none", imperfections=("edges",), duration=0.5)
+
+    def command_of(t, most, dice):
+        if command == "ramps":
+            corners, level = ramps(dice, 2.1e-3, 2.1e-3, t[-1])
+            return most * np.interp(t, corners, np.clip(level - np.round(level), -0.5, 0.5))
+        at = np.arange(0.02, t[-1], 0.01)
+        level = most * dice.uniform(-0.5, 0.5, len(at))
+        corners = np.column_stack([at - 2e-5, at + 3e-5]).ravel()
+        return np.interp(t, corners, np.column_stack([np.append(0.0, level[:-1]), level]).ravel())
+
+    write_bench_session(with_command(case, command_of), bench, tmp_path)
+    assert vs.diagnose(tmp_path).verdict == "no_discrepancy"
 
 
 @pytest.mark.slow
@@ -404,7 +492,7 @@ def test_a_session_whose_command_goes_otherwise_between_samples_is_diagnosed(tmp
 def test_variants_that_differ_in_an_edge_differ(stepped):
     _, session = stepped
     record = session.training[1]
-    parameter = edge_time(record, EdgeTime(record.name, record.command, 10))
+    parameter = edge_parameter(record, EdgeTime(record.name, record.command, 10))
     variant = parameter.with_value(ModelVariant(session.valve), 1e-4)
     assert parameter.value_in(variant) == 1e-4 and parameter.value_in(replace(variant, deviations=())) == 0.0
     assert parameter.moved(variant, 1.0).deviations == ((parameter.input, 1e-4 + parameter.deviation),)

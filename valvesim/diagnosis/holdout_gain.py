@@ -13,9 +13,9 @@ from valvesim.diagnosis.answer_tables import CHANNEL_UNITS
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import Gain, Trace
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.between_samples import EdgeTime, Wave, edges_of
+from valvesim.identification.between_samples import EdgeDuration, EdgeTime, Wave
 from valvesim.identification.fit import Fit
-from valvesim.identification.input_choice import edge_time
+from valvesim.identification.input_choice import edge_parameter, edges_fitted
 from valvesim.identification.input_waves import fitted_waves, settled, wave_parameters
 from valvesim.identification.instrument_errors import SHIFTED, has_instrument_errors, input_shifts
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
@@ -126,9 +126,8 @@ def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:
     """The parameters of a record's inputs, of the kinds that the training records have."""
     fitted, session = study.nominal.parameters, study.session
     inputs: list[NuisanceParameter] = []
-    if any(isinstance(p.input, EdgeTime) for p in fitted):
-        found = edges_of(record.name, record.command, record.values[record.command], options=study.options)
-        inputs += [edge_time(record, edge) for edge in found[: study.options.input.most_edges]]
+    if any(isinstance(p.input, EdgeTime | EdgeDuration) for p in fitted):
+        inputs += [edge_parameter(record, edge) for edge in edges_fitted(record, options=study.options)]
     for wave in fitted_waves(study.nominal).values():
         if isinstance(one := wave[0].input, Wave):
             inputs += wave_parameters([record], one.column, one.frequency, wave[0].deviation)

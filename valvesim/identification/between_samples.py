@@ -1,9 +1,10 @@
 """What the inputs of a record do that their samples do not tell, above all between these.
 
-A record holds its command at samples. In between it may go straight, stay (a generator's staircase), go on smoothly (a
-generator far faster than the logger), or jump at any time; and what was logged as constant may have moved. Each is an
-`InputDeviation`. Most make of the pieces that an input goes by (`inputs.Command`) other pieces, by so much as their
-amount; a `Wave` is added to what comes of these, as the sine that it is.
+A record holds its command at samples. In between it may go straight, bend where a ramp begins or ends, stay (a
+generator's staircase), go on smoothly (a generator far faster than the logger), or jump at any time; and what was
+logged as constant may have moved. Each is an `InputDeviation`. Most make of the pieces that an input goes by
+(`inputs.Command`) other pieces, by so much as their amount; a `Wave` is added to what comes of these, as the sine that
+it is.
 """
 
 from __future__ import annotations
@@ -80,11 +81,52 @@ def _with_edges(pieces: np.ndarray, samples: Points, after: np.ndarray, amounts:
     at = np.column_stack([t[first], edge - 0.5 * EDGE, edge + 0.5 * EDGE, t[last]])
     u = np.column_stack([pieces[first, 1], before, beyond, pieces[last, 1]])
     jumps = lines(at[:, :-1].ravel(), u[:, :-1].ravel(), (np.diff(u) / np.diff(at)).ravel())
-    taken = np.zeros(len(t) + 1, dtype=int)
+    joined = np.vstack([pieces[~_covered(len(t), first, last)], jumps])
+    return joined[np.argsort(joined[:, 0], kind="stable")]
+
+
+@dataclass(frozen=True)
+class EdgeDuration:
+    """Edges within which the samples `at` (ascending) were taken: ramps through these, `amount` seconds longer than
+    half a step, between the lines that the command goes by before and after.
+
+    A logger that runs by the clock of the command's generator reads every edge at the same share of it.
+    """
+
+    record: str
+    column: str
+    at: tuple[int, ...]
+
+    def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
+        (time, values), k, t = samples, np.array(self.at), pieces[:, 0]
+        step, slope = time[1] - time[0], np.diff(values) / np.diff(time)
+        early, before, after = _edge_shares(values, k)[0], slope[k - 2], slope[k + 1]
+        lasting = float(np.clip(0.5 * step + amount, EDGE, step - 2.0 * EDGE))
+        start, end = time[k] - early * lasting, time[k] + (1.0 - early) * lasting
+        low, high = values[k - 1] + before * (start - time[k - 1]), values[k + 1] + after * (end - time[k + 1])
+        ramps = lines(
+            np.column_stack([time[k - 1], start, end]).ravel(),
+            np.column_stack([values[k - 1], low, high]).ravel(),
+            np.column_stack([before, (high - low) / lasting, after]).ravel(),
+        )
+        first, last = np.searchsorted(t, time[k - 1], "left"), np.searchsorted(t, time[k + 1], "left")
+        joined = np.vstack([pieces[~_covered(len(t), first, last)], ramps])
+        return joined[np.argsort(joined[:, 0], kind="stable")]
+
+
+def _edge_shares(values: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The share of an edge that samples k (m,) within it have seen, by the lines beside it, and its size (m,)."""
+    start = 2.0 * values[k - 1] - values[k - 2]
+    size = 2.0 * values[k + 1] - values[k + 2] - start
+    return np.divide(values[k] - start, size, out=np.zeros(len(k)), where=size != 0.0), size
+
+
+def _covered(count: int, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """True for those of so many pieces that lie in one of several ranges from a first to before a last one."""
+    taken = np.zeros(count + 1, dtype=int)
     np.add.at(taken, first, 1)
     np.add.at(taken, last, -1)
-    joined = np.vstack([pieces[np.cumsum(taken[:-1]) == 0], jumps])
-    return joined[np.argsort(joined[:, 0], kind="stable")]
+    return np.cumsum(taken[:-1]) > 0
 
 
 @dataclass(frozen=True)
@@ -100,6 +142,35 @@ class Held:
         edge, at = min(EDGE, 0.1 * step), np.arange(1, len(time))
         corners = (time[:-1] + edge, values[1:]) if self.read_back else (time[1:] - edge, values[:-1])
         return straight_pieces(np.insert(time, at, corners[0]), np.insert(values, at, corners[1]))
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Straight lines that go on beyond their samples until they meet, in the intervals `within` (ascending): a ramp
+    begins and ends where it does, and not at a sample.
+    """
+
+    record: str
+    column: str
+    within: tuple[int, ...]
+
+    def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
+        k = np.array(self.within)
+        row, (_, slope, corner) = np.searchsorted(pieces[:, 0], samples[0][k], "right") - 1, _corners(*samples, k)
+        bent = pieces.copy()
+        bent[row] = lines(samples[0][k], samples[1][k], slope)
+        return np.insert(bent, row + 1, corner, axis=0)
+
+
+def _corners(time: np.ndarray, values: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where in the intervals k (m,) the lines of those before and after meet, as shares of them (m,); the slopes (m,)
+    up to there, and the pieces (m, 5) from there on.
+    """
+    slope = np.diff(values) / np.diff(time)
+    before, after, step = slope[k - 1], slope[k + 1], time[k + 1] - time[k]
+    bend = before - after
+    reached = np.divide(values[k + 1] - values[k] - after * step, bend, out=np.full(len(k), np.nan), where=bend != 0.0)
+    return reached / step, before, lines(time[k] + reached, values[k] + before * reached, after)
 
 
 @dataclass(frozen=True)
@@ -327,6 +398,44 @@ def command_corners(values: np.ndarray, *, options: IdentificationOptions) -> np
     size = max(options.input.jump * float(np.ptp(values)) / 10.0, options.input.jump_noise * float(np.median(bend)))
     corner = np.flatnonzero((bend > max(size, 1e-300)) & (bend > options.input.jump_ratio * beside))
     return np.unique(np.clip(np.concatenate([corner - 1, corner]), 0, len(values) - 2))
+
+
+def sampled_edges(record: Record, *, options: IdentificationOptions) -> EdgeDuration | None:
+    """The edges of a record's command within which a sample was taken; None where there are none.
+
+    There the command changes in two intervals, the same way, and hardly in those beside them.
+    """
+    values, ask = record.values[record.command], options.input
+    if len(values) < 5:
+        return None
+    k = np.arange(2, len(values) - 2)
+    (share, edge), change = _edge_shares(values, k), np.diff(values)
+    beside = np.maximum(np.abs(change[k - 2]), np.abs(change[k + 1]))
+    size = max(ask.jump * float(np.ptp(values)), ask.jump_noise * float(np.median(np.abs(change))))
+    within = (share > ask.edge_share) & (share < 1.0 - ask.edge_share)
+    found = k[within & (np.abs(edge) > np.maximum(size, ask.jump_ratio * beside))]
+    alone = found[~np.isin(found - 1, found) & ~np.isin(found + 1, found)]
+    return EdgeDuration(record.name, record.command, tuple(alone.tolist())) if len(alone) else None
+
+
+def corners_of(record: Record, *, options: IdentificationOptions) -> Corners | None:
+    """The corners of a record's command that lie between samples; None where there are none.
+
+    The lines that meet there go on straight for two intervals on either side, or on one side for one, up to a corner
+    that does so on its other side. The slope of a ramp that is over sooner is in no sample.
+    """
+    values, ask = record.values[record.command], options.input
+    if len(values) < 6:
+        return None
+    k, change = np.arange(2, len(values) - 3), np.diff(values)
+    share, bend = _corners(record.time, values, k)[0], np.abs(change[k - 1] - change[k + 1])
+    size = max(ask.jump * float(np.ptp(values)) / 10.0, ask.jump_noise * float(np.median(np.abs(np.diff(change)))))
+    between = (share > ask.at_sample) & (share < 1.0 - ask.at_sample) & (bend > size)
+    before = between & (ask.jump_ratio * np.abs(change[k - 1] - change[k - 2]) < bend)
+    after = between & (ask.jump_ratio * np.abs(change[k + 1] - change[k + 2]) < bend)
+    begins, ends = before[:-2] & after[2:], np.zeros(2, dtype=bool)
+    within = k[(before & after) | np.append(begins, ends) | np.append(ends, begins)]
+    return Corners(record.name, record.command, tuple(within.tolist())) if len(within) else None
 
 
 def edges_of(record: str, column: str, values: np.ndarray, *, options: IdentificationOptions) -> Sequence[EdgeTime]:

@@ -1,4 +1,5 @@
-"""How the command goes between its samples, by what the readings say: straight, held, smoothly, or with edges.
+"""How the command goes between its samples, by what the readings say: straight, with corners, held, smoothly, or with
+edges.
 
 Each way is run at the point of a fit, and judged by the chi-square that the linearised equations then predict: straight
 lines stay unless another is better by more than chance. The times of edges become nuisance parameters, anywhere within
@@ -15,10 +16,13 @@ import numpy as np
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.between_samples import (
     Deviations,
+    EdgeDuration,
     EdgeTime,
     Held,
     Smooth,
+    corners_of,
     edges_of,
+    sampled_edges,
     smooth_command,
     undersampled_share,
 )
@@ -60,21 +64,23 @@ def input_choices(
     records = [record for record in fast if record.moves(record.command)]
     if not records:
         return (STRAIGHT,)
-    smooth = tuple((smooth_command(r, options=options), 1.0) for r in records)
+    corners = tuple((found, 1.0) for r in records if (found := corners_of(r, options=options)) is not None)
+    smooth = (*((smooth_command(r, options=options), 1.0) for r in records), *corners)
     edges = tuple(
-        edge_time(record, edge)
+        edge_parameter(record, edge)
         for record in records
         if record.role == "train"
-        for edge in _jumps_of(record, options=options)[: options.input.most_edges]
+        for edge in edges_fitted(record, options=options)
     )
     choices = [
         STRAIGHT,
+        *([InputChoice("joined by straight lines that meet at corners between them", corners, ())] if corners else []),
         InputChoice(HELD_NAME, tuple((Held(r.name, r.command), 1.0) for r in records), ()),
         InputChoice("joined smoothly", smooth, ()),
     ]
     if edges:
         choices += [
-            InputChoice("joined by straight lines, with edges at fitted times", (), edges),
+            InputChoice("joined by straight lines, with edges at fitted times", corners, edges),
             InputChoice("joined smoothly, with edges at fitted times", smooth, edges),
         ]
     if read_back:
@@ -88,10 +94,21 @@ def _jumps_of(record: Record, *, options: IdentificationOptions) -> Sequence[Edg
     return edges_of(record.name, record.command, record.values[record.command], options=options)
 
 
-def edge_time(record: Record, edge: EdgeTime) -> NuisanceParameter:
-    """The time of a jump, anywhere within its interval, counted from the middle."""
+def edges_fitted(record: Record, *, options: IdentificationOptions) -> Sequence[EdgeTime | EdgeDuration]:
+    """What is fitted of the edges of a record's command: the times of its jumps, and how long those last in which a
+    sample was taken.
+    """
+    sampled = sampled_edges(record, options=options)
+    return [*_jumps_of(record, options=options)[: options.input.most_edges], *([sampled] if sampled else [])]
+
+
+def edge_parameter(record: Record, edge: EdgeTime | EdgeDuration) -> NuisanceParameter:
+    """The time of a jump, anywhere within its interval, counted from the middle; or the duration of edges, anything up
+    to a step, counted from half of one.
+    """
     step = 1.0 / record.rate
-    name = f"edge_time@{record.name}:{edge.after}"
+    is_time = isinstance(edge, EdgeTime)
+    name = f"edge_time@{record.name}:{edge.after}" if is_time else f"edge_duration@{record.name}"
     return NuisanceParameter(name, "s", 0.0, step / np.sqrt(12.0), (-0.5 * step, 0.5 * step), input=edge)
 
 
@@ -293,7 +310,7 @@ def input_spread(prepared: PreparedSession) -> dict[tuple[str, str], np.ndarray]
     """
     nominal = prepared.nominal
     variant = nominal.at(np.zeros(len(nominal.parameters)))
-    edges = tuple(each for each in variant.deviations if isinstance(each[0], EdgeTime))
+    edges = tuple(each for each in variant.deviations if isinstance(each[0], EdgeTime | EdgeDuration))
     early, late = (_edges_left(prepared, by) if edges else () for by in (-0.5, 0.5))
     variants = [variant, replace(variant, deviations=edges)]
     if early:
@@ -341,6 +358,12 @@ def input_notes(session: Session, choice: InputChoice, *, options: Identificatio
             notes.append(
                 f"{record.name}: the {record.command} jumps up to {value_text(most, UNITS[record.command])} within one "
                 f"sample, {len(edges)} times; when, was fitted from the readings"
+            )
+        durations = (p.input for p in choice.parameters if isinstance(p.input, EdgeDuration))
+        for lasting in (one for one in durations if one.record == record.name):
+            notes.append(
+                f"{record.name}: a sample was taken within {len(lasting.at)} edges of the {record.command}; how long "
+                "they last was fitted from the readings"
             )
         more = len(_jumps_of(record, options=options)) - options.input.most_edges
         if edges and more > 0:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.between_samples import EdgeTime
+from valvesim.identification.between_samples import EdgeDuration, EdgeTime
 from valvesim.identification.down_weighting import down_weight_peaks, robust_weights
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
@@ -287,7 +287,7 @@ def with_input_choice(prepared: Prepared, choice: InputChoice, known: Study | No
 def _without_choice(study: Study) -> tuple[Study, InputChoice]:
     """A session without what was taken of its commands between their samples, and what that was."""
     model = study.nominal
-    edges = {p.name for p in model.parameters if isinstance(p.input, EdgeTime)}
+    edges = {p.name for p in model.parameters if isinstance(p.input, EdgeTime | EdgeDuration)}
     plain = replace(model, parameters=tuple(p for p in model.parameters if p.name not in edges),
                     variant=replace(model.variant, deviations=()))  # fmt: skip
     now = next(
