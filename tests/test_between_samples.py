@@ -16,6 +16,7 @@ from valvesim.diagnosis.holdout_gain import _read_with_inputs
 from valvesim.identification.between_samples import (
     EdgeTime,
     Held,
+    InputDelay,
     InputShift,
     Smooth,
     Wave,
@@ -31,7 +32,7 @@ from valvesim.identification.between_samples import (
 )
 from valvesim.identification.input_choice import HELD_NAME, are_delays, edge_parameter, input_choices
 from valvesim.identification.input_waves import wave_parameters, with_parameters
-from valvesim.identification.instrument_errors import instrument_errors
+from valvesim.identification.instrument_errors import input_delays, instrument_errors, is_of_bench
 from valvesim.identification.linearised_record import linearise_record
 from valvesim.identification.noise_estimation import initial_noise
 from valvesim.identification.nominal_fit import (
@@ -136,6 +137,37 @@ def test_edges_within_which_samples_were_taken_are_what_they_were_by_their_durat
     np.testing.assert_allclose(exact, np.interp(fine, t, u), atol=1e-9)
     for amount in (-1.0, 0.0, 1.0):  # held within a step, whatever it is
         assert np.all(np.diff(applied(found, values, amount)[1:, 0]) > 0.0)
+
+
+@given(st.floats(-4e-3, 4e-3), st.integers(0, 10_000))
+def test_an_input_that_was_read_late_has_been_before(late, seed):
+    values = np.random.default_rng(seed).normal(size=400)
+    pieces, at = applied(InputDelay("a", "supply_pressure"), values, late), np.linspace(0.005, 0.39, 777)
+    np.testing.assert_allclose(value(pieces, at), np.interp(at + late, TIME, values), atol=1e-9)
+    np.testing.assert_allclose(value(pieces, [-1.0, 1.0]), values[[0, -1]])
+    assert pieces[0, 0] <= 0.0 and np.all(np.diff(pieces[:, 0]) >= 0.0)
+
+
+def test_a_transducer_that_is_slow_is_found_where_its_pressure_moves(stepped):
+    _, session = stepped
+    first = session.training[0]
+    assert input_delays(session, "supply_pressure", OPTIONS) == ()  # it stays
+    t, dice = first.time, np.random.default_rng(4)
+    sag = np.interp(t, np.linspace(0.0, t[-1], 25), dice.uniform(0.0, 0.2, 25))
+    supply = session.valve.supply_pressure * (1.0 - sag)
+    record = replace(first, values={**first.values, "supply_pressure": supply})
+    session = replace(session, records=(record,))
+    (delay,) = input_delays(session, "supply_pressure", OPTIONS)
+    predictor = prepare_record(session, record, (), options=OPTIONS)
+    true = delay.with_value(ModelVariant(session.valve), 2e-3)
+    read = predictor.readings(predictor.run(true), true)
+    noise = {name: 3e-3 * np.ptp(column) + 1e-12 for name, column in read.items()}
+    noisy = {name: column + dice.normal(0.0, noise[name], len(t)) for name, column in read.items()}
+    session = replace(session, records=(replace(record, values={**record.values, **noisy}),))
+    nominal = fit_nominal(with_parameters(prepare_session(session), [delay]))
+    fitted = dict(zip(nominal.study.nominal.parameters, nominal.fit.point, strict=True))
+    found = next(p.at(amount) for p, amount in fitted.items() if isinstance(p.input, InputDelay))
+    assert found == pytest.approx(2e-3, abs=3e-4) and is_of_bench(delay)
 
 
 def test_smooth_commands_jumps_and_levels_have_neither_corners_nor_edges_through_samples():

@@ -262,6 +262,12 @@ OF_INPUT = {
         confirm="a second transducer at the valve's port during one record",
         remedy="measure the supply at the valve's port and record it as a column"),
 }  # fmt: skip
+TRANSDUCER = Advice(
+    part="transducer of that pressure",
+    inspect="its amplifier's filter, the line to it and the air in that; which logger it is on",
+    confirm="a valve that is shut at once: how long does the reading fall behind another transducer there?",
+    remedy="a fast transducer at the valve's port, on the logger of the other channels",
+)
 CLOCKS = Advice(
     part="loggers of the channels",
     inspect="which channels share a clock; the loggers' sampling rates",

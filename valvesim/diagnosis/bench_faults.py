@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, what_to_do
+from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, TRANSDUCER, what_to_do
 from valvesim.diagnosis.detection import (
     is_other_valve,
     leaves_noise,
@@ -44,10 +44,12 @@ from valvesim.identification.input_waves import (
     with_parameters,
 )
 from valvesim.identification.instrument_errors import (
+    DELAYED,
     SHIFTED,
     clock_rates,
     fastest_drift,
     has_instrument_errors,
+    input_delays,
     input_shifts,
     instrument_errors,
     meter_drifts,
@@ -476,8 +478,13 @@ def _known_faults(study: Study) -> list[BenchFault]:
         for column in SHIFTED
         for growing in (False, True)
     ]
+    late = [
+        BenchFault(delays, _delay_words(column), TRANSDUCER)
+        for column in DELAYED
+        if (delays := input_delays(session, column, options))
+    ]
     drifts = [BenchFault((p,), _drift_words(p, session), METER) for p in meter_drifts(session, options)]
-    return [*waves, *shifts, BenchFault(clock_rates(session, options), _clock_words, CLOCKS), *drifts]
+    return [*waves, *shifts, *late, BenchFault(clock_rates(session, options), _clock_words, CLOCKS), *drifts]
 
 
 def _waves_apart(study: Study) -> list[tuple[NuisanceParameter, ...]]:
@@ -506,6 +513,11 @@ def _shift_words(column: str, growing: bool) -> Callable[[np.ndarray], str]:
     what, within = column.replace("_", " "), " within a record" if growing else ""
     unit = SHIFTED[column]
     return lambda values: f"the {what} is off by up to {value_text(float(np.abs(values).max()), unit)}{within}"
+
+
+def _delay_words(column: str) -> Callable[[np.ndarray], str]:
+    what = column.replace("_", " ")
+    return lambda values: f"the {what} is read up to {float(np.abs(values).max()) * 1e3:.2g} ms late or early"
 
 
 def _clock_words(values: np.ndarray) -> str:

@@ -17,7 +17,13 @@ from valvesim.identification.between_samples import EdgeDuration, EdgeTime, Wave
 from valvesim.identification.fit import Fit
 from valvesim.identification.input_choice import edge_parameter, edges_fitted
 from valvesim.identification.input_waves import fitted_waves, settled, wave_parameters
-from valvesim.identification.instrument_errors import SHIFTED, has_instrument_errors, input_shifts
+from valvesim.identification.instrument_errors import (
+    DELAYED,
+    SHIFTED,
+    has_instrument_errors,
+    input_delays,
+    input_shifts,
+)
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import linearise_record
@@ -135,6 +141,7 @@ def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:
         for column in SHIFTED:
             for growing in (False, True):
                 inputs += input_shifts(session, column, growing, study.options, [record])
+        inputs += [p for column in DELAYED for p in input_delays(session, column, study.options, [record])]
     return tuple(inputs)
 
 

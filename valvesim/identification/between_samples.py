@@ -248,6 +248,20 @@ class InputShift:
 
 
 @dataclass(frozen=True)
+class InputDelay:
+    """An input that was read `amount` seconds late: its meter is slow, or has a clock of its own."""
+
+    record: str
+    column: str
+
+    def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
+        moved = pieces.copy()
+        moved[1:, 0] -= amount
+        moved[0, 0] = min(moved[0, 0], moved[1, 0])
+        return moved
+
+
+@dataclass(frozen=True)
 class Wave:
     """A wave on an input, `amount` in its SI unit at the crest: cos(2 pi f t - phase)."""
 

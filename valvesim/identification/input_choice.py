@@ -64,8 +64,8 @@ def input_choices(
     records = [record for record in fast if record.moves(record.command)]
     if not records:
         return (STRAIGHT,)
-    corners = tuple((found, 1.0) for r in records if (found := corners_of(r, options=options)) is not None)
-    smooth = (*((smooth_command(r, options=options), 1.0) for r in records), *corners)
+    corners: Deviations = tuple((found, 1.0) for r in records if (found := corners_of(r, options=options)) is not None)
+    smooth: Deviations = (*((smooth_command(r, options=options), 1.0) for r in records), *corners)
     edges = tuple(
         edge_parameter(record, edge)
         for record in records
@@ -107,8 +107,9 @@ def edge_parameter(record: Record, edge: EdgeTime | EdgeDuration) -> NuisancePar
     to a step, counted from half of one.
     """
     step = 1.0 / record.rate
-    is_time = isinstance(edge, EdgeTime)
-    name = f"edge_time@{record.name}:{edge.after}" if is_time else f"edge_duration@{record.name}"
+    name = f"edge_duration@{record.name}"
+    if isinstance(edge, EdgeTime):
+        name = f"edge_time@{record.name}:{edge.after}"
     return NuisanceParameter(name, "s", 0.0, step / np.sqrt(12.0), (-0.5 * step, 0.5 * step), input=edge)
 
 

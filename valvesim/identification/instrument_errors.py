@@ -1,5 +1,5 @@
-"""Errors of a bench's instruments that no record tells, as nuisance parameters: inputs that are off or wander, clocks
-that run apart, meters that drift.
+"""Errors of a bench's instruments that no record tells, as nuisance parameters: inputs that are off, wander or are read
+late, clocks that run apart, meters that drift.
 
 Their priors are as wide as such errors are on ordinary benches. They join the nominal model where it cannot explain the
 records without them.
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valvesim.identification.between_samples import InputShift, Wave
+from valvesim.identification.between_samples import InputDelay, InputShift, Wave
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import (
     NuisanceParameter,
@@ -27,6 +27,7 @@ def instrument_errors(session: Session, *, options: IdentificationOptions) -> tu
     """All of them."""
     return (
         *(p for column in SHIFTED for late in (False, True) for p in input_shifts(session, column, late, options)),
+        *(p for column in DELAYED for p in input_delays(session, column, options)),
         *clock_rates(session, options),
         *meter_drifts(session, options),
     )
@@ -54,6 +55,23 @@ def input_shifts(
         NuisanceParameter(f"shift@{record.name}:{column}{':growing' if growing else ''}", SHIFTED[column], 0.0,
                           size, (-4.0 * size, 4.0 * size), input=InputShift(record.name, column, growing))
         for record in (session.training if records is None else records)
+    )  # fmt: skip
+
+
+DELAYED = ("supply_pressure", "return_pressure", "load_pressure")
+"""Inputs that may be read late: what their transducers are slow by."""
+
+
+def input_delays(
+    session: Session, column: str, options: IdentificationOptions, records: Sequence[Record] | None = None
+) -> tuple[NuisanceParameter, ...]:
+    """How late an input is read in each training record, or in other `records`, of those in which it moves."""
+    size = options.instrument.pressure_delay
+    return tuple(
+        NuisanceParameter(f"delay@{record.name}:{column}", "s", 0.0, size, (-4.0 * size, 4.0 * size),
+                          input=InputDelay(record.name, column))
+        for record in (session.training if records is None else records)
+        if column in record.inputs and record.moves(column)
     )  # fmt: skip
 
 
@@ -89,7 +107,7 @@ def _sensor_error(
 def is_of_bench(parameter: NuisanceParameter) -> bool:
     """Whether a parameter is of the bench and not of the valve: an instrument's error, or a wave upon an input."""
     sensor = "" if parameter.sensor is None else parameter.sensor.name
-    return isinstance(parameter.input, InputShift | Wave) or sensor in (CLOCK_RATE.name, METER_DRIFT.name)
+    return isinstance(parameter.input, InputShift | InputDelay | Wave) or sensor in (CLOCK_RATE.name, METER_DRIFT.name)
 
 
 def has_instrument_errors(parameters: Sequence[NuisanceParameter]) -> bool:

@@ -230,6 +230,7 @@ class InstrumentOptions:
 
     oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
     supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
+    pressure_delay: float = option(3e-3, "s", "delay of a pressure transducer beside the other channels", JUDGEMENT)
     clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
     meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
 
