@@ -333,23 +333,19 @@ def _refitted(
     *,
     options: DiagnosisOptions,
 ) -> ExperimentPower:
-    """A judged trial by refits of session and experiment together: of the nominal model, and of whichever of the two
-    may follow the other. No power where one fails.
+    """A judged trial by refits of session and experiment together, of whichever of the two may follow the other, while
+    any power is left; none where a refit fails.
     """
-    n, distance, more = judged.repeats, judged.distance, judged.more
-    fits = tried.fit, rival.fit
-
-    def power() -> float:
-        return rival.power(distance, more, n * tried.error)
-
-    try:
-        more = max(more, joint_distance(nominal, tried.predictor, tried.fit, nominal.fit, n) ** 2)
-        for wrong, true, may_follow in zip(fits, reversed(fits), rival.refitted, strict=True):
-            if may_follow and power() >= options.design.uninformative_power:
-                distance = min(distance, joint_distance(nominal, tried.predictor, true, wrong, n))
-    except (SolveError, InputError):
-        distance = 0.0
-    return replace(judged, distance=distance, power=power(), more=more, is_refitted=True)
+    n, found, fits = judged.repeats, replace(judged, is_refitted=True), (tried.fit, rival.fit)
+    for wrong, true, may_follow in zip(fits, reversed(fits), rival.refitted, strict=True):
+        if not may_follow or found.power < options.design.uninformative_power:
+            continue
+        try:
+            distance = min(found.distance, joint_distance(nominal, tried.predictor, true, wrong, n))
+        except (SolveError, InputError):
+            return replace(found, distance=0.0, power=0.0)
+        found = replace(found, distance=distance, power=rival.power(distance, found.more, n * tried.error))
+    return found
 
 
 def _simulated(
