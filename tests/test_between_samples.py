@@ -170,6 +170,15 @@ def test_a_transducer_that_is_slow_is_found_where_its_pressure_moves(stepped):
     assert found == pytest.approx(2e-3, abs=3e-4) and is_of_bench(delay)
 
 
+@given(st.floats(0.0, 200.0), st.floats(20.0, 400.0), st.floats(0.0, 7.0), st.booleans())
+def test_a_chirp_has_no_corners_though_some_of_its_samples_are_in_line(first, last, phase, bent):
+    """Corners in the fastest part of one made a healthy valve unknown (1080012 of the sixteenth bench set)."""
+    turns = first * TIME + (last - first) * TIME**2 / (2.0 * TIME[-1] * (1.0 + bent * np.sin(5.0 * TIME)))
+    record = record_of(np.sin(2.0 * np.pi * turns + phase))
+    assert abs(last - first) < 20.0 or corners_of(record, options=OPTIONS) is None
+    assert abs(last - first) < 20.0 or sampled_edges(record, options=OPTIONS) is None
+
+
 def test_smooth_commands_jumps_and_levels_have_neither_corners_nor_edges_through_samples():
     jump = np.where(TIME < 0.2, 0.0, 1.0)
     for values in (CHIRP, jump, np.zeros(400), np.round(5.0 * TIME), 3.0 * TIME, CHIRP[:3]):

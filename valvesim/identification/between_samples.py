@@ -427,13 +427,14 @@ def sampled_edges(record: Record, *, options: IdentificationOptions) -> EdgeDura
     beside = np.maximum(np.abs(change[k - 2]), np.abs(change[k + 1]))
     size = max(ask.jump * float(np.ptp(values)), ask.jump_noise * float(np.median(np.abs(change))))
     within = (share > ask.edge_share) & (share < 1.0 - ask.edge_share)
-    found = k[within & (np.abs(edge) > np.maximum(size, ask.jump_ratio * beside))]
+    found = k[within & (np.abs(edge) > np.maximum(size, ask.corner_ratio * beside))]
     alone = found[~np.isin(found - 1, found) & ~np.isin(found + 1, found)]
     return EdgeDuration(record.name, record.command, tuple(alone.tolist())) if len(alone) else None
 
 
 def corners_of(record: Record, *, options: IdentificationOptions) -> Corners | None:
-    """The corners of a record's command that lie between samples; None where there are none.
+    """The corners of a record's command that lie between samples; None where there are none, or where much of what it
+    bends is neither at corners nor at jumps: a fast sine has samples in line by chance.
 
     The lines that meet there go on straight for two intervals on either side, or on one side for one, up to a corner
     that does so on its other side. The slope of a ramp that is over sooner is in no sample.
@@ -443,13 +444,24 @@ def corners_of(record: Record, *, options: IdentificationOptions) -> Corners | N
         return None
     k, change = np.arange(2, len(values) - 3), np.diff(values)
     share, bend = _corners(record.time, values, k)[0], np.abs(change[k - 1] - change[k + 1])
-    size = max(ask.jump * float(np.ptp(values)) / 10.0, ask.jump_noise * float(np.median(np.abs(np.diff(change)))))
-    between = (share > ask.at_sample) & (share < 1.0 - ask.at_sample) & (bend > size)
-    before = between & (ask.jump_ratio * np.abs(change[k - 1] - change[k - 2]) < bend)
-    after = between & (ask.jump_ratio * np.abs(change[k + 1] - change[k + 2]) < bend)
+    bends = np.abs(np.diff(change))  # at the samples from the second on
+    size = max(ask.jump * float(np.ptp(values)) / 10.0, ask.jump_noise * float(np.median(bends)))
+    meet = (share > -ask.at_sample) & (share < 1.0 + ask.at_sample) & (bend > size)
+    before = meet & (ask.corner_ratio * np.abs(change[k - 1] - change[k - 2]) < bend)
+    after = meet & (ask.corner_ratio * np.abs(change[k + 1] - change[k + 2]) < bend)
     begins, ends = before[:-2] & after[2:], np.zeros(2, dtype=bool)
-    within = k[(before & after) | np.append(begins, ends) | np.append(ends, begins)]
-    return Corners(record.name, record.command, tuple(within.tolist())) if len(within) else None
+    corner = (before & after) | np.append(begins, ends) | np.append(ends, begins)
+    within = k[corner & (share > ask.at_sample) & (share < 1.0 - ask.at_sample)]
+    edges = sampled_edges(record, options=options)
+    known = np.concatenate([
+        *(k[corner] + by for by in (0, 1)),
+        *(command_jumps(values, options=options) + by for by in (0, 1)),
+        *(np.array(edges.at if edges else (), dtype=int) + by for by in (-1, 0, 1)),
+    ])  # fmt: skip
+    at_known = np.isin(np.arange(1, len(values) - 1), known)
+    if not len(within) or np.sum(bends[at_known] ** 2) < ask.known_bends * np.sum(bends**2):
+        return None
+    return Corners(record.name, record.command, tuple(within.tolist()))
 
 
 def edges_of(record: str, column: str, values: np.ndarray, *, options: IdentificationOptions) -> Sequence[EdgeTime]:

@@ -165,6 +165,11 @@ class InputOptions:
     edge_misfit: float = option(3.0, "1", "mean square of what is left there, in noise deviations", JUDGEMENT)
     edge_gain: float = option(10.0, "1", "reduction of the chi-square by which another place must be better", JUDGEMENT)
     edge_share: float = option(0.03, "1", "least share of an edge that lies before and after a sample in it", JUDGEMENT)
+    corner_ratio: float = option(20.0, "1", "times what the lines bend beside it that they do at a corner", JUDGEMENT)
+    known_bends: float = option(
+        0.9, "1", "share of the squares of a command's bends that is at corners and jumps where there are corners",
+        JUDGEMENT,
+    )
     at_sample: float = option(0.02, "1", "share of an interval in which a corner is at the sample beside it", JUDGEMENT)
     most_edges: int = option(60, "1", "jumps of a record whose times are fitted", "a linearisation solves for each")
     jump_ratio: float = option(5.0, "1", "times the same difference two intervals off", JUDGEMENT)

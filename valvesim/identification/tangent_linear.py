@@ -298,7 +298,8 @@ class Course:
         if len(on_grid) == len(self.times):
             return on_grid
         own = self.times[self.on_grid]
-        return np.column_stack([np.interp(self.times, own, column) for column in on_grid.T])
+        columns = [np.interp(self.times, own, column) for column in on_grid.T]  # none where an input cannot go further
+        return np.reshape(columns, (-1, len(self.times))).T
 
     def midpoints(self, rates: np.ndarray) -> Course:
         """The middles of its steps, by cubics through the states and their rates (n, n_x) at the ends (Hermite): they
