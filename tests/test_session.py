@@ -406,6 +406,14 @@ def test_repeats_that_are_none_are_refused(session, other, message):
     )
 
 
+def test_repeats_that_end_a_sample_apart_are_cut_to_what_all_have(session):
+    shorter = {name: values[:-1] for name, values in columns(3).items()}
+    found = session(listed("a", "b", repeats="r"), a=columns(), b=shorter)
+    assert [len(record.time) for record in found.records] == [199, 199]
+    assert {len(column) for record in found.records for column in record.values.values()} == {199}
+    assert any("cut by 1 of 200 samples, to the shortest of the repeats 'r'" in note for note in found.notes)
+
+
 def test_repeats_may_differ_by_noise_and_in_their_resting_inputs(session):
     noisy = columns(5, **{CURRENT: 5.0 * WAVE + 0.05 * columns(6)[SPOOL], "oil_temperature [degC]": 31.0 + 0.0 * TIME})
     assert len(session(listed("a", "b", repeats="r"), a=columns(), b=noisy).records) == 2

@@ -22,6 +22,9 @@ class AuditOptions:
     gap: float = option(
         1.5, "1", "times the median step from which a longer step is a gap", "a lost sample makes a step of 2"
     )
+    repeat_ends: float = option(
+        0.01, "1", "share of a record by which it may be longer than its repeats, and is cut off", JUDGEMENT
+    )
     replicate_mismatch: float = option(
         0.05, "1", "share of the input's span: rms difference of inputs between replicates", JUDGEMENT
     )

@@ -103,6 +103,26 @@ def check_drive(records: Sequence[Record]) -> None:
             )
 
 
+def with_common_lengths(records: Sequence[Record], notes: list[str], *, options: IdentificationOptions) -> list[Record]:
+    """The records, of repeats that ended a few samples apart (a trigger, a clock's last step) as much as all have."""
+    lengths: dict[str, list[int]] = {}
+    for record in records:
+        if record.repeats is not None:
+            lengths.setdefault(record.repeats, []).append(len(record.time))
+    found = []
+    for record in records:
+        shortest = min(lengths.get(record.repeats or "", [len(record.time)]))
+        more = len(record.time) - shortest
+        if 0 < more <= options.audit.repeat_ends * len(record.time):
+            whole, name = len(record.time), record.repeats
+            notes.append(f"{record.name}: cut by {more} of {whole} samples, to the shortest of the repeats {name!r}")
+            values, usable = ({name: column[:shortest] for name, column in each.items()}
+                              for each in (record.values, record.usable))  # fmt: skip
+            record = replace(record, time=record.time[:shortest], values=values, usable=usable)
+        found.append(record)
+    return found
+
+
 def check_replicates(records: Sequence[Record], valve: Valve, *, options: IdentificationOptions) -> None:
     """Repeats of one test must have one clock and the same inputs."""
     first: dict[str, Record] = {}

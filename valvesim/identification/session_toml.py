@@ -32,6 +32,7 @@ from valvesim.identification.record_audit import (
     is_at_rest,
     note_disagreement,
     usable_record,
+    with_common_lengths,
 )
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session, value_text
 from valvesim.io import check_known, check_printable, check_tables, located, read_toml
@@ -107,6 +108,7 @@ def _load(
         for recording, entry in zip(recordings, listed, strict=True)
     ]
     check_drive(records)
+    records = with_common_lengths(records, notes, options=options)
     check_replicates(records, session.valve, options=options)
     with located(path, text, document="session"):
         sensors = audited_sensors(stated, records, notes, options=options)
