@@ -28,6 +28,7 @@ from valvesim.identification.between_samples import (
     deviating_command,
     piecewise_command,
     sampled_edges,
+    smooth_command,
     undersampled_share,
 )
 from valvesim.identification.input_choice import HELD_NAME, are_delays, edge_parameter, input_choices
@@ -114,6 +115,19 @@ def test_ramps_of_which_two_intervals_are_known_are_known_with_their_corners(see
     found = corners_of(record_of(values), options=OPTIONS)
     assert off_by(t, u, None, values) > 0.02 and off_by(t, u, found, values) < 0.007  # of those taken to be at a sample
     np.testing.assert_allclose(value(applied(found, values), TIME), values, atol=1e-12)
+
+
+@given(st.integers(0, 10_000))
+def test_a_smooth_command_bends_at_its_corners_and_goes_straight_beside_them(seed):
+    t, u = ramps(np.random.default_rng(seed), 3.05e-3, 8e-3)
+    values = np.interp(TIME, t, u)
+    found, smooth = (of(record_of(values), options=OPTIONS) for of in (corners_of, smooth_command))
+    assert set(found.within) <= set(smooth.straight)
+    pieces = found.apply(applied(smooth, values), (TIME, values), 1.0)
+    assert np.all(np.diff(pieces[1:, 0]) > 0.0)
+    k = np.array(found.within)
+    within = (TIME[k, None] + np.linspace(0.0, 1e-3, 9)[None, :-1]).ravel()
+    np.testing.assert_allclose(value(pieces, within), value(applied(found, values), within), atol=1e-9)
 
 
 @given(st.floats(0.05, 0.45), st.floats(0.55, 0.95))

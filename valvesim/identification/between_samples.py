@@ -155,11 +155,11 @@ class Corners:
     within: tuple[int, ...]
 
     def apply(self, pieces: np.ndarray, samples: Points, amount: float) -> np.ndarray:
-        k = np.array(self.within)
-        row, (_, slope, corner) = np.searchsorted(pieces[:, 0], samples[0][k], "right") - 1, _corners(*samples, k)
-        bent = pieces.copy()
-        bent[row] = lines(samples[0][k], samples[1][k], slope)
-        return np.insert(bent, row + 1, corner, axis=0)
+        (time, values), k, t = samples, np.array(self.within), pieces[:, 0]
+        _, slope, beyond = _corners(time, values, k)
+        first, last = np.searchsorted(t, time[k], "left"), np.searchsorted(t, time[k + 1], "left")
+        joined = np.vstack([pieces[~_covered(len(t), first, last)], lines(time[k], values[k], slope), beyond])
+        return joined[np.argsort(joined[:, 0], kind="stable")]
 
 
 def _corners(time: np.ndarray, values: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -471,8 +471,10 @@ def edges_of(record: str, column: str, values: np.ndarray, *, options: Identific
 
 def smooth_command(record: Record, *, options: IdentificationOptions) -> Smooth:
     """The command of a record that goes on smoothly but for its corners."""
+    between = corners_of(record, options=options)
     corners = command_corners(record.values[record.command], options=options)
-    return Smooth(record.name, record.command, tuple(corners.tolist()))
+    straight = np.union1d(corners, between.within if between is not None else ()).astype(int)
+    return Smooth(record.name, record.command, tuple(straight.tolist()))
 
 
 def undersampled_share(record: Record, *, options: IdentificationOptions) -> float:
