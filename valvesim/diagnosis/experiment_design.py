@@ -372,16 +372,8 @@ def _difference(
     study: Study, predictor: RecordPredictor, readings: dict[str, np.ndarray], other: dict[str, np.ndarray]
 ) -> np.ndarray:
     """What a new record's readings differ from others, white (rows,)."""
-    return _white(study, predictor, {name: (readings[name] - other[name])[:, None] for name in readings})[:, 0]
-
-
-def _white(study: Study, predictor: RecordPredictor, columns: dict[str, np.ndarray]) -> np.ndarray:
-    """Whitened columns (rows, k) of a new record, by the noise of each channel at the nearest rate that it was seen."""
-    record = predictor.record
-    near = {name: study.noise_near(name, record.pace) for name in record.outputs}
-    return np.concatenate([
-        noise.whiten(columns[name], record.usable[name]) for name, noise in near.items() if noise is not None
-    ])  # fmt: skip
+    columns = {name: (readings[name] - other[name])[:, None] for name in readings}
+    return study.whiten_other(predictor.record, columns)[:, 0]
 
 
 def _known(nominal: NominalFit, fit: Fit) -> np.ndarray:
@@ -451,7 +443,7 @@ def _linearised_refit(
     variant = fit.variant(study.nominal)
     linear = linearise_record(predictor, variant)
     perturbed = perturbed_variants(study.nominal, variant)
-    J = _white(study, predictor, parameter_sensitivities(linear, study.nominal, perturbed))
+    J = study.whiten_other(predictor.record, parameter_sensitivities(linear, study.nominal, perturbed))
     readings, columns = _readings(study, predictor, fit), []
     for _, moved in perturbed_fits(fit, options=study.options):
         columns.append(_difference(study, predictor, _readings(study, predictor, moved), readings))

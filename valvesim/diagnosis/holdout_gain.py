@@ -17,13 +17,7 @@ from valvesim.identification.between_samples import EdgeDuration, EdgeTime, Wave
 from valvesim.identification.fit import Fit
 from valvesim.identification.input_choice import edge_parameter, edges_fitted
 from valvesim.identification.input_waves import fitted_waves, settled, wave_parameters
-from valvesim.identification.instrument_errors import (
-    DELAYED,
-    SHIFTED,
-    has_instrument_errors,
-    input_delays,
-    input_shifts,
-)
+from valvesim.identification.instrument_errors import errors_of_inputs, has_instrument_errors
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import linearise_record
@@ -65,16 +59,11 @@ def holdout_gain(
             failed.append(f"no gain is measured on a locked record that cannot be simulated: {reason}")
             continue
         traces += traces_of(study, record, reads)
-        white = []
-        for name in record.outputs:
-            noise = study.noise_near(name, record.pace)
-            if noise is None:
-                continue
-            columns = np.column_stack([residual_of(record, read)[name][:, 0] for read in reads])
-            white.append(noise.whiten(columns, record.usable[name]))
-        if not white:
+        left = [residual_of(record, read) for read in reads]
+        white = study.whiten_other(record, {name: np.column_stack([one[name] for one in left]) for name in left[0]})
+        if not len(white):
             continue
-        squares = np.concatenate([w**2 for w in white])
+        squares = white**2
         change = squares[:, 1] - squares[:, 0]
         pooled.append(change)
         error, extended_error = np.sqrt(squares.mean(axis=0))
@@ -109,14 +98,14 @@ def _read_with_inputs(
         at = own.at(point)
         trajectory = predictor.run(at)
         readings = predictor.readings(trajectory, at)
-        r = _white(study, record, residual_of(record, readings))[:, 0]
+        r = study.whiten_other(record, residual_of(record, readings))[:, 0]
         return trajectory, readings, r, float(r @ r + point @ point)
 
     trajectory, readings, r, chi_square = left(point)
     for _ in range(study.options.input.holdout_steps if inputs else 0):
         now, before = own.at(point), chi_square
         linear = linearise_record(predictor, now, trajectory)
-        J = _white(study, record, parameter_sensitivities(linear, own, perturbed_variants(own, now)))
+        J = study.whiten_other(record, parameter_sensitivities(linear, own, perturbed_variants(own, now)))
         step = bounded_step(J.T @ J + np.eye(len(point)), J.T @ r - point, own.limits - point)
         for share in (1.0, 0.5, 0.25):  # peaks that move are far from linear
             tried = left(point + share * step)
@@ -138,19 +127,8 @@ def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:
         if isinstance(one := wave[0].input, Wave):
             inputs += wave_parameters([record], one.column, one.frequency, wave[0].deviation)
     if has_instrument_errors(fitted):
-        for column in SHIFTED:
-            for growing in (False, True):
-                inputs += input_shifts(session, column, growing, study.options, [record])
-        inputs += [p for column in DELAYED for p in input_delays(session, column, study.options, [record])]
+        inputs += errors_of_inputs(session, study.options, [record])
     return tuple(inputs)
-
-
-def _white(study: Study, record: Record, columns: dict[str, np.ndarray]) -> np.ndarray:
-    """Whitened columns (rows, k) of the channels whose noise training has seen."""
-    near = {name: study.noise_near(name, record.pace) for name in record.outputs}
-    return np.concatenate(
-        [noise.whiten(columns[name], record.usable[name]) for name, noise in near.items() if noise is not None]
-    )
 
 
 def _change_interval(squares: np.ndarray, seed: int, *, options: DiagnosisOptions) -> tuple[float, float]:

@@ -26,10 +26,20 @@ from valvesim.valve.effect import Parameter
 def instrument_errors(session: Session, *, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
     """All of them."""
     return (
-        *(p for column in SHIFTED for late in (False, True) for p in input_shifts(session, column, late, options)),
-        *(p for column in DELAYED for p in input_delays(session, column, options)),
+        *errors_of_inputs(session, options),
         *clock_rates(session, options),
         *meter_drifts(session, options),
+    )
+
+
+def errors_of_inputs(
+    session: Session, options: IdentificationOptions, records: Sequence[Record] | None = None
+) -> tuple[NuisanceParameter, ...]:
+    """Those of the inputs of each training record, or of other `records`."""
+    ways = [(column, growing) for column in SHIFTED for growing in (False, True)]
+    return (
+        *(p for column, growing in ways for p in input_shifts(session, column, growing, options, records)),
+        *(p for column in DELAYED for p in input_delays(session, column, options, records)),
     )
 
 

@@ -108,6 +108,14 @@ class Study(PreparedSession):
         seen = {pace: noise for (name, pace), noise in self.noise.items() if name == channel}
         return seen[min(seen, key=lambda pace: abs(np.log(pace / rate)))] if seen else None
 
+    def whiten_other(self, record: Record, columns: dict[str, np.ndarray]) -> np.ndarray:
+        """Whitened columns (rows, k) of a record that is none of the training records, of channels whose noise is known
+        (`noise_near`); no rows where none is.
+        """
+        near = ((name, self.noise_near(name, record.pace)) for name in record.outputs)
+        white = [noise.whiten(columns[name], record.usable[name]) for name, noise in near if noise is not None]
+        return np.concatenate(white) if white else np.empty((0, 0))
+
     def log_determinant(self) -> float:
         """The log determinant of the noise covariance where readings may be off by the `spread`, less that without."""
         total = 0.0
