@@ -91,7 +91,8 @@ def draw_traces(diagnosis: Diagnosis) -> Figure | None:
         for axis in (top, below):
             axis.set_xlabel("time [s]")
             axis.margins(x=0.01)
-    figure.legend(list(lines.values()), list(lines), loc="outside lower center", ncols=len(lines))
+    ncols = min(len(lines), 3 * len(traces))  # a single trace is too narrow for all of them side by side
+    figure.legend(list(lines.values()), list(lines), loc="outside lower center", ncols=ncols)
     return figure
 
 
