@@ -280,3 +280,9 @@ METER = Advice(
     confirm="its zero before and after a record",
     remedy="let it warm up before the tests; set its zero between them",
 )
+LINEARITY = Advice(
+    part="meter of that channel",
+    inspect="its calibration sheet: gain over the range, and both ways",
+    confirm="five known values over its range, both ways",
+    remedy="calibrate it, and record what it reads by the curve of that calibration",
+)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvesim.diagnosis.advice import CLOCKS, HUM, METER, OF_INPUT, OF_WAVE, TRANSDUCER, what_to_do
+from valvesim.diagnosis.advice import CLOCKS, HUM, LINEARITY, METER, OF_INPUT, OF_WAVE, TRANSDUCER, what_to_do
 from valvesim.diagnosis.detection import (
     is_other_valve,
     leaves_noise,
@@ -52,7 +52,9 @@ from valvesim.identification.instrument_errors import (
     input_delays,
     input_shifts,
     instrument_errors,
+    largest_reading,
     meter_drifts,
+    meter_linearity,
 )
 from valvesim.identification.nominal_fit import (
     NominalFit,
@@ -68,7 +70,7 @@ from valvesim.identification.nominal_fit import (
     with_inputs_reviewed,
     with_nuisance,
 )
-from valvesim.identification.prior import NuisanceParameter
+from valvesim.identification.prior import NuisanceParameter, measured_channels
 from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import Session, value_text
 from valvesim.identification.study import Study
@@ -484,7 +486,12 @@ def _known_faults(study: Study) -> list[BenchFault]:
         if (delays := input_delays(session, column, options))
     ]
     drifts = [BenchFault((p,), _drift_words(p, session), METER) for p in meter_drifts(session, options)]
-    return [*waves, *shifts, *late, BenchFault(clock_rates(session, options), _clock_words, CLOCKS), *drifts]
+    curves = [
+        BenchFault(curve, _linearity_words(channel, session), LINEARITY)
+        for channel in measured_channels(session)
+        if (curve := meter_linearity(session, channel, options))
+    ]
+    return [*waves, *shifts, *late, BenchFault(clock_rates(session, options), _clock_words, CLOCKS), *drifts, *curves]
 
 
 def _waves_apart(study: Study) -> list[tuple[NuisanceParameter, ...]]:
@@ -528,3 +535,15 @@ def _drift_words(parameter: NuisanceParameter, session: Session) -> Callable[[np
     channel = parameter.sensor.channel if parameter.sensor is not None else ""
     whole = fastest_drift(session, channel)
     return lambda values: f"{channel} as read drifts by {100.0 * abs(values[0]) / whole:.2g} % of its span in a record"
+
+
+def _linearity_words(channel: str, session: Session) -> Callable[[np.ndarray], str]:
+    most = largest_reading(session, channel)
+
+    def words(values: np.ndarray) -> str:
+        curvature, halves = values[0], values[1:]
+        by = 100.0 * float(max([abs(curvature) * most, *(2.0 * abs(half) for half in halves)]))
+        over = "with what it reads" if by == 100.0 * abs(curvature) * most else "between its directions"
+        return f"the gain of {channel} as read changes by {by:.2g} % {over}"
+
+    return words

@@ -9,7 +9,7 @@ import numpy as np
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.score_test import ScoreTest
 from valvesim.identification.fit import Fit, is_adequate
-from valvesim.identification.instrument_errors import METER_DRIFT, is_of_bench
+from valvesim.identification.instrument_errors import is_of_bench, is_of_meter
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.projection import inverse_of
@@ -33,11 +33,11 @@ def is_certain(scores: ScoreTest, level: float) -> bool:
 
 
 def _is_stretched(scores: ScoreTest, level: float) -> bool:
-    """Whether a figure is further out than that, such as a clock that is early, which has no name. The drift of a meter
+    """Whether a figure is further out than that, such as a clock that is early, which has no name. The error of a meter
     has one: it is told as the bench's.
     """
-    drifts = [p.sensor is not None and p.sensor.name == METER_DRIFT.name for p in scores.study.nominal.parameters]
-    return bool(np.max(np.abs(scores.fit.point[~np.array(drifts, dtype=bool)]), initial=0.0) > level)
+    told = np.array([is_of_meter(p) for p in scores.study.nominal.parameters], dtype=bool)
+    return bool(np.max(np.abs(scores.fit.point[~told]), initial=0.0) > level)
 
 
 def beyond_noise(fit: Fit, study: Study, *, options: DiagnosisOptions) -> float:

@@ -1,5 +1,5 @@
 """Errors of a bench's instruments that no record tells, as nuisance parameters: inputs that are off, wander or are read
-late, clocks that run apart, meters that drift.
+late, clocks that run apart, meters that drift or are not quite linear.
 
 Their priors are as wide as such errors are on ordinary benches. They join the nominal model where it cannot explain the
 records without them.
@@ -29,6 +29,7 @@ def instrument_errors(session: Session, *, options: IdentificationOptions) -> tu
         *errors_of_inputs(session, options),
         *clock_rates(session, options),
         *meter_drifts(session, options),
+        *(p for channel in measured_channels(session) for p in meter_linearity(session, channel, options)),
     )
 
 
@@ -107,6 +108,24 @@ def fastest_drift(session: Session, channel: str) -> float:
     return span / max(r.duration for r in session.training)
 
 
+def meter_linearity(session: Session, channel: str, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
+    """By how much the gain of a meter changes up to its largest reading, and between its directions where it reads both
+    ways.
+    """
+    most, size = largest_reading(session, channel), options.instrument.meter_linearity
+    if most == 0.0:
+        return ()
+    read = [r.values[channel] for r in session.training if channel in r.outputs]
+    both_ways = min(-min(map(np.min, read)), max(map(np.max, read))) > options.instrument.both_ways * most
+    linearity = _sensor_error(METER_LINEARITY, channel, size / most, (-4.0 * size / most, 4.0 * size / most))
+    return (linearity, _sensor_error(METER_SYMMETRY, channel, size, (-4.0 * size, 4.0 * size)))[: 1 + both_ways]
+
+
+def largest_reading(session: Session, channel: str) -> float:
+    """The largest reading of a channel in the training records, either way."""
+    return max(float(np.max(np.abs(r.values[channel]))) for r in session.training if channel in r.outputs)
+
+
 def _sensor_error(
     effect: ToleratedSensorError, channel: str, size: float, bounds: tuple[float, float]
 ) -> NuisanceParameter:
@@ -117,7 +136,12 @@ def _sensor_error(
 def is_of_bench(parameter: NuisanceParameter) -> bool:
     """Whether a parameter is of the bench and not of the valve: an instrument's error, or a wave upon an input."""
     sensor = "" if parameter.sensor is None else parameter.sensor.name
-    return isinstance(parameter.input, InputShift | InputDelay | Wave) or sensor in (CLOCK_RATE.name, METER_DRIFT.name)
+    return isinstance(parameter.input, InputShift | InputDelay | Wave) or sensor in (CLOCK_RATE.name, *_METERS)
+
+
+def is_of_meter(parameter: NuisanceParameter) -> bool:
+    """Whether a parameter is an error of a meter that is told as the bench's."""
+    return parameter.sensor is not None and parameter.sensor.name in _METERS
 
 
 def has_instrument_errors(parameters: Sequence[NuisanceParameter]) -> bool:
@@ -152,3 +176,31 @@ METER_DRIFT = ToleratedSensorError(
     ),
     reading=lambda reading, p: reading.values + p.rate * (reading.time - reading.time[0]),
 )
+
+METER_LINEARITY = ToleratedSensorError(
+    name="meter_linearity",
+    doc="the meter's gain changes with what it reads",
+    location="sensor",
+    signature="a curve over the reading",
+    parameters=(
+        Parameter(
+            name="curvature", unit="1/channel", doc="curvature", default=0.0, bounds=(-1e9, 1e9), neutral=0.0,
+            typical=0.01,
+        ),
+    ),
+    reading=lambda reading, p: reading.values * (1.0 + p.curvature * np.abs(reading.values)),
+)  # fmt: skip
+
+METER_SYMMETRY = ToleratedSensorError(
+    name="meter_symmetry",
+    doc="the meter's gain differs between its directions",
+    location="sensor",
+    signature="another gain above zero than below",
+    parameters=(
+        Parameter(name="difference", unit="1", doc="half the difference", default=0.0, bounds=(-0.1, 0.1), neutral=0.0,
+                  typical=0.005),
+    ),
+    reading=lambda reading, p: reading.values + p.difference * np.abs(reading.values),
+)  # fmt: skip
+
+_METERS = {e.name for e in (METER_DRIFT, METER_LINEARITY, METER_SYMMETRY)}
