@@ -43,7 +43,15 @@ from valvesim.identification.input_waves import (
     wave_words,
     with_parameters,
 )
-from valvesim.identification.instrument_errors import CLOCK_RATE, METER_DRIFT, instrument_errors, meter_drifts
+from valvesim.identification.instrument_errors import (
+    CLOCK_RATE,
+    METER_DRIFT,
+    METER_LINEARITY,
+    instrument_errors,
+    largest_reading,
+    meter_drifts,
+    meter_linearity,
+)
 from valvesim.identification.nominal_fit import _retuned, linearise_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
 from valvesim.identification.refinement import refined
@@ -53,6 +61,7 @@ from valvesim.inputs import evaluate
 from valvesim.units import quantities
 from valvesim.valve.additive_term import PORTS
 from valvesim.valve.catalogue import CATALOGUE
+from valvesim.valve.effect import Reading
 
 TIME = np.arange(1000) / 1e3
 RECORDS = tuple(Record(name, TIME, {"spool_position": 0.0 * TIME, "current": TIME}, {"spool_position": TIME >= 0.0})
@@ -491,14 +500,53 @@ def test_power_is_that_of_the_fourier_sum_and_a_long_record_takes_little_memory(
 
 
 def test_a_meter_that_drifts_far_is_no_alarm_and_any_other_figure_that_is_far_off_is():
-    drift = SimpleNamespace(sensor=METER_DRIFT)
+    drift, curve = SimpleNamespace(sensor=METER_DRIFT), SimpleNamespace(sensor=METER_LINEARITY)
     clock, mass = SimpleNamespace(sensor=CLOCK_RATE), SimpleNamespace(sensor=None)
     for parameters, point, expected in (
         ((drift, mass), (4.0, 1.0), False), ((drift, mass), (0.0, -4.0), True), ((drift, clock), (4.0, 4.0), True),
-        ((drift,), (4.0,), False), ((), (), False),
+        ((drift, curve), (4.0, -4.0), False), ((), (), False),
     ):  # fmt: skip
         study = SimpleNamespace(nominal=SimpleNamespace(parameters=parameters))
         assert _is_stretched(SimpleNamespace(study=study, fit=SimpleNamespace(point=np.array(point))), 3.8) == expected
+
+
+def with_readings(session, channel, of):
+    """A session of which each training record reads `of(values)` on a channel."""
+    records = [replace(r, values={**r.values, channel: of(r.values[channel])}) for r in session.records]
+    return replace(session, records=tuple(records))
+
+
+@given(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01))
+def test_a_meter_that_is_not_linear_reads_by_its_two_gains(biased_session, curvature, difference):
+    session, channel = biased_session, "spool_position"
+    most = largest_reading(session, channel)
+    curve, symmetry = meter_linearity(session, channel, IDENTIFICATION)
+    assert curve.deviation * most == symmetry.deviation == IDENTIFICATION.instrument.meter_linearity
+    values = np.linspace(-most, most, 6)
+    reading = Reading(np.arange(6.0), values, np.full(6, 40.0))
+    curved = curve.sensor.reading(reading, SimpleNamespace(curvature=curvature / most))
+    np.testing.assert_allclose(curved / values, 1.0 + curvature * np.abs(values) / most, atol=1e-12)
+    apart = symmetry.sensor.reading(reading, SimpleNamespace(difference=difference))
+    gains = apart[[0, -1]] / values[[0, -1]]
+    np.testing.assert_allclose(gains, [1.0 - difference, 1.0 + difference])
+
+
+def test_a_meter_that_reads_one_way_has_one_gain_and_one_that_reads_nothing_none(biased_session):
+    channel = "spool_position"
+    one_way = with_readings(biased_session, channel, np.abs)
+    assert [p.sensor.name for p in meter_linearity(one_way, channel, IDENTIFICATION)] == ["meter_linearity"]
+    nothing = with_readings(biased_session, channel, np.zeros_like)
+    assert meter_linearity(nothing, channel, IDENTIFICATION) == ()
+
+
+def test_a_meter_that_is_not_linear_is_told_as_the_bench_s_with_how_much(biased_session):
+    channel = "spool_position"
+    most = largest_reading(biased_session, channel)
+    words = bench_faults._linearity_words(channel, biased_session)
+    told = "the gain of spool_position as read changes by {}".format
+    assert words(np.array([0.004 / most, 0.001])) == told("0.4 % with what it reads")
+    assert words(np.array([0.0, -0.004])) == told("0.8 % between its directions")
+    assert words(np.array([-0.004 / most])) == told("0.4 % with what it reads")
 
 
 def test_beside_a_wave_the_ends_of_each_record_do_not_count(biased_session):

@@ -541,9 +541,8 @@ def _linearity_words(channel: str, session: Session) -> Callable[[np.ndarray], s
     most = largest_reading(session, channel)
 
     def words(values: np.ndarray) -> str:
-        curvature, halves = values[0], values[1:]
-        by = 100.0 * float(max([abs(curvature) * most, *(2.0 * abs(half) for half in halves)]))
-        over = "with what it reads" if by == 100.0 * abs(curvature) * most else "between its directions"
-        return f"the gain of {channel} as read changes by {by:.2g} % {over}"
+        over_range, between = most * abs(float(values[0])), [2.0 * abs(float(half)) for half in values[1:]]
+        where = "between its directions" if max(between, default=0.0) > over_range else "with what it reads"
+        return f"the gain of {channel} as read changes by {100.0 * max([over_range, *between]):.2g} % {where}"
 
     return words
