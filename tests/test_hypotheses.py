@@ -24,10 +24,10 @@ from valvesim.identification.predictor import prepare_record
 from valvesim.identification.prior import (
     NominalModel,
     NuisanceParameter,
-    ToleratedSensorError,
     measured_channels,
     nominal_model_of,
 )
+from valvesim.identification.sensor_errors import ToleratedSensorError
 from valvesim.identification.session import Record
 from valvesim.units import quantities
 from valvesim.valve.catalogue import CATALOGUE

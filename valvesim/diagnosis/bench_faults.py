@@ -55,6 +55,7 @@ from valvesim.identification.instrument_errors import (
     largest_reading,
     meter_drifts,
     meter_linearity,
+    meter_zeros,
 )
 from valvesim.identification.nominal_fit import (
     NominalFit,
@@ -72,7 +73,7 @@ from valvesim.identification.nominal_fit import (
 )
 from valvesim.identification.prior import NuisanceParameter, measured_channels
 from valvesim.identification.projection import inverse_of
-from valvesim.identification.session import Session, value_text
+from valvesim.identification.session import UNITS, Session, value_text
 from valvesim.identification.study import Study
 from valvesim.valve.effect import Advice
 
@@ -486,12 +487,18 @@ def _known_faults(study: Study) -> list[BenchFault]:
         if (delays := input_delays(session, column, options))
     ]
     drifts = [BenchFault((p,), _drift_words(p, session), METER) for p in meter_drifts(session, options)]
+    zeros = [
+        BenchFault(own, _zero_words(channel), METER)
+        for channel in measured_channels(session)
+        if (own := meter_zeros(session, channel, options))
+    ]
     curves = [
         BenchFault(curve, _linearity_words(channel, session), LINEARITY)
         for channel in measured_channels(session)
         if (curve := meter_linearity(session, channel, options))
     ]
-    return [*waves, *shifts, *late, BenchFault(clock_rates(session, options), _clock_words, CLOCKS), *drifts, *curves]
+    clocks = BenchFault(clock_rates(session, options), _clock_words, CLOCKS)
+    return [*waves, *shifts, *late, clocks, *drifts, *zeros, *curves]
 
 
 def _waves_apart(study: Study) -> list[tuple[NuisanceParameter, ...]]:
@@ -535,6 +542,14 @@ def _drift_words(parameter: NuisanceParameter, session: Session) -> Callable[[np
     channel = parameter.sensor.channel if parameter.sensor is not None else ""
     whole = fastest_drift(session, channel)
     return lambda values: f"{channel} as read drifts by {100.0 * abs(values[0]) / whole:.2g} % of its span in a record"
+
+
+def _zero_words(channel: str) -> Callable[[np.ndarray], str]:
+    def words(values: np.ndarray) -> str:
+        by = value_text(float(np.ptp(values)), UNITS[channel])
+        return f"the zero of {channel} moves by up to {by} between records"
+
+    return words
 
 
 def _linearity_words(channel: str, session: Session) -> Callable[[np.ndarray], str]:

@@ -11,8 +11,8 @@ import numpy as np
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError
 from valvesim.identification.predictor import ModelVariant
-from valvesim.identification.prior import ToleratedSensorError
 from valvesim.identification.record_scenario import record_scenario
+from valvesim.identification.sensor_errors import ToleratedSensorError
 from valvesim.identification.session import UNITS, Record, Session
 from valvesim.inputs import Table
 from valvesim.io import csv_text, read_columns

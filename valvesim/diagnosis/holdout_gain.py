@@ -17,7 +17,7 @@ from valvesim.identification.between_samples import EdgeDuration, EdgeTime, Wave
 from valvesim.identification.fit import Fit
 from valvesim.identification.input_choice import edge_parameter, edges_fitted
 from valvesim.identification.input_waves import fitted_waves, settled, wave_parameters
-from valvesim.identification.instrument_errors import errors_of_inputs, has_instrument_errors
+from valvesim.identification.instrument_errors import errors_of_records, has_instrument_errors
 from valvesim.identification.jacobian import parameter_sensitivities, perturbed_variants
 from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.linearised_record import linearise_record
@@ -89,7 +89,7 @@ def _read_with_inputs(
     command jumped, or how its supply rippled, is nothing that a model of the valve could know. And these inputs (k,) in
     prior deviations; the fit begins `near` those of another variant, if they are known.
     """
-    inputs, record = _own_inputs(study, predictor.record), predictor.record
+    inputs, record = _own_parameters(study, predictor.record), predictor.record
     own = NominalModel(variant, inputs, options=study.options)
     point = np.zeros(len(inputs)) if near is None else near
 
@@ -117,8 +117,8 @@ def _read_with_inputs(
     return readings, point
 
 
-def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:
-    """The parameters of a record's inputs, of the kinds that the training records have."""
+def _own_parameters(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:
+    """The parameters that are a record's own, of the kinds that the training records have."""
     fitted, session = study.nominal.parameters, study.session
     inputs: list[NuisanceParameter] = []
     if any(isinstance(p.input, EdgeTime | EdgeDuration) for p in fitted):
@@ -127,7 +127,7 @@ def _own_inputs(study: Study, record: Record) -> tuple[NuisanceParameter, ...]:
         if isinstance(one := wave[0].input, Wave):
             inputs += wave_parameters([record], one.column, one.frequency, wave[0].deviation)
     if has_instrument_errors(fitted):
-        inputs += errors_of_inputs(session, study.options, [record])
+        inputs += errors_of_records(session, study.options, [record])
     return tuple(inputs)
 
 

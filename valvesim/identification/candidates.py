@@ -15,7 +15,8 @@ import numpy as np
 from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
-from valvesim.identification.prior import NominalModel, NuisanceParameter, ToleratedSensorError, measured_channels
+from valvesim.identification.prior import NominalModel, NuisanceParameter, measured_channels
+from valvesim.identification.sensor_errors import ToleratedSensorError
 from valvesim.identification.session import Session
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.coefficients import PartTemperatures

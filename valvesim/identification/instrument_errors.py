@@ -1,5 +1,5 @@
 """Errors of a bench's instruments that no record tells, as nuisance parameters: inputs that are off, wander or are read
-late, clocks that run apart, meters that drift or are not quite linear.
+late, clocks that run apart, meters whose zero moves, or which are not quite linear.
 
 Their priors are as wide as such errors are on ordinary benches. They join the nominal model where it cannot explain the
 records without them.
@@ -8,17 +8,14 @@ records without them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from valvesim.identification.between_samples import InputDelay, InputShift, Wave
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.prior import (
-    NuisanceParameter,
-    ToleratedSensorError,
-    ToleratedTimeError,
-    measured_channels,
-)
+from valvesim.identification.prior import NuisanceParameter, measured_channels, widest_span
+from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.session import Record, Session
 from valvesim.valve.effect import Parameter
 
@@ -26,21 +23,24 @@ from valvesim.valve.effect import Parameter
 def instrument_errors(session: Session, *, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
     """All of them."""
     return (
-        *errors_of_inputs(session, options),
+        *errors_of_records(session, options),
         *clock_rates(session, options),
         *meter_drifts(session, options),
         *(p for channel in measured_channels(session) for p in meter_linearity(session, channel, options)),
     )
 
 
-def errors_of_inputs(
+def errors_of_records(
     session: Session, options: IdentificationOptions, records: Sequence[Record] | None = None
 ) -> tuple[NuisanceParameter, ...]:
-    """Those of the inputs of each training record, or of other `records`."""
+    """Those that are others in each training record, or in each of other `records`: of its inputs, and where its meters
+    stand at zero.
+    """
     ways = [(column, growing) for column in SHIFTED for growing in (False, True)]
     return (
         *(p for column, growing in ways for p in input_shifts(session, column, growing, options, records)),
         *(p for column in DELAYED for p in input_delays(session, column, options, records)),
+        *(p for channel in measured_channels(session) for p in meter_zeros(session, channel, options, records)),
     )
 
 
@@ -104,8 +104,20 @@ def meter_drifts(session: Session, options: IdentificationOptions) -> tuple[Nuis
 
 def fastest_drift(session: Session, channel: str) -> float:
     """The drift (unit of the channel per s) that takes the longest record to its widest span."""
-    span = max(float(np.ptp(r.values[channel])) for r in session.training if channel in r.outputs)
-    return span / max(r.duration for r in session.training)
+    return widest_span(session, channel) / max(r.duration for r in session.training)
+
+
+def meter_zeros(
+    session: Session, channel: str, options: IdentificationOptions, records: Sequence[Record] | None = None
+) -> tuple[NuisanceParameter, ...]:
+    """By how much the zero of a meter is another in each training record than in all, or in each of other `records`."""
+    size = options.instrument.meter_zero * widest_span(session, channel)
+    measured = [r for r in (session.training if records is None else records) if channel in r.outputs]
+    return tuple(
+        _sensor_error(replace(METER_ZERO, record=record.name), channel, size, (-4.0 * size, 4.0 * size))
+        for record in measured
+        if size > 0.0
+    )
 
 
 def meter_linearity(session: Session, channel: str, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
@@ -130,7 +142,8 @@ def _sensor_error(
     effect: ToleratedSensorError, channel: str, size: float, bounds: tuple[float, float]
 ) -> NuisanceParameter:
     own = effect.on(channel)
-    return NuisanceParameter(f"{effect.name}@{channel}", own.amplitude.unit, 0.0, size, bounds, own)
+    of = f"{effect.record}:{channel}" if effect.record else channel
+    return NuisanceParameter(f"{effect.name}@{of}", own.amplitude.unit, 0.0, size, bounds, own)
 
 
 def is_of_bench(parameter: NuisanceParameter) -> bool:
@@ -177,6 +190,19 @@ METER_DRIFT = ToleratedSensorError(
     reading=lambda reading, p: reading.values + p.rate * (reading.time - reading.time[0]),
 )
 
+METER_ZERO = ToleratedSensorError(
+    name="meter_zero",
+    doc="the reading is off by a constant in one record",
+    location="sensor",
+    signature="an offset that is another in each record",
+    parameters=(
+        Parameter(
+            name="offset", unit="channel", doc="offset", default=0.0, bounds=(-1e9, 1e9), neutral=0.0, typical=0.01
+        ),
+    ),
+    reading=lambda reading, p: reading.values + p.offset,
+)
+
 METER_LINEARITY = ToleratedSensorError(
     name="meter_linearity",
     doc="the meter's gain changes with what it reads",
@@ -203,4 +229,4 @@ METER_SYMMETRY = ToleratedSensorError(
     reading=lambda reading, p: reading.values + p.difference * np.abs(reading.values),
 )  # fmt: skip
 
-_METERS = {e.name for e in (METER_DRIFT, METER_LINEARITY, METER_SYMMETRY)}
+_METERS = {e.name for e in (METER_DRIFT, METER_ZERO, METER_LINEARITY, METER_SYMMETRY)}

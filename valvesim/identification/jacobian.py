@@ -14,7 +14,8 @@ from valvesim.identification.candidates import Candidate
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
-from valvesim.identification.prior import NominalModel, NuisanceParameter, ToleratedTimeError
+from valvesim.identification.prior import NominalModel, NuisanceParameter
+from valvesim.identification.sensor_errors import ToleratedTimeError, reads_channel
 from valvesim.valve.effect import Effect
 from valvesim.valve.parameters import Valve
 
@@ -94,7 +95,7 @@ def parameter_sensitivities(
         answered = dict(zip(order, moved[name].T, strict=True))
         columns = []
         for p in nominal.parameters:
-            if p.name in held or (p.sensor is not None and p.sensor.channel != name):
+            if p.name in held or (p.sensor is not None and not reads_channel(p.sensor, name, own)):
                 columns.append(np.zeros_like(read))
             elif p.sensor is None:
                 columns.append((run[p.name][name] if p.name in run else answered[p.name]) / steps[p.name])

@@ -18,7 +18,7 @@ from valvesim.identification.predictor import (
     apply_reading,
     coefficient_course,
 )
-from valvesim.identification.prior import ToleratedSensorError, ToleratedTimeError
+from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.tangent_linear import (
     ChangedCoefficients,
     Course,

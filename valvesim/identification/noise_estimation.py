@@ -68,7 +68,8 @@ def _size(own: Sequence[tuple[Record, np.ndarray]], name: str) -> float:
 
 
 def _differences(own: Sequence[tuple[Record, np.ndarray]], *, options: IdentificationOptions) -> list[np.ndarray]:
-    """Noise alone, from records that repeat each other: what the model gets wrong is the same in each.
+    """Noise alone, from records that repeat each other: what the model gets wrong is the same in each, and the zero of
+    a meter is no noise.
 
     NaN where one of them has lost its sample.
     """
@@ -86,6 +87,7 @@ def _differences(own: Sequence[tuple[Record, np.ndarray]], *, options: Identific
         if np.mean(np.isfinite(stack).all(axis=0)) < options.noise.least_common:
             continue
         apart = (stack - stack.mean(axis=0)) * np.sqrt(count / (count - 1.0))
+        apart -= np.nanmean(apart, axis=1, keepdims=True)
         series += list(apart[:-1] if count == 2 else apart)
     return series
 

@@ -241,6 +241,9 @@ class InstrumentOptions:
     pressure_delay: float = option(3e-3, "s", "delay of a pressure transducer beside the other channels", JUDGEMENT)
     clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
     meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
+    meter_zero: float = option(
+        0.001, "1", "zero of a meter in one record beside the others, share of the channel's span", JUDGEMENT
+    )
     meter_linearity: float = option(
         0.005, "1", "change of a meter's gain up to its largest reading, and half of it between its directions",
         "flow meters: 0.3 to 1 % of the reading; transducers: a quarter of it as departure from a straight line",

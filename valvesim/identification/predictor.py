@@ -23,6 +23,7 @@ from valvesim.identification.between_samples import (
 )
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
+from valvesim.identification.sensor_errors import reads_channel
 from valvesim.identification.session import OUTPUTS, Record, Session
 from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate, integrate_parts
@@ -366,7 +367,8 @@ class RecordPredictor:
         times, oil = (
             (self.fine_times, trajectory.oil) if fine else (self.times, trajectory.oil[:: self.sensor_oversampling])
         )
-        acting = [a for a in variant.effects if a.effect.reading is not None and a.effect.channel == name]
+        readings = [a for a in variant.effects if a.effect.reading is not None]
+        acting = [a for a in readings if reads_channel(a.effect, name, self.record.name)]
         if self.lags.get(name, 0.0) > 0.0:
             acting.append(sensor_lag(name, self.lags[name]))
         for active in acting:

@@ -16,6 +16,7 @@ import numpy as np
 from valvesim.identification.between_samples import Deviations, InputDeviation
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.predictor import ModelVariant
+from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.session import PART_TEMPERATURES, Record, Session
 from valvesim.units import quantities
 from valvesim.valve.effect import Effect
@@ -182,7 +183,7 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
                 )  # fmt: skip
             )
     for channel in measured_channels(session):
-        span = _span(session, channel)
+        span = widest_span(session, channel)
         for error, tolerance in (
             (SENSOR_BIAS, options.prior.sensor_bias * span),
             (SENSOR_GAIN, options.prior.sensor_gain),
@@ -236,14 +237,6 @@ def _network_parameters(network: ThermalNetwork, *, options: IdentificationOptio
     return found
 
 
-class ToleratedSensorError(Effect):
-    """A sensor's error within its tolerance: a nuisance parameter, not a fault."""
-
-
-class ToleratedTimeError(ToleratedSensorError):
-    """One of when it reads. What the reading does is read as late."""
-
-
 def _either_way(effect: Effect) -> Effect:
     """The effect with an amplitude that may go below neutral as far as above: a clock may also be early."""
     amplitude = effect.amplitude
@@ -258,6 +251,7 @@ def measured_channels(session: Session) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for record in session.training for name in record.outputs))
 
 
-def _span(session: Session, channel: str) -> float:
+def widest_span(session: Session, channel: str) -> float:
+    """The widest span of a channel's readings in a training record."""
     values = [record.values[channel] for record in session.training if channel in record.outputs]
     return float(max(np.ptp(v) for v in values))
