@@ -514,6 +514,30 @@ def test_a_channel_that_dies_within_a_record_is_left_out_from_there(session):
     assert told in loaded.notes
 
 
+FAST = np.sin(2.0 * np.pi * 40.0 * TIME)
+"""A motion that leaves no noise to be seen between its samples."""
+
+
+@pytest.mark.parametrize("start", [30, 77, 140])
+def test_a_reading_that_is_held_for_some_samples_is_left_out_of_a_fast_record(session, start):
+    """Fifteen samples of a logger that missed some were an entrained air for sure."""
+    noise = 1e-3 * np.random.default_rng(start).normal(size=(2, len(TIME)))
+    fast, slow = np.round(0.2 * FAST + noise[0], 6), np.round(0.2 * WAVE + noise[1], 6)
+    held = np.where((np.arange(len(TIME)) >= start) & (np.arange(len(TIME)) < start + 9), fast[start], fast)
+    loaded = session("", a=columns(**{CURRENT: FAST, SPOOL: held}), b=columns(**{SPOOL: slow}))
+    usable = loaded.records[0].usable["spool_position"]
+    assert np.flatnonzero(~usable).tolist() == list(range(start, start + 9))
+    assert loaded.records[1].usable["spool_position"].all()
+
+
+def test_a_spool_that_sticks_and_starts_slowly_stays_where_no_channel_shows_noise(session):
+    stuck = 0.2 * np.clip(FAST, -0.9, 0.9)  # stands at its turns
+    assert session("", a=columns(**{CURRENT: FAST, SPOOL: stuck})).records[0].usable["spool_position"].all()
+    missed = np.where((TIME >= 0.1) & (TIME < 0.108), 0.2 * FAST[100], 0.2 * FAST)
+    usable = session("", a=columns(**{CURRENT: FAST, SPOOL: missed})).records[0].usable["spool_position"]
+    assert np.flatnonzero(~usable).tolist() == list(range(100, 108))
+
+
 def test_a_coarse_channel_that_stands_still_stays(session):
     coarse = columns(**{SPOOL: 0.2 * np.round(2.0 * WAVE)})
     assert session("", a=coarse).records[0].usable["spool_position"].all()

@@ -39,10 +39,16 @@ class AuditOptions:
     flat_samples: int = option(10, "1", "equal readings in a row at the extreme that make a flat top", JUDGEMENT)
     top_samples: int = option(3, "1", "equal readings in a row at the extreme that a step may leave there", JUDGEMENT)
     few_tops: int = option(4, "1", "readings at the extreme, and none next to it, that are saturated", JUDGEMENT)
-    frozen_samples: int = option(20, "1", "equal readings in a row that are those of a dead channel", "never by noise")
-    frozen_chance: float = option(
-        0.2, "1", "share of equal neighbours elsewhere: a channel with more is coarse and may stand still", JUDGEMENT
+    frozen_false_alarm: float = option(
+        1e-6, "1", "chance of so many equal readings in a row in a record: with less they are a dead channel's", "noise"
     )
+    frozen_chance: float = option(
+        0.25, "1", "share of equal neighbours elsewhere: a channel with more is coarse and may stand still", JUDGEMENT
+    )
+    frozen_jump: float = option(
+        3.0, "1", "times the readings' steps beside it by which they jump where they are no longer held", JUDGEMENT
+    )
+    frozen_rest: float = option(2.0, "1", "times that share at rest, where readings are equal more often", JUDGEMENT)
     flat_reach: float = option(
         0.05, "1", "share of the output's span that the command must ask for beyond a flat top", JUDGEMENT
     )

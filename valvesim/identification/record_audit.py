@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
@@ -242,8 +242,17 @@ def _range_of(
     return low, high
 
 
-def usable_record(
-    record: Record, sensors: dict[str, Sensor], notes: list[str], *, options: IdentificationOptions
+def usable_records(
+    records: Sequence[Record], sensors: dict[str, Sensor], notes: list[str], *, options: IdentificationOptions
+) -> list[Record]:
+    """The records in which something moves, with the output channels that can be used."""
+    noisy = {n for record in records for n in record.outputs if _has_noise(record.values[n][record.usable[n]])}
+    tried = [_usable_record(record, sensors, noisy, notes, options=options) for record in records]
+    return [record for record in tried if record is not None]
+
+
+def _usable_record(
+    record: Record, sensors: dict[str, Sensor], noisy: Set[str], notes: list[str], *, options: IdentificationOptions
 ) -> Record | None:
     """The record with the output channels that can be used, or None where nothing moves or none can."""
     if not record.moves():
@@ -257,7 +266,7 @@ def usable_record(
                          f"{record.command} moves, and is left out")  # fmt: skip
             continue
         saturated = _saturated(record, sensors[name])
-        frozen = _frozen(record, name, options=options) & ~saturated
+        frozen = _frozen(record, name, name in noisy, options=options) & ~saturated
         good = record.usable[name] & ~saturated & ~frozen
         left_out = " and is left out" if np.mean(good) < 0.5 * record.shares.get(name, 1.0) else ""
         if frozen.any():
@@ -278,19 +287,42 @@ def usable_record(
     return replace(record, usable=usable)
 
 
-def _frozen(record: Record, channel: str, *, options: IdentificationOptions) -> np.ndarray:
+def _frozen(record: Record, channel: str, noisy: bool, *, options: IdentificationOptions) -> np.ndarray:
     """Where a channel with noise stands at one reading while the command goes on: a cable that came off, a logger that
-    holds its last reading. A spool that sticks keeps the noise of its sensor.
+    holds its last reading. A spool that sticks keeps the noise of its sensor. Where the channel is not known to be
+    `noisy`, for all records are fast, the reading must go on with a jump.
     """
-    values, command = record.values[channel], record.values[record.command]
+    values, command, audit = record.values[channel], record.values[record.command], options.audit
     equal = np.diff(values) == 0.0
+    runs = np.flatnonzero(np.diff(equal.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    length = np.diff(runs, axis=1)[:, 0]
     frozen = np.zeros(len(values), dtype=bool)
-    for a, b in np.flatnonzero(np.diff(equal.astype(int), prepend=0, append=0)).reshape(-1, 2):
-        moves = np.ptp(command[a : b + 1]) > options.audit.flat_reach * np.ptp(command)
-        frozen[a : b + 1] = b + 1 - a >= options.audit.frozen_samples and moves
+    for a, b in runs[length >= _longest_by_chance(audit.frozen_rest / len(values), len(values), options=options)]:
+        frozen[a : b + 1] = np.ptp(command[a : b + 1]) > audit.flat_reach * np.ptp(command)
     beside = ~(frozen[1:] & frozen[:-1])
-    coarse = np.mean(equal[beside]) > options.audit.frozen_chance if beside.any() else True
-    return frozen & (not coarse and _has_noise(values[~frozen & record.usable[channel]]))
+    chance = float(np.mean(equal[beside])) if beside.any() else 1.0
+    longest = _longest_by_chance(audit.frozen_rest * chance, len(values), options=options)
+    for a, b in runs[length < longest]:
+        frozen[a : b + 1] = False
+    if chance > audit.frozen_chance:
+        return np.zeros(len(values), dtype=bool)
+    for a, b in runs:
+        frozen[a : b + 1] &= noisy or _ends_in_jump(values, a, b, options=options)
+    return frozen
+
+
+def _longest_by_chance(chance: float, samples: int, *, options: IdentificationOptions) -> float:
+    """How often in a row neighbours are equal by chance at most, where two are with this one."""
+    most = options.audit.frozen_false_alarm / samples
+    return float(np.log(most) / np.log(np.clip(chance, 1.0 / samples, 0.99)))
+
+
+def _ends_in_jump(values: np.ndarray, start: int, end: int, *, options: IdentificationOptions) -> bool:
+    """Whether readings that stand from `start` to `end` are beside what they go on with: what sticks starts slowly."""
+    if start == 0 or end + 2 >= len(values):
+        return False
+    before, jump, after = np.abs(np.diff(values[[start - 1, start, end, end + 1, end + 2]]))[[0, 2, 3]]
+    return bool(after > 0.0 and jump > options.audit.frozen_jump * max(before, after))
 
 
 def _has_noise(values: np.ndarray) -> bool:

@@ -31,7 +31,7 @@ from valvesim.identification.record_audit import (
     input_scale,
     is_at_rest,
     note_disagreement,
-    usable_record,
+    usable_records,
     with_common_lengths,
 )
 from valvesim.identification.session import OUTPUTS, UNITS, Record, Sensor, Session, value_text
@@ -112,9 +112,7 @@ def _load(
     check_replicates(records, session.valve, options=options)
     with located(path, text, document="session"):
         sensors = audited_sensors(stated, records, notes, options=options)
-    records = [
-        usable for record in records if (usable := usable_record(record, sensors, notes, options=options)) is not None
-    ]
+    records = usable_records(records, sensors, notes, options=options)
     note_disagreement(records, notes, options=options)
     if not any(record.moves() for record in records):
         raise InputError(
