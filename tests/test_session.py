@@ -531,7 +531,8 @@ def test_a_reading_that_is_held_for_some_samples_is_left_out_of_a_fast_record(se
 
 
 def test_a_spool_that_sticks_and_starts_slowly_stays_where_no_channel_shows_noise(session):
-    stuck = 0.2 * np.clip(FAST, -0.9, 0.9)  # stands at its turns
+    since = np.mod(TIME, 0.05) - 0.02  # stands for 20 ms, starts, and moves on to another place
+    stuck = 0.2 * np.cumsum(np.where(since > 0.0, since * np.cos(17.0 * np.pi * TIME), 0.0))
     assert session("", a=columns(**{CURRENT: FAST, SPOOL: stuck})).records[0].usable["spool_position"].all()
     missed = np.where((TIME >= 0.1) & (TIME < 0.108), 0.2 * FAST[100], 0.2 * FAST)
     usable = session("", a=columns(**{CURRENT: FAST, SPOOL: missed})).records[0].usable["spool_position"]
