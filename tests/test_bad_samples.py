@@ -5,12 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_plant import draw_bench, write_bench_session
+from hypothesis import given
+from hypothesis import strategies as st
 
 import valvesim as vs
 from valvesim.identification import bad_samples
 from valvesim.identification.bad_samples import (
+    _bursts,
     _single_outliers,
     _standing_apart,
+    without_bursts,
     without_outliers,
     without_saturation,
 )
@@ -110,6 +114,48 @@ def test_a_reading_off_the_fit_is_left_out_with_its_line_and_no_other(biased_ses
     assert [np.count_nonzero(~one.record.usable[channel]) for one in cleaned.predictors].count(1) == 1
     (note,) = cleaned.session.notes[len(prepared.session.notes) :]
     assert note.startswith(f"{record.name}, line 152: {channel} of ") and "noise deviations off" in note
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(5, 25), st.integers(20, 150), st.sampled_from([0.3, 1.0, 40.0]))
+def test_a_burst_of_noise_is_found_and_noise_a_misfit_or_a_step_is_none(seed, count, start, size):
+    draw, floor = np.random.default_rng(seed), np.zeros(len(TIME))
+    step = size * (40.0 * (TIME > 0.1) + draw.normal(size=len(TIME)))
+    assert _bursts(step, floor, options=OPTIONS) == []
+    for misfit in (0.0 * TIME, 30.0 * WAVE, 50.0 * np.exp(-(((TIME - 0.1) / 2e-3) ** 2))):
+        quiet = size * (misfit + draw.normal(size=len(TIME)))
+        assert _bursts(quiet, floor, options=OPTIONS) == []
+        burst = np.zeros(len(TIME))
+        burst[start : start + count] = 60.0 * draw.choice([-1.0, 1.0], count) * (1.0 + draw.random(count))
+        for start_found, end in _bursts(quiet + size * burst, floor, options=OPTIONS):
+            assert start - 7 <= start_found and end <= start + count + 7
+    alternating = np.where((np.arange(len(TIME)) >= start) & (np.arange(len(TIME)) < start + count), 60.0, 0.0)
+    alternating *= (-1.0) ** np.arange(len(TIME))
+    ((first, end),) = _bursts(size * (alternating + draw.normal(size=len(TIME))), floor, options=OPTIONS)
+    assert start - 7 <= first <= start and start + count <= end <= start + count + 7
+    assert _bursts(size * alternating, np.full(len(TIME), 1e3 * size), options=OPTIONS) == []
+
+
+def test_noise_that_is_everywhere_is_no_burst():
+    loud = np.where(TIME < 0.5 * TIME[-1], 1.0, 50.0) * np.random.default_rng(3).normal(size=len(TIME))
+    assert _bursts(loud, np.zeros(len(TIME)), options=OPTIONS) == []
+
+
+def test_a_burst_is_left_out_of_its_channel_alone_with_its_line(biased_session, biased_fit):
+    prepared, nominal = prepare_session(biased_session), biased_fit
+    assert without_bursts(prepared, nominal.fit, nominal.linearised) is prepared
+    predictor, channel = prepared.predictors[1], "spool_position"
+    record = predictor.record
+    values = {**record.values, channel: record.values[channel].copy()}
+    values[channel][150:162] += 30.0 * nominal.study.noise[channel, record.pace].deviation * (-1.0) ** np.arange(12)
+    predictors = list(prepared.predictors)
+    predictors[1] = replace(predictor, record=replace(record, values=values))
+    cleaned = without_bursts(replace(prepared, predictors=tuple(predictors)), nominal.fit, nominal.linearised)
+    left_out = [np.flatnonzero(~one.record.usable[channel]).tolist() for one in cleaned.predictors]
+    assert [bool(k) for k in left_out] == [k == 1 for k in range(len(left_out))]
+    assert left_out[1][0] <= 150 and left_out[1][-1] >= 161
+    (note,) = cleaned.session.notes[len(prepared.session.notes) :]
+    told = f"{channel} goes to and fro for {len(left_out[1])} samples"
+    assert note.startswith(f"{record.name}, line 1") and told in note
 
 
 def test_next_to_a_jump_only_a_reading_that_is_cut_short_is_left_out(biased_session, biased_fit, monkeypatch):

@@ -130,16 +130,19 @@ def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkey
 
     def fitted(study, tell):
         fits.append(study)
-        return SimpleNamespace(study=study, fit=study)
+        return SimpleNamespace(study=study, fit=study, linearised=())
 
-    fits, cleaned = [], object()
+    fits, cleaned, quiet = [], object(), SimpleNamespace(options=LONG.identification)
     monkeypatch.setattr(leading_segments, "_isolate_in_segments", not_run)
     monkeypatch.setattr(leading_segments, "fit_nominal", fitted)
     monkeypatch.setattr(leading_segments, "_without_outliers", lambda nominal: nominal)
     monkeypatch.setattr(leading_segments, "is_adequate", lambda fit, options: fit is cleaned)
     whole = prepare_session(session, options=LONG.identification)
-    for left, expected in ((whole, [whole]), (cleaned, [whole, cleaned])):  # again without what is saturated
+    for calm, left, expected in (
+        (whole, whole, [whole]), (whole, cleaned, [whole, cleaned]), (quiet, quiet, [whole, quiet])
+    ):  # again without bursts of noise, or what is saturated
         fits.clear()
+        monkeypatch.setattr(leading_segments, "without_bursts", lambda *_, calm=calm: calm)
         monkeypatch.setattr(leading_segments, "without_saturation", lambda *_, left=left: left)
         nominal, known = fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG)
         assert nominal.study is left and known == () and fits == expected

@@ -1,7 +1,8 @@
 """Samples that are no measurement: not recorded, or corrupt. They are found, left out of the fit, and told.
 
 Corrupt are, before any fit, readings that stand apart from all others of their channel and are gone after a few
-samples (a word of the logger such as 32767); after a fit, single readings far off the model whose neighbours are not.
+samples (a word of the logger such as 32767); after a fit, bursts of noise, and single readings far off the model whose
+neighbours are not.
 """
 
 from __future__ import annotations
@@ -148,6 +149,54 @@ def without_outliers(
                 )
         records.append(replace(record, usable=usable))
     return with_records(cleaned, records, notes) if notes else cleaned
+
+
+def without_bursts(prepared: PreparedSession, fit: Fit, linearised: Sequence[LinearisedRecord]) -> PreparedSession:
+    """The prepared session without bursts of noise in single channels: readings that go to and fro for some samples by
+    many times what they do in the rest of the record, as a contactor or a welder next door makes them. They are told.
+
+    Not next to a jump of the command, nor where the reading itself has a peak.
+    """
+    options, records, notes = prepared.options, list[Record](), list[str]()
+    for predictor, linear, read in zip(prepared.predictors, linearised, fit.readings, strict=True):
+        record, curvature = predictor.record, linear.predictor.curvatures(linear.trajectory, linear.variant)
+        jumps = command_jumps(record.values[record.command], options=options)
+        usable = dict(record.usable)
+        for name in record.outputs:
+            sensor = prepared.session.sensors.get(name)
+            left = np.where(usable[name], record.values[name] - read[name], np.nan)
+            floor = np.hypot(sensor.resolution if sensor else 0.0, options.fit.peak_share * curvature[name])
+            for start, end in _bursts(left, floor, options=options):
+                if any(start - 4 <= k <= end for k in jumps):
+                    continue
+                usable[name] = usable[name].copy()
+                usable[name][start:end] = False
+                line = "" if record.path is None else f", {record.place(start)}"
+                notes.append(
+                    f"{record.name}{line}: {name} goes to and fro for {end - start} samples by far more than "
+                    "its noise; they are left out"
+                )
+        records.append(replace(record, usable=usable))
+    return with_records(prepared, records, notes) if notes else prepared
+
+
+def _bursts(left: np.ndarray, floor: np.ndarray, *, options: IdentificationOptions) -> list[tuple[int, int]]:
+    """First and one past the last sample of each burst in residuals (n,), NaN where there is none, that may turn by
+    `floor` (n,) at each sample; none where there are too many.
+    """
+    turn = np.zeros(len(left))
+    turn[1:-1] = np.nan_to_num(np.diff(left, 2))
+    common = 1.4826 * float(np.median(np.abs(turn)))
+    large = np.abs(turn) > options.noise.burst * np.hypot(common, floor)
+    beside = options.noise.burst_beside
+    bridged = np.convolve(large, np.ones(2 * beside + 1), "same") > 0.0
+    found = []
+    for start, end in _runs(bridged):
+        own = turn[start:end]
+        to_and_fro = float(np.sum(own[1:] * own[:-1])) < -0.33 * float(np.sum(own**2))  # noise: -2/3
+        if np.count_nonzero(large[start:end]) >= options.noise.burst_samples and to_and_fro:
+            found.append((max(int(start) - beside, 0), min(int(end) + beside, len(left))))
+    return found if sum(b - a for a, b in found) <= options.noise.burst_share * len(left) else []
 
 
 def without_saturation(prepared: PreparedSession, study: Study, fit: Fit) -> PreparedSession:

@@ -360,6 +360,12 @@ class NoiseOptions:
         0.2, "1", "share of the samples of replicates that none has lost: of fewer their noise is not taken", JUDGEMENT
     )
     most_lags: int = option(8, "1", "highest order of the autoregression", JUDGEMENT)
+    burst: float = option(
+        6.0, "1", "times as far to and fro as in the rest of a record that a burst of noise goes", "never by chance"
+    )
+    burst_samples: int = option(5, "1", "readings that go so far in one burst, at least", JUDGEMENT)
+    burst_beside: int = option(3, "1", "half the samples between two of one burst, and those beside it", JUDGEMENT)
+    burst_share: float = option(0.1, "1", "share of a record that bursts may take: more is its noise", JUDGEMENT)
     outlier: float = option(
         8.0, "1", "noise deviations from its neighbours at which a single residual is an outlier", "never by chance"
     )
