@@ -12,8 +12,10 @@ import valvesim as vs
 from valvesim.identification import bad_samples
 from valvesim.identification.bad_samples import (
     _bursts,
+    _is_off_at_first,
     _single_outliers,
     _standing_apart,
+    without_beginnings,
     without_bursts,
     without_outliers,
     without_saturation,
@@ -156,6 +158,39 @@ def test_a_burst_is_left_out_of_its_channel_alone_with_its_line(biased_session, 
     (note,) = cleaned.session.notes[len(prepared.session.notes) :]
     told = f"{channel} goes to and fro for {len(left_out[1])} samples"
     assert note.startswith(f"{record.name}, line 1") and told in note
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(1e-6, 1e3), st.floats(-3.0, 3.0))
+def test_a_record_begins_in_motion_where_its_first_residuals_alone_are_far_off(seed, size, off):
+    left = np.random.default_rng(seed).normal(size=len(TIME)) + off  # a bias is off throughout
+    assert not _is_off_at_first(size * left, options=OPTIONS)
+    decaying = np.exp(-TIME / 4e-3) * (8.0 * (5.0 + abs(off)))
+    assert _is_off_at_first(size * (left + decaying), options=OPTIONS)
+    assert _is_off_at_first(size * (left - decaying), options=OPTIONS)
+    once = np.where(np.arange(len(TIME)) == 0, 100.0, 0.0)  # one sample is an outlier
+    assert not _is_off_at_first(size * (left + once), options=OPTIONS)
+    assert not _is_off_at_first(np.array([9.0, 9.0]), options=OPTIONS)
+
+
+def test_the_beginning_of_a_record_that_begins_in_motion_is_left_out_and_of_those_locked(biased_session, biased_fit):
+    prepared, fit = prepare_session(biased_session), biased_fit.fit
+    assert without_beginnings(prepared, fit) is prepared
+    predictor, channel = prepared.predictors[1], "spool_position"
+    record = predictor.record
+    values = {**record.values, channel: record.values[channel].copy()}
+    values[channel][:4] += 60.0 * biased_fit.study.noise[channel, record.pace].deviation
+    predictors = list(prepared.predictors)
+    predictors[1] = replace(predictor, record=replace(record, values=values))
+    cleaned = without_beginnings(replace(prepared, predictors=tuple(predictors)), fit)
+    begun = [not one.record.usable[channel][0] for one in cleaned.predictors]
+    assert begun == [k == 1 for k in range(len(begun))]
+    first = cleaned.predictors[1].record
+    for usable in first.usable.values():
+        assert np.array_equal(usable, first.time - first.time[0] >= OPTIONS.noise.beginning)
+    assert all(not good[0] for r in cleaned.session.locked for good in r.usable.values())
+    assert cleaned.session.notes[len(prepared.session.notes) :] == (
+        f"{record.name} begins in motion, and the model at rest: its first 50 ms are left out",
+    )
 
 
 def test_next_to_a_jump_only_a_reading_that_is_cut_short_is_left_out(biased_session, biased_fit, monkeypatch):

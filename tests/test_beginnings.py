@@ -142,6 +142,7 @@ def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkey
         (whole, whole, [whole]), (whole, cleaned, [whole, cleaned]), (quiet, quiet, [whole, quiet])
     ):  # again without bursts of noise, or what is saturated
         fits.clear()
+        monkeypatch.setattr(leading_segments, "without_beginnings", lambda prepared, _: prepared)
         monkeypatch.setattr(leading_segments, "without_bursts", lambda *_, calm=calm: calm)
         monkeypatch.setattr(leading_segments, "without_saturation", lambda *_, left=left: left)
         nominal, known = fit_coarse_to_fine(whole, lambda stage, share: None, options=LONG)

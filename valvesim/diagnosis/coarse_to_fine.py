@@ -16,7 +16,12 @@ from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.bad_samples import without_bursts, without_outliers, without_saturation
+from valvesim.identification.bad_samples import (
+    without_beginnings,
+    without_bursts,
+    without_outliers,
+    without_saturation,
+)
 from valvesim.identification.fit import Fit, is_adequate
 from valvesim.identification.input_errors import with_input_errors
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near, with_choice_of
@@ -48,9 +53,10 @@ def fit_coarse_to_fine(
             nominal = fit_nominal_near(chosen, point, full_weight=not segments.study.weights)
             known = _taken_along(isolation, options=options)
             fits = [replace(one.fit, point=one.fit.point[:p]) for one in known if one.fit.fitted]
-            return _without_outliers(_without_bursts(nominal)), fits
+            return _without_outliers(_without_bad_stretches(nominal)), fits
     nominal = fit_nominal(prepared, lambda share: progress(stage, share))
-    if (cleaned := without_bursts(prepared, nominal.fit, nominal.linearised)) is not prepared:
+    cleaned = without_bursts(without_beginnings(prepared, nominal.fit), nominal.fit, nominal.linearised)
+    if cleaned is not prepared:
         prepared, nominal = cleaned, fit_nominal(cleaned, lambda share: progress(stage, share))
     if not is_adequate(nominal.fit, options=prepared.options):
         cleaned = without_saturation(prepared, nominal.study, nominal.fit)
@@ -70,10 +76,10 @@ def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[Fit
     return [*isolation.answer_set, *(o for o in isolation.found if o.evidence < worst and o.label not in known)]
 
 
-def _without_bursts(nominal: NominalFit) -> NominalFit:
-    """The nominal fit without bursts of noise, from where it is."""
+def _without_bad_stretches(nominal: NominalFit) -> NominalFit:
+    """The nominal fit without bursts of noise and beginnings in motion, from where it is."""
     own = nominal.study.unweighted()
-    cleaned = without_bursts(own, nominal.fit, nominal.linearised)
+    cleaned = without_bursts(without_beginnings(own, nominal.fit), nominal.fit, nominal.linearised)
     if cleaned is own:
         return nominal
     return fit_nominal_near(cleaned, nominal.fit.point, full_weight=not nominal.study.weights)

@@ -2,7 +2,7 @@
 
 Corrupt are, before any fit, readings that stand apart from all others of their channel and are gone after a few
 samples (a word of the logger such as 32767); after a fit, bursts of noise, and single readings far off the model whose
-neighbours are not.
+neighbours are not. What a record begins with tells nothing of a model at rest where the valve moved before it.
 """
 
 from __future__ import annotations
@@ -178,6 +178,36 @@ def without_bursts(prepared: PreparedSession, fit: Fit, linearised: Sequence[Lin
                 )
         records.append(replace(record, usable=usable))
     return with_records(prepared, records, notes) if notes else prepared
+
+
+def without_beginnings(prepared: PreparedSession, fit: Fit) -> PreparedSession:
+    """The prepared session without the beginnings of records that begin in motion: a run begins at rest, so that it
+    reads otherwise there and nowhere else. Where a training record does, none of those locked away is trusted to rest.
+    """
+    options, begun = prepared.options, list[Record]()
+    for predictor, read in zip(prepared.predictors, fit.readings, strict=True):
+        record = predictor.record
+        lefts = [(record.values[name] - read[name])[record.usable[name]] for name in record.outputs]
+        if any(_is_off_at_first(left, options=options) for left in lefts):
+            begun.append(record)
+    if not begun:
+        return prepared
+    length = f"{1e3 * options.noise.beginning:g} ms"
+    notes = [f"{r.name} begins in motion, and the model at rest: its first {length} are left out" for r in begun]
+    return with_records(prepared, [_without_beginning(r, options) for r in (*begun, *prepared.session.locked)], notes)
+
+
+def _is_off_at_first(left: np.ndarray, *, options: IdentificationOptions) -> bool:
+    """Whether the first residuals of (n,) are, to one side, far more than what most of them are."""
+    first, rest = left[: options.noise.beginning_samples], left[options.noise.beginning_samples :]
+    scale = 1.4826 * float(np.median(np.abs(rest))) if len(rest) else np.inf
+    return bool(abs(np.sign(first).sum()) == len(first) and np.min(np.abs(first)) > options.noise.beginning_off * scale)
+
+
+def _without_beginning(record: Record, options: IdentificationOptions) -> Record:
+    """A record without the time in which a valve forgets where it began."""
+    kept = record.time - record.time[0] >= options.noise.beginning
+    return replace(record, usable={name: good & kept for name, good in record.usable.items()})
 
 
 def _bursts(left: np.ndarray, floor: np.ndarray, *, options: IdentificationOptions) -> list[tuple[int, int]]:

@@ -366,6 +366,13 @@ class NoiseOptions:
     burst_samples: int = option(5, "1", "readings that go so far in one burst, at least", JUDGEMENT)
     burst_beside: int = option(3, "1", "half the samples between two of one burst, and those beside it", JUDGEMENT)
     burst_share: float = option(0.1, "1", "share of a record that bursts may take: more is its noise", JUDGEMENT)
+    beginning: float = option(
+        0.05, "s", "what is left out of a record that begins in motion", "several time constants of a spool"
+    )
+    beginning_samples: int = option(2, "1", "its first residuals that are all far off, to one side", JUDGEMENT)
+    beginning_off: float = option(
+        5.0, "1", "times as far off as most of the record's residuals that these are", "never by chance"
+    )
     outlier: float = option(
         8.0, "1", "noise deviations from its neighbours at which a single residual is an outlier", "never by chance"
     )
