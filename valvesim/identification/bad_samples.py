@@ -17,6 +17,7 @@ from valvesim.errors import InputError
 from valvesim.identification.between_samples import command_jumps
 from valvesim.identification.fit import Fit
 from valvesim.identification.linearised_record import LinearisedRecord
+from valvesim.identification.noise_growth import grown
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import UNITS, Record, place_text, value_text
 from valvesim.identification.study import PreparedSession, Study, with_records
@@ -135,7 +136,10 @@ def without_outliers(
             cut = np.zeros(len(record.time), dtype=bool)
             for end in (one for one in ends if one.channel == name):
                 cut |= end.stands_in(record) & (end.side * left < 0.0)
-            least = np.hypot(study.noise[name, record.pace].innovation, options.fit.peak_share * curvature[name])
+            noise = study.noise[name, record.pace].innovation * grown(
+                study.noise_growth.get(name, 0.0), record.values[name]
+            )
+            least = np.hypot(noise, options.fit.peak_share * curvature[name])
             outlying = _single_outliers(left, options.noise.outlier * least, options.noise.outlier_ratio)
             outlying &= (still | cut) & usable[name]
             usable[name] = usable[name] & ~outlying
@@ -164,8 +168,9 @@ def without_bursts(prepared: PreparedSession, fit: Fit, linearised: Sequence[Lin
         usable = dict(record.usable)
         for name in record.outputs:
             sensor = prepared.session.sensors.get(name)
-            left = np.where(usable[name], record.values[name] - read[name], np.nan)
-            floor = np.hypot(sensor.resolution if sensor else 0.0, options.fit.peak_share * curvature[name])
+            size = grown(prepared.noise_growth.get(name, 0.0), record.values[name])
+            left = np.where(usable[name], (record.values[name] - read[name]) / size, np.nan)
+            floor = np.hypot(sensor.resolution if sensor else 0.0, options.fit.peak_share * curvature[name] / size)
             for start, end in _bursts(left, floor, options=options):
                 if any(start - 4 <= k <= end for k in jumps):
                     continue

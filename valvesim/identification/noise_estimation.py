@@ -11,6 +11,7 @@ import numpy as np
 
 from valvesim.identification.between_samples import undersampled_share
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
+from valvesim.identification.noise_growth import grown
 from valvesim.identification.noise_model import NoiseModel, fit_autoregression, quantisation_error
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import Record
@@ -26,7 +27,7 @@ def identify_noise(
     keys = dict.fromkeys((name, record.pace) for record in records for name in record.outputs)
     for name, rate in keys:
         own = [
-            (record, np.where(_tells_noise(prepared, record, name), record.values[name] - read[name], np.nan))
+            (record, np.where(_tells_noise(prepared, record, name), _left(prepared, record, name, read[name]), np.nan))
             for record, read in zip(records, readings, strict=True)
             if name in record.outputs and record.pace == rate
         ]
@@ -50,6 +51,11 @@ def identify_noise(
             )
         found[name, rate] = noise
     return found
+
+
+def _left(prepared: PreparedSession, record: Record, name: str, read: np.ndarray) -> np.ndarray:
+    """What readings (n,) leave of a channel, as large as it would be at no reading where its noise grows with that."""
+    return (record.values[name] - read) / grown(prepared.noise_growth.get(name, 0.0), record.values[name])
 
 
 def _tells_noise(prepared: PreparedSession, record: Record, name: str) -> np.ndarray:

@@ -366,6 +366,14 @@ class NoiseOptions:
     burst_samples: int = option(5, "1", "readings that go so far in one burst, at least", JUDGEMENT)
     burst_beside: int = option(3, "1", "half the samples between two of one burst, and those beside it", JUDGEMENT)
     burst_share: float = option(0.1, "1", "share of a record that bursts may take: more is its noise", JUDGEMENT)
+    growth_significance: float = option(
+        5.0, "1", "its deviations from which noise grows with the reading", "never by chance"
+    )
+    least_growth: float = option(
+        1.0, "1", "its variance at the largest reading more than at none, in that, from which it counts", JUDGEMENT
+    )
+    growth_floor: float = option(0.01, "1", "least share of its mean variance that noise has at no reading", JUDGEMENT)
+    growth_steps: int = option(5, "1", "times that squares are weighted anew by their variance", JUDGEMENT)
     beginning: float = option(
         0.05, "s", "what is left out of a record that begins in motion", "several time constants of a spool"
     )

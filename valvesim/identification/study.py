@@ -11,6 +11,7 @@ from typing import Self, TypeVar
 import numpy as np
 
 from valvesim.identification.candidates import Candidate, candidates_of
+from valvesim.identification.noise_growth import grown, growth_notes, noise_growth
 from valvesim.identification.noise_model import NoiseModel
 from valvesim.identification.options import DEFAULT_IDENTIFICATION, IdentificationOptions
 from valvesim.identification.predictor import RecordPredictor, prepare_record
@@ -37,6 +38,8 @@ class PreparedSession:
     """The same of what the law of a cause may err by (model discrepancy; Kennedy and O'Hagan 2001)."""
     input_errors: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, kw_only=True)
     """(record, channel): realisations (n, k) of what readings hang on the noise of measured inputs."""
+    noise_growth: dict[str, float] = field(default_factory=dict, kw_only=True)
+    """Of channels whose noise grows with the reading (`noise_growth`)."""
 
     def with_noise(self, noise: dict[tuple[str, float], NoiseModel]) -> Study:
         """The study under a noise, by channel and pace."""
@@ -134,7 +137,8 @@ class Study(PreparedSession):
         key, noise = (record.name, name), self.noise[name, record.pace]
         known = [one[key] for one in (self.spread, self.discrepancy) if key in one]
         of_inputs = [self._input_variances[key]] if key in self._input_variances else []
-        return [(deviation / noise.innovation) ** 2 for deviation in known] + of_inputs
+        of_level = [grown(self.noise_growth[name], record.values[name]) ** 2 - 1.0] if name in self.noise_growth else []
+        return [(deviation / noise.innovation) ** 2 for deviation in known] + of_inputs + of_level
 
     @cached_property
     def _input_variances(self) -> dict[tuple[str, str], np.ndarray]:
@@ -183,6 +187,8 @@ def prepare_session(
     session: Session, more: Sequence = (), *, options: IdentificationOptions = DEFAULT_IDENTIFICATION
 ) -> PreparedSession:
     """A session prepared for its fits; `more` are effects that these may use beside the catalogue's."""
+    growth = noise_growth(session, options=options)
+    session = replace(session, notes=(*session.notes, *growth_notes(session, growth)))
     nominal = nominal_model_of(session, options=options)
     universe = (*CATALOGUE.values(), *session.user_effects, *more)
     predictors = tuple(prepare_record(session, record, universe, options=options) for record in session.training)
@@ -194,6 +200,7 @@ def prepare_session(
         _representatives(predictors, nominal),
         options,
         is_long=_is_long(predictors, options=options),
+        noise_growth=growth,
     )
 
 
@@ -228,6 +235,7 @@ def restricted_session(whole: PreparedSession, records: Sequence[Record]) -> Pre
         _representatives(predictors, whole.nominal),
         whole.options,
         is_long=_is_long(predictors, options=whole.options),
+        noise_growth=whole.noise_growth,
     )
 
 
