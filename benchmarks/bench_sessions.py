@@ -39,7 +39,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import hidden_plant  # noqa: E402
 import numpy as np  # noqa: E402
-from bench_plant import IMPERFECTIONS, Bench, bench_records, draw_bench, write_bench_session  # noqa: E402
+from bench_plant import IMPERFECTIONS, READINGS, Bench, bench_records, draw_bench, write_bench_session  # noqa: E402
 from hidden_plant import EFFECTS, truth  # noqa: E402
 from hidden_report import wilson  # noqa: E402
 from thermal_sessions import fit_to_plant, left_by_fit, meter_noise, read_rows, write_rows  # noqa: E402
@@ -58,11 +58,13 @@ SETS = {"working": (700_000, 300), "second": (800_000, 300), "third": (820_000, 
         "seventh": (960_000, 300), "eighth": (970_000, 300), "ninth": (991_000, 300),
         "tenth": (992_000, 300), "eleventh": (995_000, 300), "twelfth": (998_000, 300),
         "thirteenth": (1_040_000, 300), "fourteenth": (1_050_000, 300),
-        "fifteenth": (1_070_000, 300), "sixteenth": (1_080_000, 300)}  # first seed, sessions
+        "fifteenth": (1_070_000, 300), "sixteenth": (1_080_000, 300),
+        "seventeenth": (1_090_000, 300)}  # first seed, sessions
 RESULTS = ROOT / "benchmarks" / "results" / "bench_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "bench_sessions.md"
 CLEAR = 8.0  # d' from which a cause should be named
 COMMON = ("ripple", "warming", "gap", "corrupt", "skew", "drift", "saturation")
+SINCE = {"seventeenth": READINGS}  # what benches of later sets do besides
 HIDDEN = (None, "spool_coulomb_friction", None, *EFFECTS)
 """What is hidden, in turn: a third of the sessions and more are of healthy valves."""
 
@@ -71,7 +73,9 @@ def sessions(name: str) -> Iterator[tuple[int, str | None, tuple[str, ...]]]:
     """(seed, what is hidden, imperfections) of a set: all imperfections in each, steps ideal or held in turn."""
     first, count = SETS[name]
     for k in range(count):
-        yield first + k, None if k % 3 == 0 else HIDDEN[k % len(HIDDEN)], (("edges", "hold")[k % 2], *COMMON)
+        yield first + k, None if k % 3 == 0 else HIDDEN[k % len(HIDDEN)], (
+            ("edges", "hold")[k % 2], *COMMON, *SINCE.get(name, ()),
+        )  # fmt: skip
 
 
 def one_by_one() -> Iterator[tuple[int, str | None, tuple[str, ...]]]:

@@ -1,4 +1,4 @@
-"""What an ordinary bench does to the sessions of `hidden_plant`: eight imperfections, each at a size that benches have.
+"""What an ordinary bench does to the sessions of `hidden_plant`: imperfections, each at a size that benches have.
 
     case, bench = draw_bench(7, "effect", name="spool_coulomb_friction", imperfections=("edges",))
     write_bench_session(case, bench, folder)
@@ -15,6 +15,11 @@ Imperfections
     skew        each channel has a clock of its own: up to 0.1 ms off, and up to 100 ppm fast or slow
     drift       one meter drifts by 0.5 to 2 % of its channel's size within each record
     saturation  one channel cannot show the outer 10 to 20 % of what it should
+    meters      zero and gain of each meter are others in each record, by 0.1 % (standard deviation) of its channel's
+                size, and it is off a straight line by up to 0.2 %
+    held        one channel of one record stands at one reading for 10 to 30 samples
+    burst       one channel of one record has twenty times its noise for 10 to 30 samples
+    begun       the logger starts when the test has begun: the first tenth of each record is missing
 """
 
 from __future__ import annotations
@@ -31,6 +36,7 @@ from hidden_plant import AMPLITUDE, UNITS, Case, Run
 from valvesim.valve.thermal_network import ThermalNetwork
 
 IMPERFECTIONS = ("edges", "hold", "ripple", "warming", "gap", "corrupt", "skew", "drift", "saturation")
+READINGS = ("meters", "held", "burst", "begun")  # what else happens to what is read
 CALIBRATION = "calibration"  # oil and supply are off in each record, and every meter drifts: all of it little
 FINE = 20  # samples of the command that the plant runs under to one that is logged
 
@@ -64,8 +70,8 @@ def draw_bench(
 
     `network_scatter` is the spread (logarithm) of each figure of the valve's thermal network.
     """
-    if unknown := set(imperfections) - {*IMPERFECTIONS, CALIBRATION}:
-        raise ValueError(f"{sorted(unknown)} are none of {(*IMPERFECTIONS, CALIBRATION)}")
+    if unknown := set(imperfections) - {*IMPERFECTIONS, *READINGS, CALIBRATION}:
+        raise ValueError(f"{sorted(unknown)} are none of {(*IMPERFECTIONS, *READINGS, CALIBRATION)}")
     bench, case = Bench(seed, tuple(imperfections)), hidden_plant.draw(seed, kind, name=name)
     runs = tuple(_run(bench, run, duration, case.drive == "voltage") for run in case.runs)
     scatter = max(network_scatter, 0.3 if bench.has("warming") else 0.0)
@@ -147,6 +153,8 @@ def bench_records(case: Case, bench: Bench, strength: float = 1.0) -> list[dict[
             if meter.resolution > 0.0:
                 record[meter.channel] = np.round(record[meter.channel] / meter.resolution) * meter.resolution
     _broken(case, bench, records)
+    if bench.has("begun"):
+        records = [{name: values[len(values) // 10 :] for name, values in record.items()} for record in records]
     return records
 
 
@@ -167,6 +175,14 @@ def _worn(case: Case, bench: Bench, records: list[dict[str, np.ndarray]]) -> Non
             for record in records:
                 share = record["time"] / record["time"][-1]
                 record[channel] = record[channel] + by * AMPLITUDE[channel] * share
+    if bench.has("meters"):
+        for channel in case.channels:
+            dice, size = bench.dice("meters", channel), AMPLITUDE[channel]
+            bend, largest = dice.uniform(-2e-3, 2e-3), max(float(np.max(np.abs(record[channel]))) for record in records)
+            for record in records:
+                x, gain, zero = record[channel] / largest, *dice.normal(0.0, 1e-3, 2)
+                off = size * zero + 4.0 * bend * largest * x * (np.abs(x) - 0.75)
+                record[channel] = record[channel] * (1.0 + gain) + off
     if bench.has("drift"):
         dice = bench.dice("drift")
         channel, by = str(dice.choice(channels)), dice.uniform(0.005, 0.02) * dice.choice((-1.0, 1.0))
@@ -183,17 +199,34 @@ def _worn(case: Case, bench: Bench, records: list[dict[str, np.ndarray]]) -> Non
 
 
 def _broken(case: Case, bench: Bench, records: list[dict[str, np.ndarray]]) -> None:
-    """A gap and a corrupt reading, in place."""
+    """A gap, a held and a corrupt reading, and a burst of noise, in place."""
     training = [k for k, run in enumerate(case.runs) if run.role == "train"]
     if bench.has("gap"):
         dice = bench.dice("gap")
         record, channel = records[int(dice.choice(training))], str(dice.choice(case.channels))
         start, count = int(dice.uniform(0.2, 0.7) * len(record["time"])), int(dice.uniform(30, 150))
         record[channel][start : start + count] = np.nan
+    if bench.has("held"):
+        record, channel, samples = _stretch(case, bench, records, "held")
+        record[channel][samples] = record[channel][samples.start]
+    if bench.has("burst"):
+        record, channel, samples = _stretch(case, bench, records, "burst")
+        (meter,) = (one for one in case.meters if one.channel == channel)
+        count = samples.stop - samples.start
+        record[channel][samples] += 20.0 * meter.noise * bench.dice("burst", "noise").normal(0.0, 1.0, count)
     if bench.has("corrupt"):
         dice = bench.dice("corrupt")
         record, channel = records[int(dice.choice(training))], str(dice.choice(case.channels))
         record[channel][int(dice.uniform(0.1, 0.9) * len(record["time"]))] = 32767.0 / UNITS[channel][1]
+
+
+def _stretch(case: Case, bench: Bench, records: list[dict[str, np.ndarray]], name: str) -> tuple[Any, str, slice]:
+    """The record, the channel and the samples of an imperfection that takes some."""
+    dice = bench.dice(name)
+    training = [k for k, run in enumerate(case.runs) if run.role == "train"]
+    record, channel = records[int(dice.choice(training))], str(dice.choice(case.channels))
+    start, count = int(dice.uniform(0.2, 0.8) * len(record["time"])), int(dice.uniform(10, 30))
+    return record, channel, slice(start, start + count)
 
 
 def write_bench_session(case: Case, bench: Bench, folder: str | Path, strength: float = 1.0) -> None:

@@ -47,6 +47,7 @@ from valvesim.identification.instrument_errors import (
     DELAYED,
     SHIFTED,
     clock_rates,
+    contrasts,
     fastest_drift,
     has_instrument_errors,
     input_delays,
@@ -54,6 +55,7 @@ from valvesim.identification.instrument_errors import (
     instrument_errors,
     largest_reading,
     meter_drifts,
+    meter_gains,
     meter_linearity,
     meter_zeros,
 )
@@ -437,10 +439,23 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
         return best
     if shows <= scores.level(options.detection.false_alarm) ** 2:
         return None
-    errors = [f.parameters for f in _known_faults(study) if all(p.name in place for p in f.parameters)]
+    known = [f.parameters for f in _known_faults(study) if all(p.name in place for p in f.parameters)]
+    meter = _meter_beyond_tolerance(scores)
+    errors = [each for each in known if not meter or any(p.sensor is None or p.sensor.channel != meter for p in each)]
     if all(beside(each, fitted).gain <= shows - options.selection.answer_ratio for each in errors):
         return None
-    return next(beside(each, fitted) for each in hypotheses if errors[0][0].name in [p.name for p in each])
+    return next(beside(each, fitted) for each in hypotheses if known[0][0].name in [p.name for p in each])
+
+
+def _meter_beyond_tolerance(scores: ScoreTest) -> str:
+    """The channel whose meter explains an alarm best by more of an error than its tolerance has: it is that meter then,
+    by whichever of its errors; "" where something else does.
+    """
+    z = scores.z()
+    likeliest = scores.candidates[int(np.argmax(z))] if len(z) else None
+    if likeliest is None or likeliest.effect is None or likeliest.equivalent is None:
+        return ""
+    return likeliest.effect.channel
 
 
 def _likeliest_causes(study: Study, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:
@@ -487,18 +502,19 @@ def _known_faults(study: Study) -> list[BenchFault]:
         if (delays := input_delays(session, column, options))
     ]
     drifts = [BenchFault((p,), _drift_words(p, session), METER) for p in meter_drifts(session, options)]
-    zeros = [
-        BenchFault(own, _zero_words(channel), METER)
+    of_meters = (
+        (meter_zeros, _zero_words, METER),
+        (meter_gains, _gain_words, LINEARITY),
+        (meter_linearity, lambda channel: _linearity_words(channel, session), LINEARITY),
+    )
+    meters = [
+        BenchFault(own, words(channel), advice)
+        for errors, words, advice in of_meters
         for channel in measured_channels(session)
-        if (own := meter_zeros(session, channel, options))
-    ]
-    curves = [
-        BenchFault(curve, _linearity_words(channel, session), LINEARITY)
-        for channel in measured_channels(session)
-        if (curve := meter_linearity(session, channel, options))
+        if (own := errors(session, channel, options))
     ]
     clocks = BenchFault(clock_rates(session, options), _clock_words, CLOCKS)
-    return [*waves, *shifts, *late, clocks, *drifts, *zeros, *curves]
+    return [*waves, *shifts, *late, clocks, *drifts, *meters]
 
 
 def _waves_apart(study: Study) -> list[tuple[NuisanceParameter, ...]]:
@@ -546,18 +562,26 @@ def _drift_words(parameter: NuisanceParameter, session: Session) -> Callable[[np
 
 def _zero_words(channel: str) -> Callable[[np.ndarray], str]:
     def words(values: np.ndarray) -> str:
-        by = value_text(float(np.ptp(values)), UNITS[channel])
+        zeros = contrasts(len(values) + 1) @ values
+        by = value_text(float(np.ptp(zeros)), UNITS[channel])
         return f"the zero of {channel} moves by up to {by} between records"
 
     return words
 
 
+def _gain_words(channel: str) -> Callable[[np.ndarray], str]:
+    def words(values: np.ndarray) -> str:
+        gains = contrasts(len(values) + 1) @ values
+        return f"the gain of {channel} moves by up to {100.0 * float(np.ptp(gains)):.2g} % between records"
+
+    return words
+
+
 def _linearity_words(channel: str, session: Session) -> Callable[[np.ndarray], str]:
-    most = largest_reading(session, channel)
+    largest = largest_reading(session, channel)
 
     def words(values: np.ndarray) -> str:
-        over_range, between = most * abs(float(values[0])), [2.0 * abs(float(half)) for half in values[1:]]
-        where = "between its directions" if max(between, default=0.0) > over_range else "with what it reads"
-        return f"the gain of {channel} as read changes by {100.0 * max([over_range, *between]):.2g} % {where}"
+        by = 100.0 * float(np.abs(values).max()) / largest
+        return f"{channel} as read is off a straight line by up to {by:.2g} % of its largest reading"
 
     return words

@@ -11,7 +11,7 @@ import numpy as np
 
 from valvesim.diagnosis.apart import odd_test
 from valvesim.diagnosis.bench_faults import told_faults
-from valvesim.diagnosis.detection import beyond_noise, is_certain, is_inadequate
+from valvesim.diagnosis.detection import beyond_noise, beyond_reach, is_certain, is_inadequate
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis, null_hypothesis_beside
@@ -147,7 +147,7 @@ def _with_missing_term(
 def figures_at_limit(study: Study, point: np.ndarray) -> str:
     """The figures that a point (p,) has off by as much as they may be, in words; "" where there are none."""
     limit, end = study.options.prior.reach, study.options.fit.tolerance_deviations
-    far = [p.name for p, t in zip(study.nominal.parameters, point, strict=True) if abs(t) > (1.0 - 1e-6) * limit]
+    far = [study.nominal.parameters[k].name for k in np.flatnonzero(beyond_reach(study, point))]
     return ", ".join(f"{name} {limit / end:.0f} tolerances off" for name in far[:3])
 
 

@@ -143,7 +143,13 @@ def bearable_beside_bench(scores: ScoreTest) -> float:
 
 def at_limit(fit: Fit, study: Study) -> np.ndarray:
     """(p,) True for the figures that a fit has as far off as it may: the part would be another one."""
-    return np.abs(fit.point) > (1.0 - 1e-6) * study.options.prior.reach
+    return beyond_reach(study, fit.point)
+
+
+def beyond_reach(study: Study, point: np.ndarray) -> np.ndarray:
+    """(p,) True for the figures of a point (p,) that would be those of another part; a meter may well be set anew."""
+    set_anew = np.array([is_of_meter(p) for p in study.nominal.parameters], dtype=bool)
+    return (np.abs(point) > (1.0 - 1e-6) * study.options.prior.reach) & ~set_anew
 
 
 def is_other_valve(nominal: NominalFit, likeliest: Fit, *, options: DiagnosisOptions) -> bool:

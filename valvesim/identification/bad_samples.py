@@ -128,9 +128,7 @@ def without_outliers(
         record = _unsaturated(linear.predictor.record, ends)
         curvature = linear.predictor.curvatures(linear.trajectory, linear.variant)
         usable = dict(record.usable)
-        still = np.ones(len(record.time), dtype=bool)
-        for k in command_jumps(record.values[record.command], options=options):
-            still[max(k - 1, 0) : k + 4] = False
+        still = _away_from_jumps(record, options=options)
         for name in record.outputs:
             left = np.where(linear.predictor.record.usable[name], record.values[name] - read[name], np.nan)
             cut = np.zeros(len(record.time), dtype=bool)
@@ -159,21 +157,19 @@ def without_bursts(prepared: PreparedSession, fit: Fit, linearised: Sequence[Lin
     """The prepared session without bursts of noise in single channels: readings that go to and fro for some samples by
     many times what they do in the rest of the record, as a contactor or a welder next door makes them. They are told.
 
-    Not next to a jump of the command, nor where the reading itself has a peak.
+    What a reading does next to a jump of the command, or at a peak of its own, tells of none.
     """
     options, records, notes = prepared.options, list[Record](), list[str]()
     for predictor, linear, read in zip(prepared.predictors, linearised, fit.readings, strict=True):
         record, curvature = predictor.record, linear.predictor.curvatures(linear.trajectory, linear.variant)
-        jumps = command_jumps(record.values[record.command], options=options)
+        still = _away_from_jumps(record, options=options)
         usable = dict(record.usable)
         for name in record.outputs:
             sensor = prepared.session.sensors.get(name)
             size = grown(prepared.noise_growth.get(name, 0.0), record.values[name])
             left = np.where(usable[name], (record.values[name] - read[name]) / size, np.nan)
             floor = np.hypot(sensor.resolution if sensor else 0.0, options.fit.peak_share * curvature[name] / size)
-            for start, end in _bursts(left, floor, options=options):
-                if any(start - 4 <= k <= end for k in jumps):
-                    continue
+            for start, end in _bursts(left, np.where(still, floor, np.inf), options=options):
                 usable[name] = usable[name].copy()
                 usable[name][start:end] = False
                 line = "" if record.path is None else f", {record.place(start)}"
@@ -213,6 +209,14 @@ def _without_beginning(record: Record, options: IdentificationOptions) -> Record
     """A record without the time in which a valve forgets where it began."""
     kept = record.time - record.time[0] >= options.noise.beginning
     return replace(record, usable={name: good & kept for name, good in record.usable.items()})
+
+
+def _away_from_jumps(record: Record, *, options: IdentificationOptions) -> np.ndarray:
+    """True for the samples (n,) of a record that are not next to a jump of its command, where a model errs."""
+    still = np.ones(len(record.time), dtype=bool)
+    for k in command_jumps(record.values[record.command], options=options):
+        still[max(k - 1, 0) : k + 4] = False
+    return still
 
 
 def _bursts(left: np.ndarray, floor: np.ndarray, *, options: IdentificationOptions) -> list[tuple[int, int]]:

@@ -211,13 +211,15 @@ def candidates_of(session: Session, nominal: NominalModel) -> tuple[Candidate, .
     known = {active.effect.name for active in session.effects}
     found = []
     for effect in (*CATALOGUE.values(), *session.user_effects):
+        if not _may_show_feature(effect, session, options=nominal.options):
+            continue
         if effect.reading is not None:
             for channel in measured_channels(session):
                 found += [
                     Candidate(effect.name, one) for one in _paced(effect.on(channel), session, options=nominal.options)
                 ]
             continue
-        if effect.name in known or not _may_show_feature(effect, session, options=nominal.options):
+        if effect.name in known:
             continue
         sought = [[(p.name, value) for value in p.sought] for p in effect.parameters if p.sought]
         found += [
@@ -232,12 +234,17 @@ def candidates_of(session: Session, nominal: NominalModel) -> tuple[Candidate, .
 
 
 def _may_show_feature(effect: Effect, session: Session, *, options: IdentificationOptions) -> bool:
-    """Whether the coefficient that an effect's own feature hangs on may change in a session: if it stands still, the
-    plainer effect is all there is of it. Parts at the oil's temperature change it by what they expand unlike.
+    """Whether the coefficient, or of a sensor the oil temperature, that an effect's own feature hangs on may change in
+    a session: if it stands still, the plainer effect is all there is of it. Parts at the oil's temperature change it
+    by what they expand unlike.
     """
-    if not effect.feature or session.thermal.network is not None:
+    if not effect.feature:
         return True
     oil = np.concatenate([record.values["oil_temperature"] for record in session.training])
+    if effect.reading is not None:
+        return bool(np.nanmax(oil) - np.nanmin(oil) > options.prior.least_warming)
+    if session.thermal.network is not None:
+        return True
     parts = PartTemperatures.uniform(np.array([np.nanmin(oil), np.nanmax(oil)]))
     coefficients = session.valve.at(parts, oil=session.oil, routes=session.thermal.routes)
     low, high = np.broadcast_to(getattr(coefficients, effect.feature), 2)

@@ -16,12 +16,14 @@ import numpy as np
 from valvesim.identification.fit import Fit, predict_readings
 from valvesim.identification.noise_estimation import evaluated_under_own_noise
 from valvesim.identification.options import ChannelOptions
-from valvesim.identification.session import Record
+from valvesim.identification.session import UNITS, Record, value_text
 from valvesim.identification.study import PreparedSession, Study
 
 NOZZLES = ("nozzle_pressure_1", "nozzle_pressure_2")  # of which one rises as the other falls
 WITH_COMMAND = ("spool_position", "armature_angle", "load_flow", "current", *NOZZLES)
 """Channels that go with the command, as far as it goes; an internal leakage may well be eight times what it was."""
+FROM_ZERO = ("spool_position", "armature_angle", "load_flow")
+"""Those that go both ways from a zero of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,7 @@ def misread_channels(prepared: PreparedSession) -> MisreadChannels | None:
     records = [predictor.record for predictor in prepared.predictors]
     readings = predict_readings(prepared, prepared.nominal.at(nominal))
     words = _by_slopes(_slopes(records, readings, options=options), options=options)
+    words += _by_readings(records, readings, options=options)
     return MisreadChannels(tuple(words), *evaluated_under_own_noise(prepared, nominal)) if words else None
 
 
@@ -91,6 +94,38 @@ def _by_slopes(slopes: dict[str, dict[str, tuple[float, float]]], *, options: Ch
         asked = asked if len(slopes) > 1 else f"{asked.removesuffix('?')}, or that of the command?"
         words.append(f"{name} goes the other way than the stated valve: {asked}")
     return words
+
+
+def _by_readings(
+    records: Sequence[Record], readings: Sequence[dict[str, np.ndarray]], *, options: ChannelOptions
+) -> list[str]:
+    """What readings of channels that go both ways say by themselves beside those of the stated valve, in words: that a
+    meter does not tell the direction, or that its zero is far off; where all are off, it is the valve's null.
+    """
+    undirected, off, measured = list[str](), list[str](), 0
+    for name in dict.fromkeys(n for record in records for n in record.outputs if n in FROM_ZERO):
+        pairs = [
+            np.column_stack([r.values[name], read[name]])[r.usable[name] & np.isfinite(read[name])].T
+            for r, read in zip(records, readings, strict=True)
+            if name in r.outputs
+        ]
+        y, m = np.hstack(pairs)
+        span, measured = float(np.ptp(m)), measured + 1
+        goes_back = min(float(np.max(m)), -float(np.min(m))) > options.goes_back * span > 0.0
+        if goes_back and -np.min(y) < options.no_way_back * np.max(y) and _agree(y, np.abs(m), options=options):
+            undirected.append(f"{name} reads nothing below zero, where the stated valve does: is its direction lost?")
+        zeros = np.array([np.median(own - stated) for own, stated in pairs])
+        if abs(np.sign(zeros).sum()) == len(zeros) and np.min(np.abs(zeros)) > options.zero_off * span:
+            if all(_agree(own, stated, options=options) for own, stated in pairs):
+                by = f"{value_text(float(np.median(zeros)), UNITS[name])} more than the stated valve does"
+                off.append(f"{name} reads {by}, in all records: its zero?")
+    return [*undirected, *(off if len(off) < measured else [])]
+
+
+def _agree(y: np.ndarray, m: np.ndarray, *, options: ChannelOptions) -> bool:
+    """Whether two series (n,) go together."""
+    y, m = y - np.mean(y), m - np.mean(m)
+    return float(y @ m) > options.correlation * float(np.sqrt((y @ y) * (m @ m)))
 
 
 def _listed(names: Sequence[str]) -> str:

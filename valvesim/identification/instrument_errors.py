@@ -7,8 +7,9 @@ records without them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import NuisanceParameter, measured_channels, widest_span
 from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.session import Record, Session
-from valvesim.valve.effect import Parameter
+from valvesim.valve.effect import Parameter, Reading
 
 
 def instrument_errors(session: Session, *, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
@@ -41,6 +42,7 @@ def errors_of_records(
         *(p for column, growing in ways for p in input_shifts(session, column, growing, options, records)),
         *(p for column in DELAYED for p in input_delays(session, column, options, records)),
         *(p for channel in measured_channels(session) for p in meter_zeros(session, channel, options, records)),
+        *(p for channel in measured_channels(session) for p in meter_gains(session, channel, options, records)),
     )
 
 
@@ -58,15 +60,23 @@ def input_shifts(
     """What an input is off by in each training record, or in other `records`: throughout, or where `growing` by so much
     at the end.
     """
-    size = {
-        "oil_temperature": options.instrument.oil_temperature,
-        "supply_pressure": options.instrument.supply_pressure * float(session.valve.supply_pressure),
-    }[column]
+    name = f"{column}{':growing' if growing else ''}"
+    every = session.training if records is None else records
+    sizes = [(record, _shift_size(session, record, column, options)) for record in every]
     return tuple(
-        NuisanceParameter(f"shift@{record.name}:{column}{':growing' if growing else ''}", SHIFTED[column], 0.0,
-                          size, (-4.0 * size, 4.0 * size), input=InputShift(record.name, column, growing))
-        for record in (session.training if records is None else records)
+        NuisanceParameter(f"shift@{record.name}:{name}", SHIFTED[column], 0.0, size, (-4.0 * size, 4.0 * size),
+                          input=InputShift(record.name, column, growing))
+        for record, size in sizes
     )  # fmt: skip
+
+
+def _shift_size(session: Session, record: Record, column: str, options: IdentificationOptions) -> float:
+    """What an input of a record may be off by: more where it was not measured."""
+    if column == "oil_temperature":
+        return options.instrument.oil_temperature
+    measured = column in record.values
+    share = options.instrument.supply_pressure if measured else options.instrument.assumed_supply_pressure
+    return share * float(session.valve.supply_pressure)
 
 
 DELAYED = ("supply_pressure", "return_pressure", "load_pressure")
@@ -110,27 +120,71 @@ def fastest_drift(session: Session, channel: str) -> float:
 def meter_zeros(
     session: Session, channel: str, options: IdentificationOptions, records: Sequence[Record] | None = None
 ) -> tuple[NuisanceParameter, ...]:
-    """By how much the zero of a meter is another in each training record than in all, or in each of other `records`."""
+    """By how much the zero of a meter is another in each training record than in all together, or in each of other
+    `records`: what all have in common is the sensor's bias.
+    """
     size = options.instrument.meter_zero * widest_span(session, channel)
-    measured = [r for r in (session.training if records is None else records) if channel in r.outputs]
-    return tuple(
-        _sensor_error(replace(METER_ZERO, record=record.name), channel, size, (-4.0 * size, 4.0 * size))
-        for record in measured
-        if size > 0.0
-    )
+    return _of_each_record(session, METER_ZERO, channel, size, options, records)
+
+
+def meter_gains(
+    session: Session, channel: str, options: IdentificationOptions, records: Sequence[Record] | None = None
+) -> tuple[NuisanceParameter, ...]:
+    """The same of its gain: a range that was switched, an amplifier set anew."""
+    return _of_each_record(session, METER_GAIN, channel, options.instrument.meter_gain, options, records)
+
+
+def _of_each_record(
+    session: Session,
+    error: ToleratedSensorError,
+    channel: str,
+    size: float,
+    options: IdentificationOptions,
+    records: Sequence[Record] | None,
+) -> tuple[NuisanceParameter, ...]:
+    """An error of a meter that is another in each training record than in all together, or in each of other `records`,
+    by so much. Where it was set anew it may be much more, which shows clearly.
+    """
+    reach = options.instrument.reset_reach * size
+    names = [r.name for r in (session.training if records is None else records) if channel in r.outputs]
+    ways = np.eye(len(names)) if records is not None else contrasts(len(names))
+    own = [
+        replace(error, name=f"{error.name}_{k}", records=tuple(zip(names, way, strict=True)))
+        for k, way in enumerate(ways.T.tolist())
+    ]
+    return tuple(_sensor_error(one, channel, size, (-reach, reach)) for one in own if size > 0.0)
+
+
+def contrasts(count: int) -> np.ndarray:
+    """(count, count - 1) with columns that are orthonormal, and to what is the same in all (Helmert)."""
+    steps = np.triu(np.ones((count, count - 1)))
+    steps[np.arange(1, count), np.arange(count - 1)] = -np.arange(1, count)
+    return steps / np.linalg.norm(steps, axis=0)
 
 
 def meter_linearity(session: Session, channel: str, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
-    """By how much the gain of a meter changes up to its largest reading, and between its directions where it reads both
-    ways.
+    """By how much a meter departs from the straight line through what it reads in the session: one way by a bow, both
+    ways by a gain that changes with the reading, and by one that is another in either direction.
     """
-    most, size = largest_reading(session, channel), options.instrument.meter_linearity
-    if most == 0.0:
+    read = np.concatenate([r.values[channel][r.usable[channel]] for r in session.training if channel in r.outputs])
+    largest, span = largest_reading(session, channel), float(np.ptp(read))
+    if span <= options.audit.least_spread * largest:
         return ()
-    read = [r.values[channel] for r in session.training if channel in r.outputs]
-    both_ways = min(-min(map(np.min, read)), max(map(np.max, read))) > options.instrument.both_ways * most
-    linearity = _sensor_error(METER_LINEARITY, channel, size / most, (-4.0 * size / most, 4.0 * size / most))
-    return (linearity, _sensor_error(METER_SYMMETRY, channel, size, (-4.0 * size, 4.0 * size)))[: 1 + both_ways]
+    both_ways = min(float(np.max(read)), -float(np.min(read))) > options.instrument.both_ways * largest
+    size = options.instrument.meter_linearity * largest
+    errors = (_fitted_bend(bend, channel, read / largest, largest) for bend in (BOTH_WAYS if both_ways else ONE_WAY))
+    return tuple(_sensor_error(one, channel, size, (-4.0 * size, 4.0 * size)) for one in errors)
+
+
+def _fitted_bend(bend: Bend, channel: str, shares: np.ndarray, largest: float) -> ToleratedSensorError:
+    """The error of a channel's meter that reads by a bend, less the straight line through it over readings (n,), which
+    are shares of the largest: offset and gain of a sensor are other errors.
+    """
+    slope, mean = np.polyfit(shares, bend.of(shares), 1)
+    left = float(np.max(np.abs(bend.of(shares) - mean - slope * shares)))
+    at = {"mean": float(mean), "slope": float(slope), "most": left, "largest": largest}
+    parameters = bend.error.on(channel).parameters
+    return replace(bend.error, parameters=tuple(replace(p, default=at.get(p.name, p.default)) for p in parameters))
 
 
 def largest_reading(session: Session, channel: str) -> float:
@@ -142,19 +196,18 @@ def _sensor_error(
     effect: ToleratedSensorError, channel: str, size: float, bounds: tuple[float, float]
 ) -> NuisanceParameter:
     own = effect.on(channel)
-    of = f"{effect.record}:{channel}" if effect.record else channel
-    return NuisanceParameter(f"{effect.name}@{of}", own.amplitude.unit, 0.0, size, bounds, own)
+    return NuisanceParameter(f"{effect.name}@{channel}", own.amplitude.unit, 0.0, size, bounds, own)
 
 
 def is_of_bench(parameter: NuisanceParameter) -> bool:
     """Whether a parameter is of the bench and not of the valve: an instrument's error, or a wave upon an input."""
     sensor = "" if parameter.sensor is None else parameter.sensor.name
-    return isinstance(parameter.input, InputShift | InputDelay | Wave) or sensor in (CLOCK_RATE.name, *_METERS)
+    return isinstance(parameter.input, InputShift | InputDelay | Wave) or sensor.startswith((CLOCK_RATE.name, *_METERS))
 
 
 def is_of_meter(parameter: NuisanceParameter) -> bool:
     """Whether a parameter is an error of a meter that is told as the bench's."""
-    return parameter.sensor is not None and parameter.sensor.name in _METERS
+    return parameter.sensor is not None and parameter.sensor.name.startswith(_METERS)
 
 
 def has_instrument_errors(parameters: Sequence[NuisanceParameter]) -> bool:
@@ -203,30 +256,52 @@ METER_ZERO = ToleratedSensorError(
     reading=lambda reading, p: reading.values + p.offset,
 )
 
-METER_LINEARITY = ToleratedSensorError(
-    name="meter_linearity",
-    doc="the meter's gain changes with what it reads",
+METER_GAIN = ToleratedSensorError(
+    name="meter_gain",
+    doc="the gain is another in one record",
     location="sensor",
-    signature="a curve over the reading",
+    signature="in proportion, and another in each record",
     parameters=(
-        Parameter(
-            name="curvature", unit="1/channel", doc="curvature", default=0.0, bounds=(-1e9, 1e9), neutral=0.0,
-            typical=0.01,
-        ),
-    ),
-    reading=lambda reading, p: reading.values * (1.0 + p.curvature * np.abs(reading.values)),
-)  # fmt: skip
-
-METER_SYMMETRY = ToleratedSensorError(
-    name="meter_symmetry",
-    doc="the meter's gain differs between its directions",
-    location="sensor",
-    signature="another gain above zero than below",
-    parameters=(
-        Parameter(name="difference", unit="1", doc="half the difference", default=0.0, bounds=(-0.1, 0.1), neutral=0.0,
+        Parameter(name="gain_error", unit="1", doc="gain error", default=0.0, bounds=(-0.9, 10.0), neutral=0.0,
                   typical=0.005),
     ),
-    reading=lambda reading, p: reading.values + p.difference * np.abs(reading.values),
+    reading=lambda reading, p: reading.values * (1.0 + p.gain_error),
 )  # fmt: skip
 
-_METERS = {e.name for e in (METER_DRIFT, METER_ZERO, METER_LINEARITY, METER_SYMMETRY)}
+
+@dataclass(frozen=True)
+class Bend:
+    """A departure of a meter from a straight line: its shape over readings as shares of the largest, and the error."""
+
+    of: Callable[[Any], Any]
+    error: ToleratedSensorError
+
+
+def _bend(name: str, doc: str, signature: str, shape: Callable[[Any], Any]) -> Bend:
+    def reading(seen: Reading, p: Any) -> Any:
+        x = seen.values / p.largest
+        return seen.values + p.departure * (shape(x) - p.mean - p.slope * x) / p.most
+
+    of_line = (("mean", 0.0, "line at no reading"), ("slope", 0.0, "its rise to the largest"),
+               ("most", 1.0, "what the line leaves of the shape, at most"))  # fmt: skip
+    parameters = (
+        Parameter(name="departure", unit="channel", doc="departure at most", default=0.0, bounds=(-1e9, 1e9),
+                  neutral=0.0, typical=0.01),
+        *(Parameter(name=n, unit="1", doc=d, default=v, bounds=(-1e9, 1e9)) for n, v, d in of_line),
+        Parameter(name="largest", unit="channel", doc="largest reading", default=1.0, bounds=(1e-30, 1e9)),
+    )  # fmt: skip
+    return Bend(shape, ToleratedSensorError(
+        name=name, doc=doc, location="sensor", signature=signature, parameters=parameters, reading=reading
+    ))  # fmt: skip
+
+
+ONE_WAY = (_bend("meter_bow", "the meter is off a straight line", "a bow over the reading", np.square),)
+BOTH_WAYS = (
+    _bend("meter_linearity", "the meter's gain changes with what it reads", "a curve over the reading, alike both ways",
+          lambda x: x * np.abs(x)),
+    _bend("meter_cubic", "the meter's gain changes towards its ends", "a curve over the reading, alike both ways",
+          lambda x: x**3),
+    _bend("meter_symmetry", "the meter's gain differs by direction", "another gain above zero than below", np.abs),
+)  # fmt: skip
+
+_METERS = tuple(e.name for e in (METER_DRIFT, METER_ZERO, METER_GAIN, *(bend.error for bend in (*ONE_WAY, *BOTH_WAYS))))

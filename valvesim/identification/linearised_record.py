@@ -18,7 +18,7 @@ from valvesim.identification.predictor import (
     apply_reading,
     coefficient_course,
 )
-from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError
+from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError, active_in
 from valvesim.identification.tangent_linear import (
     ChangedCoefficients,
     Course,
@@ -74,7 +74,7 @@ class LinearisedRecord:
         """The reading (n_samples,) of the channel that a further error of its sensor is of, with it."""
         channel = str(error.effect.channel)
         seen = Reading(self.predictor.fine_times, self.seen[channel], self.trajectory.oil)
-        return self.predictor.at_samples(apply_reading(error, seen))
+        return self.predictor.at_samples(apply_reading(active_in(error, self.predictor.record.name), seen))
 
     def linear_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
         """The same for several variants by the linearised equations, (n_samples, k): to first order in what they add

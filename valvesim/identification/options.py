@@ -244,15 +244,20 @@ class InstrumentOptions:
 
     oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
     supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
+    assumed_supply_pressure: float = option(
+        0.02, "1", "the same where no supply pressure was measured: the pump's setting", JUDGEMENT
+    )
     pressure_delay: float = option(3e-3, "s", "delay of a pressure transducer beside the other channels", JUDGEMENT)
     clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
     meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
     meter_zero: float = option(
         0.001, "1", "zero of a meter in one record beside the others, share of the channel's span", JUDGEMENT
     )
+    meter_gain: float = option(0.002, "1", "the same of its gain", JUDGEMENT)
+    reset_reach: float = option(50.0, "1", "deviations by which a meter that was set anew is off at most", JUDGEMENT)
     meter_linearity: float = option(
-        0.005, "1", "change of a meter's gain up to its largest reading, and half of it between its directions",
-        "flow meters: 0.3 to 1 % of the reading; transducers: a quarter of it as departure from a straight line",
+        0.00125, "1", "departure of a meter from a straight line, share of its largest reading",
+        "transducers and flow meters: 0.1 to 0.5 % at most, which is two of these and more",
     )  # fmt: skip
     both_ways: float = option(
         0.2, "1", "share of its largest reading from which a meter reads the other way too", JUDGEMENT
@@ -282,6 +287,9 @@ class PriorOptions:
     )
     network_reach: float = option(
         100.0, "1", "factor within which a figure of the thermal network is sought either way", JUDGEMENT
+    )
+    least_warming: float = option(
+        1.0, "delta_degC", "change of the oil's temperature by which the drift of a sensor is no bias", JUDGEMENT
     )
     least_feature: float = option(
         0.01, "1", "share by which a coefficient changes that an effect's own feature hangs on, to show it", JUDGEMENT
@@ -529,6 +537,15 @@ class ChannelOptions:
     )
     factor: float = option(
         5.0, "1", "times what the stated valve reads, or a share of one in as many, likewise", "no cause comes near"
+    )
+    zero_off: float = option(
+        0.5, "1", "span of the stated valve's reading by which a channel alone is off throughout", "no cause does that"
+    )
+    goes_back: float = option(
+        0.2, "1", "share of its span by which the stated valve reads on either side of zero", JUDGEMENT
+    )
+    no_way_back: float = option(
+        0.02, "1", "largest reading's share by which a meter without direction goes below zero, by noise", JUDGEMENT
     )
     by_command: float = option(
         0.5, "1", "share of a channel's variance that goes neither with time nor with the oil's temperature", JUDGEMENT

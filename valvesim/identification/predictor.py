@@ -23,7 +23,7 @@ from valvesim.identification.between_samples import (
 )
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
-from valvesim.identification.sensor_errors import reads_channel
+from valvesim.identification.sensor_errors import active_in, reads_channel
 from valvesim.identification.session import OUTPUTS, Record, Session
 from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate, integrate_parts
@@ -372,7 +372,7 @@ class RecordPredictor:
         if self.lags.get(name, 0.0) > 0.0:
             acting.append(sensor_lag(name, self.lags[name]))
         for active in acting:
-            column = apply_reading(active, Reading(times, column, oil))
+            column = apply_reading(active_in(active, self.record.name), Reading(times, column, oil))
         return column
 
     def curvatures(self, trajectory: Trajectory, variant: ModelVariant) -> dict[str, np.ndarray]:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from valvesim.valve.effect import Effect
+from valvesim.valve.effect import ActiveEffect, Effect
 
 
 @dataclass(frozen=True, kw_only=True)
 class ToleratedSensorError(Effect):
-    """A sensor's error within its tolerance, in all records or in the `record` that is named."""
+    """A sensor's error within its tolerance, by the same amount in every record, or in the `records` that are named by
+    so many times that.
+    """
 
-    record: str = ""
+    records: tuple[tuple[str, float], ...] = ()
 
 
 class ToleratedTimeError(ToleratedSensorError):
@@ -20,4 +22,14 @@ class ToleratedTimeError(ToleratedSensorError):
 
 def reads_channel(effect: Effect, channel: str, record: str) -> bool:
     """Whether an effect is of the sensor of a channel in a record."""
-    return effect.channel == channel and getattr(effect, "record", "") in ("", record)
+    own = effect.records if isinstance(effect, ToleratedSensorError) else ()
+    return effect.channel == channel and (not own or record in dict(own))
+
+
+def active_in(active: ActiveEffect, record: str) -> ActiveEffect:
+    """An effect as it acts in a record that it is of."""
+    effect = active.effect
+    if not isinstance(effect, ToleratedSensorError) or not effect.records:
+        return active
+    name = effect.amplitude.name
+    return effect(**{name: dict(effect.records)[record] * getattr(active.values, name)})

@@ -119,7 +119,8 @@ class Effect(Shown):
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
-    `feature` names the coefficient whose changes are that feature: while it stands still, it is the plainer one.
+    `feature` names the coefficient, or of a sensor's effect the part of the `Reading`, whose changes are that feature:
+    while it stands still, it is the plainer one.
     `advice` is what to do where it is found.
     `law_error` is the share of what the effect explains by which another law of the same thing may do better, and
     `figure_error` the share of its figures by which those of another law are other, where that is known by itself.

@@ -113,6 +113,7 @@ SENSOR_TEMPERATURE_DRIFT = _sensor(
     "one channel off by an offset that follows the oil temperature; every other one fits",
     amplitude_parameter("drift", f"{CHANNEL}/K", "k, signed", (-0.02, 0.02), 1e-3),
     _temperature_drift,
+    feature="oil_temperature",
 )
 SENSORS = (SENSOR_BIAS, SENSOR_GAIN, SENSOR_LAG, SENSOR_DELAY, SENSOR_TEMPERATURE_DRIFT)
 
