@@ -169,7 +169,8 @@ def test_a_record_begins_in_motion_where_its_first_residuals_alone_are_far_off(s
     assert _is_off_at_first(size * (left - decaying), options=OPTIONS)
     once = np.where(np.arange(len(TIME)) == 0, 100.0, 0.0)  # one sample is an outlier
     assert not _is_off_at_first(size * (left + once), options=OPTIONS)
-    assert not _is_off_at_first(np.array([9.0, 9.0]), options=OPTIONS)
+    for few in ([], [9.0], [9.0, 9.0]):
+        assert not _is_off_at_first(np.array(few), options=OPTIONS)
 
 
 def test_the_beginning_of_a_record_that_begins_in_motion_is_left_out_and_of_those_locked(biased_session, biased_fit):

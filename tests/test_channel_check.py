@@ -12,7 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import valvesim as vs
-from valvesim.identification.channel_check import NOZZLES, WITH_COMMAND, _by_slopes, _slopes, misread_channels
+from valvesim.identification.channel_check import (
+    NOZZLES,
+    WITH_COMMAND,
+    _by_readings,
+    _by_slopes,
+    _slopes,
+    misread_channels,
+)
 from valvesim.identification.options import DEFAULT_IDENTIFICATION
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import prepare_session
@@ -65,6 +72,42 @@ def test_a_drift_with_the_oil_that_goes_the_other_way_is_no_sign(moves, found):
     predicted = {"spool_position": command + 0.02 * oil, "internal_leakage": command}
     slopes = _slopes([record], [predicted], options=OPTIONS)
     assert slopes == {name: {k: pytest.approx(v) for k, v in own.items()} for name, own in found.items()}
+
+
+def both_ways(name, **changed):
+    """A record of channels that swing, each as the stated valve reads it but for what is `changed`, and that."""
+    time = np.linspace(0.0, 1.0, 400)
+    stated = {n: size * np.sin(2.0 * np.pi * 3.0 * time) for n, size in (("spool_position", 2e-4), ("load_flow", 3e-4))}
+    noise = np.random.default_rng(2).normal(size=400)
+    read = {n: changed.get(n, lambda m: m)(m) + 0.002 * np.max(m) * noise for n, m in stated.items()}
+    usable = dict.fromkeys(stated, np.full(400, True))
+    return SimpleNamespace(name=name, time=time, outputs=tuple(stated), values=read, usable=usable), stated
+
+
+@pytest.mark.parametrize("changed, told", [
+    ({}, []),
+    ({"load_flow": np.abs},
+     ["load_flow reads nothing below zero, where the stated valve does: is its direction lost?"]),
+    ({"spool_position": lambda m: m + 5e-4},
+     ["spool_position reads 0.5 mm more than the stated valve does, in all records: its zero?"]),
+    ({"spool_position": lambda m: 0.8 * m - 5e-4},
+     ["spool_position reads 0.5 mm less than the stated valve does, in all records: its zero?"]),
+    ({"spool_position": lambda m: m + 5e-4, "load_flow": lambda m: m + 5e-4}, []),  # the valve's null
+    ({"spool_position": lambda m: m + 1e-4}, []),  # a bias, which is fitted
+    ({"spool_position": lambda m: 0.0 * m + 5e-4}, []),  # it does not follow the command
+    ({"load_flow": lambda m: np.maximum(m, 0.0)}, []),  # one land is blocked
+])  # fmt: skip
+def test_a_lost_direction_and_a_zero_that_is_far_off_are_told(changed, told):
+    records, readings = zip(*(both_ways(name, **changed) for name in ("record_1", "record_2")), strict=True)
+    found = _by_readings(records, readings, options=OPTIONS)
+    assert [re.sub(r"0\.[45]\d* mm", "0.5 mm", words) for words in found] == told
+
+
+def test_a_zero_that_is_off_in_one_record_alone_is_another_thing():
+    (off, stated), (well, other) = both_ways("record_1", spool_position=lambda m: m + 5e-4), both_ways("record_2")
+    assert _by_readings([off, well], [stated, other], options=OPTIONS) == []
+    well.usable["spool_position"][:] = off.usable["spool_position"][:] = False  # nor does what was not read tell
+    assert _by_readings([off, well], [stated, other], options=OPTIONS) == []
 
 
 @pytest.fixture(scope="module")

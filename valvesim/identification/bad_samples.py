@@ -201,7 +201,9 @@ def without_beginnings(prepared: PreparedSession, fit: Fit) -> PreparedSession:
 def _is_off_at_first(left: np.ndarray, *, options: IdentificationOptions) -> bool:
     """Whether the first residuals of (n,) are, to one side, far more than what most of them are."""
     first, rest = left[: options.noise.beginning_samples], left[options.noise.beginning_samples :]
-    scale = 1.4826 * float(np.median(np.abs(rest))) if len(rest) else np.inf
+    if not len(rest):
+        return False
+    scale = 1.4826 * float(np.median(np.abs(rest)))
     return bool(abs(np.sign(first).sum()) == len(first) and np.min(np.abs(first)) > options.noise.beginning_off * scale)
 
 

@@ -104,21 +104,21 @@ def _by_readings(
     """
     undirected, off, measured = list[str](), list[str](), 0
     for name in dict.fromkeys(n for record in records for n in record.outputs if n in FROM_ZERO):
-        pairs = [
-            np.column_stack([r.values[name], read[name]])[r.usable[name] & np.isfinite(read[name])].T
-            for r, read in zip(records, readings, strict=True)
-            if name in r.outputs
-        ]
+        own = [(r.values[name], read[name], r.usable[name] & np.isfinite(read[name]))
+               for r, read in zip(records, readings, strict=True) if name in r.outputs]  # fmt: skip
+        pairs = [np.stack([values[good], stated[good]]) for values, stated, good in own if good.any()]
+        if not pairs:
+            continue
         y, m = np.hstack(pairs)
         span, measured = float(np.ptp(m)), measured + 1
         goes_back = min(float(np.max(m)), -float(np.min(m))) > options.goes_back * span > 0.0
         if goes_back and -np.min(y) < options.no_way_back * np.max(y) and _agree(y, np.abs(m), options=options):
             undirected.append(f"{name} reads nothing below zero, where the stated valve does: is its direction lost?")
-        zeros = np.array([np.median(own - stated) for own, stated in pairs])
+        zeros = np.array([np.median(one - stated) for one, stated in pairs])
         if abs(np.sign(zeros).sum()) == len(zeros) and np.min(np.abs(zeros)) > options.zero_off * span:
-            if all(_agree(own, stated, options=options) for own, stated in pairs):
-                by = f"{value_text(float(np.median(zeros)), UNITS[name])} more than the stated valve does"
-                off.append(f"{name} reads {by}, in all records: its zero?")
+            if all(_agree(one, stated, options=options) for one, stated in pairs):
+                by, way = value_text(float(np.median(np.abs(zeros))), UNITS[name]), "more" if zeros[0] > 0.0 else "less"
+                off.append(f"{name} reads {by} {way} than the stated valve does, in all records: its zero?")
     return [*undirected, *(off if len(off) < measured else [])]
 
 

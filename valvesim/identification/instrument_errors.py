@@ -295,6 +295,7 @@ def _bend(name: str, doc: str, signature: str, shape: Callable[[Any], Any]) -> B
     ))  # fmt: skip
 
 
+# Of meters that read one way, and of those that read both.
 ONE_WAY = (_bend("meter_bow", "the meter is off a straight line", "a bow over the reading", np.square),)
 BOTH_WAYS = (
     _bend("meter_linearity", "the meter's gain changes with what it reads", "a curve over the reading, alike both ways",
