@@ -16,7 +16,7 @@ Imperfections
     drift       one meter drifts by 0.5 to 2 % of its channel's size within each record
     saturation  one channel cannot show the outer 10 to 20 % of what it should
     meters      zero and gain of each meter are others in each record, by 0.1 % (standard deviation) of its channel's
-                size, and it is off a straight line by up to 0.2 %
+                size, and it is off a straight line by up to 0.2 % of what it ranges over
     held        one channel of one record stands at one reading for 10 to 30 samples
     burst       one channel of one record has twenty times its noise for 10 to 30 samples
     begun       the logger starts when the test has begun: the first tenth of each record is missing
@@ -178,11 +178,13 @@ def _worn(case: Case, bench: Bench, records: list[dict[str, np.ndarray]]) -> Non
     if bench.has("meters"):
         for channel in case.channels:
             dice, size = bench.dice("meters", channel), AMPLITUDE[channel]
-            bend, largest = dice.uniform(-2e-3, 2e-3), max(float(np.max(np.abs(record[channel]))) for record in records)
+            high = max(float(np.max(record[channel])) for record in records)
+            low = min(float(np.min(record[channel])) for record in records)
+            middle, bend, ends = 0.5 * (high + low), dice.uniform(-2e-3, 2e-3), np.array([low, high])
             for record in records:
-                x, gain, zero = record[channel] / largest, *dice.normal(0.0, 1e-3, 2)
-                off = size * zero + 4.0 * bend * largest * x * (np.abs(x) - 0.75)
-                record[channel] = record[channel] * (1.0 + gain) + off
+                x, gain, zero = (record[channel] - middle) / np.ptp(ends) * 2.0, *dice.normal(0.0, 1e-3, 2)
+                off = size * zero + np.ptp(ends) * bend * 4.0 * x * (np.abs(x) - 0.75)
+                record[channel] = middle + (record[channel] - middle) * (1.0 + gain) + off
     if bench.has("drift"):
         dice = bench.dice("drift")
         channel, by = str(dice.choice(channels)), dice.uniform(0.005, 0.02) * dice.choice((-1.0, 1.0))

@@ -464,7 +464,7 @@ def test_a_way_of_the_commands_that_promises_to_be_the_best_is_fitted_further(
 def test_figures_at_their_limits_that_no_cause_could_stand_for_are_another_valve(monkeypatch, at, left, beside, other):
     rows, reach = 2e3, IDENTIFICATION.prior.reach
     assert reach == 10.0
-    parameters = [SimpleNamespace(is_of_valve=k < 4) for k in range(5)]
+    parameters = [SimpleNamespace(is_of_valve=k < 4, sensor=None) for k in range(5)]
     study = SimpleNamespace(nominal=SimpleNamespace(parameters=parameters), options=IDENTIFICATION)
     fit = SimpleNamespace(point=np.array(at), chi_square=left + rows, rows=rows)
     likeliest = SimpleNamespace(chi_square=beside + rows, rows=rows)
@@ -477,7 +477,7 @@ def test_records_that_neither_the_valve_nor_a_likely_cause_comes_near_are_of_ano
     fit, likeliest = (SimpleNamespace(name=name, chi_square=2e4, rows=1e4) for name in ("nominal", "cause"))
     fit.point = np.zeros(1)
     study = SimpleNamespace(
-        nominal=SimpleNamespace(parameters=[SimpleNamespace(is_of_valve=True)]), options=IDENTIFICATION
+        nominal=SimpleNamespace(parameters=[SimpleNamespace(is_of_valve=True, sensor=None)]), options=IDENTIFICATION
     )
     monkeypatch.setattr(detection, "is_inadequate", lambda nominal, fit, *, options: fit.name not in near)
     assert is_other_valve(SimpleNamespace(study=study, fit=fit), likeliest, options=DIAGNOSIS) is other
