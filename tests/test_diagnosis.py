@@ -368,7 +368,9 @@ def test_what_rests_on_a_figure_that_no_part_has_is_left_over(bias, rests):
     point = np.array([min(bias / 2.0, OPTIONS.prior.reach)])
     left = bias - point[0]
     gram = GramMatrix(np.array([[[left**2, left], [left, 1.0]]]), point, (1,))
-    final = SimpleNamespace(gram=gram, own=(), fit=SimpleNamespace(point=point), study=SimpleNamespace(options=OPTIONS))
+    nominal = SimpleNamespace(parameters=[SimpleNamespace(sensor=None)] * len(point))
+    study = SimpleNamespace(options=OPTIONS, nominal=nominal)
+    final = SimpleNamespace(gram=gram, own=(), fit=SimpleNamespace(point=point), study=study)
     prior = 10.0**2 - 5.0**2 if rests else 0.0
     assert rests_on_limits(final) == pytest.approx(rests - prior)
 

@@ -293,13 +293,15 @@ def _frozen(record: Record, channel: str, noisy: bool, *, options: Identificatio
     `noisy`, for all records are fast, the reading must go on with a jump.
     """
     values, command, audit = record.values[channel], record.values[record.command], options.audit
-    equal = np.diff(values) == 0.0
+    read = record.usable[channel]
+    both = read[1:] & read[:-1]
+    equal = (np.diff(values) == 0.0) & both
     runs = np.flatnonzero(np.diff(equal.astype(int), prepend=0, append=0)).reshape(-1, 2)
     length = np.diff(runs, axis=1)[:, 0]
     frozen = np.zeros(len(values), dtype=bool)
     for a, b in runs[length >= _longest_by_chance(audit.frozen_rest / len(values), len(values), options=options)]:
         frozen[a : b + 1] = np.ptp(command[a : b + 1]) > audit.flat_reach * np.ptp(command)
-    beside = ~(frozen[1:] & frozen[:-1])
+    beside = both & ~(frozen[1:] & frozen[:-1])
     chance = float(np.mean(equal[beside])) if beside.any() else 1.0
     longest = _longest_by_chance(audit.frozen_rest * chance, len(values), options=options)
     for a, b in runs[length < longest]:
