@@ -51,7 +51,6 @@ from valvesim.identification.instrument_errors import (
     contrasts,
     instrument_errors,
     is_of_meter,
-    largest_reading,
     meter_drifts,
     meter_gains,
     meter_linearity,
@@ -59,6 +58,7 @@ from valvesim.identification.instrument_errors import (
 )
 from valvesim.identification.nominal_fit import _retuned, linearise_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
+from valvesim.identification.prior import largest_reading
 from valvesim.identification.refinement import refined
 from valvesim.identification.sensor_errors import active_in, reads_channel
 from valvesim.identification.session import Record, value_text
@@ -544,7 +544,7 @@ def test_a_meter_that_is_not_linear_departs_from_the_line_through_its_readings(b
 
 
 def test_a_meter_that_reads_next_to_nothing_else_has_no_bend(biased_session):
-    for still in (np.zeros_like, lambda values: 5e-4 + 1e-6 * values):
+    for still in (np.zeros_like, lambda values: 5e-4 + 1e-6 * values, lambda values: 1e-4 * (values > 0.0)):
         session = with_readings(biased_session, "spool_position", still)
         assert meter_linearity(session, "spool_position", IDENTIFICATION) == ()
 
@@ -576,17 +576,17 @@ def test_the_zero_of_a_meter_moves_between_records_and_is_told_by_how_much(biase
         zeros = meter_zeros(session, channel, IDENTIFICATION)
         assert len(zeros) == count - 1 and all(map(is_of_meter, zeros)) and len({p.name for p in zeros}) == count - 1
         amounts = np.random.default_rng(3).normal(size=count - 1) * zeros[0].deviation
-        active = [p.sensor(offset=float(a)) for p, a in zip(zeros, amounts, strict=True)]
+        active = [p.sensor(bias=float(a)) for p, a in zip(zeros, amounts, strict=True)]
         check_listed_once(active)
         offsets = [
-            sum(float(active_in(a, r.name).values.offset) for a in active if reads_channel(a.effect, channel, r.name))
+            sum(float(active_in(a, r.name).values.bias) for a in active if reads_channel(a.effect, channel, r.name))
             for r in many
         ]
         np.testing.assert_allclose(offsets, contrasts(count) @ amounts)
         words = bench_faults._zero_words(channel)(amounts)
         assert words == f"the zero of {channel} moves by up to {value_text(np.ptp(offsets), 'm')} between records"
     (own,) = meter_zeros(biased_session, channel, IDENTIFICATION, records[:1])
-    assert active_in(own.sensor(offset=2e-6), records[0].name).values.offset == 2e-6
+    assert active_in(own.sensor(bias=2e-6), records[0].name).values.bias == 2e-6
     assert not reads_channel(own.sensor, channel, records[1].name)
 
 

@@ -35,6 +35,8 @@ def test_nothing_is_found_in_few_samples_in_silence_or_at_rest():
     square, level = turns(5.0, 1)
     few = OPTIONS.audit.least_samples - 1
     assert _growth(square[:few], level[:few], options=OPTIONS) == 0.0
+    for still in (np.ones_like(level), 3.0 + 1e-12 * level):  # a square wave, a pressure that is held
+        assert _growth(square, still, options=OPTIONS) == 0.0
     assert _growth(0.0 * square, level, options=OPTIONS) == _growth(square, 0.0 * level, options=OPTIONS) == 0.0
 
 

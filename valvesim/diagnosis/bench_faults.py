@@ -53,7 +53,6 @@ from valvesim.identification.instrument_errors import (
     input_delays,
     input_shifts,
     instrument_errors,
-    largest_reading,
     meter_drifts,
     meter_gains,
     meter_linearity,
@@ -73,7 +72,7 @@ from valvesim.identification.nominal_fit import (
     with_inputs_reviewed,
     with_nuisance,
 )
-from valvesim.identification.prior import NuisanceParameter, measured_channels
+from valvesim.identification.prior import NuisanceParameter, largest_reading, measured_channels
 from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import UNITS, Session, value_text
 from valvesim.identification.study import Study

@@ -1,5 +1,5 @@
 """Errors of a bench's instruments that no record tells, as nuisance parameters: inputs that are off, wander or are read
-late, clocks that run apart, meters whose zero moves, or which are not quite linear.
+late, clocks that run apart, meters whose zero or gain moves, or which are not linear.
 
 Their priors are as wide as such errors are on ordinary benches. They join the nominal model where it cannot explain the
 records without them.
@@ -15,10 +15,11 @@ import numpy as np
 
 from valvesim.identification.between_samples import InputDelay, InputShift, Wave
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.prior import NuisanceParameter, measured_channels, widest_span
+from valvesim.identification.prior import NuisanceParameter, largest_reading, measured_channels, widest_span
 from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.session import Record, Session
 from valvesim.valve.effect import Parameter, Reading
+from valvesim.valve.effects.sensors import SENSOR_BIAS, SENSOR_GAIN
 
 
 def instrument_errors(session: Session, *, options: IdentificationOptions) -> tuple[NuisanceParameter, ...]:
@@ -34,8 +35,8 @@ def instrument_errors(session: Session, *, options: IdentificationOptions) -> tu
 def errors_of_records(
     session: Session, options: IdentificationOptions, records: Sequence[Record] | None = None
 ) -> tuple[NuisanceParameter, ...]:
-    """Those that are others in each training record, or in each of other `records`: of its inputs, and where its meters
-    stand at zero.
+    """Those that are others in each training record, or in each of other `records`: of its inputs, and of its meters'
+    zeros and gains.
     """
     ways = [(column, growing) for column in SHIFTED for growing in (False, True)]
     return (
@@ -173,23 +174,21 @@ def meter_linearity(session: Session, channel: str, options: IdentificationOptio
     both_ways = min(float(np.max(read)), -float(np.min(read))) > options.instrument.both_ways * largest
     size = options.instrument.meter_linearity * largest
     errors = (_fitted_bend(bend, channel, read / largest, largest) for bend in (BOTH_WAYS if both_ways else ONE_WAY))
-    return tuple(_sensor_error(one, channel, size, (-4.0 * size, 4.0 * size)) for one in errors)
+    return tuple(_sensor_error(one, channel, size, (-4.0 * size, 4.0 * size)) for one in errors if one is not None)
 
 
-def _fitted_bend(bend: Bend, channel: str, shares: np.ndarray, largest: float) -> ToleratedSensorError:
+def _fitted_bend(bend: Bend, channel: str, shares: np.ndarray, largest: float) -> ToleratedSensorError | None:
     """The error of a channel's meter that reads by a bend, less the straight line through it over readings (n,), which
-    are shares of the largest: offset and gain of a sensor are other errors.
+    are shares of the largest: offset and gain of a sensor are other errors. None where that line is all: two readings
+    tell of no bend.
     """
     slope, mean = np.polyfit(shares, bend.of(shares), 1)
     left = float(np.max(np.abs(bend.of(shares) - mean - slope * shares)))
+    if left < 1e-9:  # rounding
+        return None
     at = {"mean": float(mean), "slope": float(slope), "most": left, "largest": largest}
     parameters = bend.error.on(channel).parameters
     return replace(bend.error, parameters=tuple(replace(p, default=at.get(p.name, p.default)) for p in parameters))
-
-
-def largest_reading(session: Session, channel: str) -> float:
-    """The largest reading of a channel in the training records, either way."""
-    return max(float(np.max(np.abs(r.values[channel]))) for r in session.training if channel in r.outputs)
 
 
 def _sensor_error(
@@ -250,10 +249,10 @@ METER_ZERO = ToleratedSensorError(
     signature="an offset that is another in each record",
     parameters=(
         Parameter(
-            name="offset", unit="channel", doc="offset", default=0.0, bounds=(-1e9, 1e9), neutral=0.0, typical=0.01
+            name="bias", unit="channel", doc="offset", default=0.0, bounds=(-1e9, 1e9), neutral=0.0, typical=0.01
         ),
     ),
-    reading=lambda reading, p: reading.values + p.offset,
+    reading=SENSOR_BIAS.reading,
 )
 
 METER_GAIN = ToleratedSensorError(
@@ -265,7 +264,7 @@ METER_GAIN = ToleratedSensorError(
         Parameter(name="gain_error", unit="1", doc="gain error", default=0.0, bounds=(-0.9, 10.0), neutral=0.0,
                   typical=0.005),
     ),
-    reading=lambda reading, p: reading.values * (1.0 + p.gain_error),
+    reading=SENSOR_GAIN.reading,
 )  # fmt: skip
 
 

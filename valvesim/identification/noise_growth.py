@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.prior import largest_reading
+from valvesim.identification.projection import inverse_of
 from valvesim.identification.session import Record, Session
 
 
@@ -38,9 +40,9 @@ def growth_notes(session: Session, growth: Mapping[str, float]) -> list[str]:
     """What to say of the growth (1/unit) of channels."""
     notes = []
     for name, r in growth.items():
-        most = max(float(np.max(np.abs(record.values[name]))) for record in session.training if name in record.outputs)
+        times = float(grown(r, np.array(largest_reading(session, name))))
         notes.append(
-            f"{name}: its noise grows with the reading, to {float(grown(r, np.array(most))):.2g} times at the largest; "
+            f"{name}: its noise grows with the reading, to {times:.2g} times at the largest; "
             "its deviation is given for a reading of zero"
         )
     return notes
@@ -67,18 +69,21 @@ def _difference(one: Record, other: Record, name: str) -> tuple[np.ndarray, np.n
 
 
 def _growth(square: np.ndarray, level: np.ndarray, *, options: IdentificationOptions) -> float:
-    """The growth r by squares (n,) over squared readings (n,); 0 where it is not significant, or little."""
-    most = float(np.max(level, initial=0.0))
-    if len(square) < options.audit.least_samples or most == 0.0 or not np.any(square):
+    """The growth r by squares (n,) over squared readings (n,); 0 where it is not significant, or little, or where the
+    reading hardly changes.
+    """
+    if len(square) < options.audit.least_samples or not np.any(square):
+        return 0.0
+    most = float(np.max(level))
+    if np.ptp(level) <= options.audit.least_spread * most:
         return 0.0
     A, weight = np.column_stack([np.ones_like(level), level / most]), np.ones_like(level)
     for _ in range(options.noise.growth_steps):
-        normal = A.T @ (weight[:, None] * A)
-        base, slope = np.linalg.solve(normal, A.T @ (weight * square))
+        base, slope = inverse_of(A.T @ (weight[:, None] * A)) @ (A.T @ (weight * square))
         base = max(float(base), options.noise.growth_floor * float(np.mean(square)))
         variance = base + max(float(slope), 0.0) * level / most
         weight = 1.0 / (2.0 * variance**2)  # of the square of a normal variable
-    deviation = float(np.sqrt(np.linalg.inv(A.T @ (weight[:, None] * A))[1, 1]))
+    deviation = float(np.sqrt(inverse_of(A.T @ (weight[:, None] * A))[1, 1]))
     if slope < options.noise.growth_significance * deviation or slope < options.noise.least_growth * base:
         return 0.0
     return float(np.sqrt(slope / (base * most)))

@@ -255,3 +255,8 @@ def widest_span(session: Session, channel: str) -> float:
     """The widest span of a channel's readings in a training record."""
     values = [record.values[channel] for record in session.training if channel in record.outputs]
     return float(max(np.ptp(v) for v in values))
+
+
+def largest_reading(session: Session, channel: str) -> float:
+    """The largest reading of a channel in the training records, either way."""
+    return max(float(np.max(np.abs(r.values[channel]))) for r in session.training if channel in r.outputs)
