@@ -137,6 +137,17 @@ def test_a_burst_of_noise_is_found_and_noise_a_misfit_or_a_step_is_none(seed, co
     assert _bursts(size * alternating, np.full(len(TIME), 1e3 * size), options=OPTIONS) == []
 
 
+@pytest.mark.parametrize("missing", [0.3, 0.6])
+def test_a_burst_is_found_where_much_of_its_record_is_left_out_already(missing):
+    draw, resolution = np.random.default_rng(5), 0.6
+    left = draw.normal(size=len(TIME))
+    left[20:32] += 30.0 * (-1.0) ** np.arange(12)
+    left[len(TIME) - int(missing * len(TIME)) :] = np.nan
+    ((start, end),) = _bursts(left, np.full(len(TIME), resolution), options=OPTIONS)
+    assert 13 <= start <= 20 and 32 <= end <= 39
+    assert _bursts(np.full(len(TIME), np.nan), np.zeros(len(TIME)), options=OPTIONS) == []
+
+
 def test_noise_that_is_everywhere_is_no_burst():
     loud = np.where(TIME < 0.5 * TIME[-1], 1.0, 50.0) * np.random.default_rng(3).normal(size=len(TIME))
     assert _bursts(loud, np.zeros(len(TIME)), options=OPTIONS) == []

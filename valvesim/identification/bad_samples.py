@@ -225,9 +225,13 @@ def _bursts(left: np.ndarray, floor: np.ndarray, *, options: IdentificationOptio
     """First and one past the last sample of each burst in residuals (n,), NaN where there is none, that may turn by
     `floor` (n,) at each sample; none where there are too many.
     """
-    turn = np.zeros(len(left))
-    turn[1:-1] = np.nan_to_num(np.diff(left, 2))
-    common = 1.4826 * float(np.median(np.abs(turn)))
+    turn = np.full(len(left), np.nan)
+    turn[1:-1] = np.diff(left, 2)
+    read = np.isfinite(turn)
+    if not read.any():
+        return []
+    common = 1.4826 * float(np.median(np.abs(turn[read])))
+    turn[~read] = 0.0
     large = np.abs(turn) > options.noise.burst * np.hypot(common, floor)
     beside = options.noise.burst_beside
     bridged = np.convolve(large, np.ones(2 * beside + 1), "same") > 0.0
