@@ -610,18 +610,31 @@ def plateaus(noise, grid):
     return levels, np.minimum(np.round(read / grid) * grid, 0.186)
 
 
-def test_a_plateau_without_the_noise_of_the_others_is_saturated(session):
-    levels, read = plateaus(2e-3, 5e-4)
+@pytest.mark.parametrize("noise", [2e-3, 2e-4])
+def test_a_plateau_without_the_noise_of_the_others_is_saturated(session, noise):
+    levels, read = plateaus(noise, 5e-4)
     (record,) = session("", a=columns(**{CURRENT: levels, SPOOL: read})).records
     assert np.array_equal(record.usable["spool_position"], read < 0.186)
     assert 0.2 < np.mean(read >= 0.186) < 0.5
 
 
-@pytest.mark.parametrize("noise, grid", [(0.0, 5e-4), (2e-4, 5e-4), (2e-6, 1e-7)])
+@pytest.mark.parametrize("noise, grid", [(0.0, 5e-4), (5e-5, 5e-4), (2e-6, 1e-7)])
 def test_a_plateau_where_the_others_show_no_noise_either_is_not_told_to_be_saturated(session, noise, grid):
     levels, read = plateaus(noise, grid)
     (record,) = session("", a=columns(**{CURRENT: levels, SPOOL: read})).records
     assert record.usable["spool_position"].all()
+
+
+@pytest.mark.parametrize(
+    "noise, top, saturated",
+    [(1.0, 0.18, True), (0.6, 0.18, True), (1.0, 1.0, False), (0.0, 0.18, False), (0.2, 1.0, False)],
+)
+def test_a_plateau_whose_noise_would_be_of_the_sensors_resolution_is_saturated(session, noise, top, saturated):
+    levels, grid = np.repeat([0.5, 0.1, 0.965, 0.4, -0.3, 0.2], len(TIME) // 6 + 1)[: len(TIME)], 5e-4
+    read = 0.2 * levels + noise * grid * np.random.default_rng(3).normal(size=len(levels))
+    read = np.minimum(np.round(read / grid) * grid, top)
+    (record,) = session("", a=columns(**{CURRENT: levels, SPOOL: read})).records
+    assert np.array_equal(record.usable["spool_position"], (read < top) | (not saturated))
 
 
 def test_levels_that_a_coarse_sensor_rounds_alike_are_no_flat_top(session):

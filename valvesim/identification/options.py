@@ -39,6 +39,10 @@ class AuditOptions:
     flat_samples: int = option(10, "1", "equal readings in a row at the extreme that make a flat top", JUDGEMENT)
     top_samples: int = option(3, "1", "equal readings in a row at the extreme that a step may leave there", JUDGEMENT)
     few_tops: int = option(4, "1", "readings at the extreme, and none next to it, that are saturated", JUDGEMENT)
+    top_rests: int = option(3, "1", "other rests of the command that long, whose second half has noise", JUDGEMENT)
+    top_ratio: float = option(
+        3.0, "1", "times as long as equal readings in any of these that a channel stands at its extreme", JUDGEMENT
+    )
     frozen_false_alarm: float = option(
         1e-6, "1", "chance of so many equal readings in a row in a record: with less they are a dead channel's", "noise"
     )

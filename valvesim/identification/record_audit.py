@@ -296,7 +296,7 @@ def _frozen(record: Record, channel: str, noisy: bool, *, options: Identificatio
     read = record.usable[channel]
     both = read[1:] & read[:-1]
     equal = (np.diff(values) == 0.0) & both
-    runs = np.flatnonzero(np.diff(equal.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    runs = _runs_of(equal)
     length = np.diff(runs, axis=1)[:, 0]
     frozen = np.zeros(len(values), dtype=bool)
     for a, b in runs[length >= _longest_by_chance(audit.frozen_rest / len(values), len(values), options=options)]:
@@ -331,6 +331,12 @@ def _has_noise(values: np.ndarray) -> bool:
     """Whether neighbouring readings scatter: second differences of noise go to and fro, those of a motion do not."""
     bend = np.diff(values, 2)
     return len(bend) > 1 and float(np.sum(bend[1:] * bend[:-1])) < -0.33 * float(np.sum(bend**2))  # noise: -2/3
+
+
+def _returns(values: np.ndarray) -> bool:
+    """Whether readings go up nearly as often as down: those that creep from level to level of a grid do not."""
+    steps = np.diff(values)
+    return bool(min(np.sum(steps > 0.0), np.sum(steps < 0.0)) > 0.25 * np.count_nonzero(steps))
 
 
 def _saturated(record: Record, sensor: Sensor) -> np.ndarray:
@@ -407,23 +413,26 @@ def _noiseless_top(
     records: Sequence[Record], sensor: Sensor, side: float, top: float, *, options: IdentificationOptions
 ) -> bool:
     """Whether a channel stands at the very top for long without its noise, which it shows wherever else the command
-    rests: the plateau of a step, cut off.
+    rests: the plateau of a step, cut off. Noise of the size of its resolution shows in that no other rest of such a
+    length has equal readings for nearly as long.
     """
-    long, scatter = False, list[np.ndarray]()
-    span = _span(records, sensor.channel)
-    asked = _asked(records)
+    audit, channel = options.audit, sensor.channel
+    stays, rests, asked = [0], list[np.ndarray](), _asked(records)
     for record in records:
-        values, usable = side * record.values[sensor.channel], record.usable[sensor.channel]
-        stays = np.diff(_runs_at(values, top, usable))
-        long |= bool(np.any(stays >= options.audit.flat_samples))
-        moved = np.abs(np.diff(record.values[record.command])) > options.audit.least_motion * asked
-        below = usable & (values < top)
-        quiet = below[:-2] & below[1:-1] & below[2:] & ~moved[:-1] & ~moved[1:]
-        scatter.append(np.abs(np.diff(values, 2))[quiet])
-    seen = np.concatenate(scatter)
-    if not long or len(seen) < options.audit.flat_samples:
+        values, usable = side * record.values[channel], record.usable[channel]
+        stays += np.diff(_runs_at(values, top, usable)).ravel().tolist()
+        moved = np.abs(np.diff(record.values[record.command], prepend=np.nan)) > audit.least_motion * asked
+        rests += [values[a:b] for a, b in _runs_of(usable & (values < top) & ~moved)]
+    longest = max(stays)
+    bends = np.concatenate([np.abs(np.diff(values, 2)) for values in rests] or [np.empty(0)])
+    if min(longest, len(bends)) < audit.flat_samples:
         return False
-    return bool(np.median(seen) > max(3.0 * sensor.resolution, options.audit.finest_grid * span))
+    if np.median(bends) > max(3.0 * sensor.resolution, audit.finest_grid * _span(records, channel)):
+        return True
+    alike = [values[len(values) // 2 :] for values in rests if len(values) + 1 >= longest]  # it begins with a step
+    equal = [int(np.max(np.diff(_runs_of(np.diff(values) == 0.0)), initial=0)) + 1 for values in alike]
+    noisy = sum(_has_noise(values) and _returns(values) for values in alike) >= audit.top_rests
+    return noisy and sensor.resolution > 0.0 and longest > audit.top_ratio * max(equal)
 
 
 def _span(records: Sequence[Record], channel: str) -> float:
@@ -438,5 +447,9 @@ def _asked(records: Sequence[Record]) -> float:
 
 def _runs_at(values: np.ndarray, top: float, usable: np.ndarray) -> np.ndarray:
     """[first, end) of each run of readings (n,) at `top`, (runs, 2)."""
-    at_top = usable & (values == top)
-    return np.flatnonzero(np.diff(at_top.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    return _runs_of(usable & (values == top))
+
+
+def _runs_of(marked: np.ndarray) -> np.ndarray:
+    """[first, end) of each run of True in (n,), (runs, 2)."""
+    return np.flatnonzero(np.diff(marked.astype(int), prepend=0, append=0)).reshape(-1, 2)
