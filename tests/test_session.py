@@ -530,6 +530,19 @@ def test_a_reading_that_is_held_for_some_samples_is_left_out_of_a_fast_record(se
     assert loaded.records[1].usable["spool_position"].all()
 
 
+def test_a_reading_that_is_held_is_left_out_beside_crests_that_are_cut_off(session):
+    """Fifteen held readings of a chirp whose crests were saturated made an erosion of the nozzles `unknown`."""
+    noise = 1e-3 * np.random.default_rng(1).normal(size=(2, len(TIME)))
+    chirp = np.sin(2.0 * np.pi * (15.0 + 150.0 * TIME) * TIME)
+    fast, slow = (np.minimum(np.round(one, 6), 0.09) for one in (0.2 * chirp + noise[0], 0.2 * WAVE + noise[1]))
+    held = np.where((np.arange(len(TIME)) >= 130) & (np.arange(len(TIME)) < 145), fast[130], fast)
+    assert held[130] < 0.09 and 0.2 < np.mean(np.diff(fast) == 0.0) < 0.4
+    loaded = session("", a=columns(**{CURRENT: chirp, SPOOL: held}), b=columns(**{SPOOL: slow}))
+    usable = loaded.records[0].usable["spool_position"]
+    held_at = (np.arange(len(TIME)) >= 130) & (np.arange(len(TIME)) < 145)
+    assert np.array_equal(usable, (held < 0.09) & ~held_at)
+
+
 def test_a_spool_that_sticks_and_starts_slowly_stays_where_no_channel_shows_noise(session):
     since = np.mod(TIME, 0.05) - 0.02  # stands for 20 ms, starts, and moves on to another place
     stuck = 0.2 * np.cumsum(np.where(since > 0.0, since * np.cos(17.0 * np.pi * TIME), 0.0))

@@ -266,8 +266,9 @@ def _usable_record(
                          f"{record.command} moves, and is left out")  # fmt: skip
             continue
         saturated = _saturated(record, sensors[name])
-        frozen = _frozen(record, name, name in noisy, options=options) & ~saturated
-        good = record.usable[name] & ~saturated & ~frozen
+        within = record.usable[name] & ~saturated
+        frozen = _frozen(record, name, within, name in noisy, options=options)
+        good = within & ~frozen
         left_out = " and is left out" if np.mean(good) < 0.5 * record.shares.get(name, 1.0) else ""
         if frozen.any():
             begin = int(np.argmax(frozen))
@@ -287,13 +288,14 @@ def _usable_record(
     return replace(record, usable=usable)
 
 
-def _frozen(record: Record, channel: str, noisy: bool, *, options: IdentificationOptions) -> np.ndarray:
-    """Where a channel with noise stands at one reading while the command goes on: a cable that came off, a logger that
-    holds its last reading. A spool that sticks keeps the noise of its sensor. Where the channel is not known to be
-    `noisy`, for all records are fast, the reading must go on with a jump.
+def _frozen(
+    record: Record, channel: str, read: np.ndarray, noisy: bool, *, options: IdentificationOptions
+) -> np.ndarray:
+    """Where a channel with noise, read within its range in samples (n,), stands at one reading while the command goes
+    on: a cable that came off, a logger that holds its last reading. A spool that sticks keeps the noise of its sensor.
+    Where the channel is not known to be `noisy`, for all records are fast, the reading must go on with a jump.
     """
     values, command, audit = record.values[channel], record.values[record.command], options.audit
-    read = record.usable[channel]
     both = read[1:] & read[:-1]
     equal = (np.diff(values) == 0.0) & both
     runs = _runs_of(equal)
