@@ -533,13 +533,13 @@ def test_a_reading_that_is_held_for_some_samples_is_left_out_of_a_fast_record(se
 def test_a_reading_that_is_held_is_left_out_beside_crests_that_are_cut_off(session):
     """Fifteen held readings of a chirp whose crests were saturated made an erosion of the nozzles `unknown`."""
     noise = 1e-3 * np.random.default_rng(1).normal(size=(2, len(TIME)))
-    chirp = np.sin(2.0 * np.pi * (15.0 + 150.0 * TIME) * TIME)
+    chirp = np.sin(2.0 * np.pi * (80.0 + 50.0 * TIME) * TIME)
     fast, slow = (np.minimum(np.round(one, 6), 0.09) for one in (0.2 * chirp + noise[0], 0.2 * WAVE + noise[1]))
-    held = np.where((np.arange(len(TIME)) >= 130) & (np.arange(len(TIME)) < 145), fast[130], fast)
-    assert held[130] < 0.09 and 0.2 < np.mean(np.diff(fast) == 0.0) < 0.4
+    held = np.where((np.arange(len(TIME)) >= 127) & (np.arange(len(TIME)) < 142), fast[127], fast)
+    assert held[127] < 0.09 and 0.15 < np.mean(np.diff(fast) == 0.0) < 0.4
     loaded = session("", a=columns(**{CURRENT: chirp, SPOOL: held}), b=columns(**{SPOOL: slow}))
     usable = loaded.records[0].usable["spool_position"]
-    held_at = (np.arange(len(TIME)) >= 130) & (np.arange(len(TIME)) < 145)
+    held_at = (np.arange(len(TIME)) >= 127) & (np.arange(len(TIME)) < 142)
     assert np.array_equal(usable, (held < 0.09) & ~held_at)
 
 
