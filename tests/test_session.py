@@ -552,6 +552,22 @@ def test_a_spool_that_sticks_and_starts_slowly_stays_where_no_channel_shows_nois
     assert np.flatnonzero(~usable).tolist() == list(range(100, 108))
 
 
+def test_a_channel_without_noise_that_stands_once_while_the_command_goes_far_is_held(session):
+    """Twenty held readings of a pilot pressure under a sine made a spool lap `unknown` after 369 s."""
+    turning = np.sin(2.0 * np.pi * 90.0 * TIME)
+    held = np.where((np.arange(len(TIME)) >= 60) & (np.arange(len(TIME)) < 75), 0.2 * turning[60], 0.2 * turning)
+    usable = session("", a=columns(**{CURRENT: turning, SPOOL: held})).records[0].usable["spool_position"]
+    assert np.flatnonzero(~usable).tolist() == list(range(60, 75))
+    for command in (turning, np.sin(2.0 * np.pi * 20.0 * TIME)):  # what sticks does so in each turn
+        sticking, at = np.empty(len(TIME)), 0.0
+        for k, asked in enumerate(command):
+            at = asked - np.clip(asked - at, -0.3, 0.3)
+            sticking[k] = 0.2 * at
+        for stopped in (sticking, np.minimum(0.2 * command, 0.1)):
+            (record,) = session("", a=columns(**{CURRENT: command, SPOOL: stopped})).records
+            assert record.usable["spool_position"][stopped < np.max(stopped)].all()
+
+
 def test_a_coarse_channel_that_stands_still_stays(session):
     coarse = columns(**{SPOOL: 0.2 * np.round(2.0 * WAVE)})
     assert session("", a=coarse).records[0].usable["spool_position"].all()

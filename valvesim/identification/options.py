@@ -40,9 +40,10 @@ class AuditOptions:
     top_samples: int = option(3, "1", "equal readings in a row at the extreme that a step may leave there", JUDGEMENT)
     few_tops: int = option(4, "1", "readings at the extreme, and none next to it, that are saturated", JUDGEMENT)
     top_rests: int = option(3, "1", "other rests of the command that long, whose second half has noise", JUDGEMENT)
-    top_ratio: float = option(
-        3.0, "1", "times as long as equal readings in any of these that a channel stands at its extreme", JUDGEMENT
-    )
+    stay_ratio: float = option(
+        3.0, "1", "times as long as equal readings elsewhere that a channel stands where it is saturated or held",
+        JUDGEMENT,
+    )  # fmt: skip
     frozen_false_alarm: float = option(
         1e-6, "1", "chance of so many equal readings in a row in a record: with less they are a dead channel's", "noise"
     )
@@ -51,6 +52,9 @@ class AuditOptions:
     )
     frozen_jump: float = option(
         3.0, "1", "times the readings' steps beside it by which they jump where they are no longer held", JUDGEMENT
+    )
+    held_reach: float = option(
+        0.5, "1", "share of its span that the command moves while a channel stands once", "no friction is so large"
     )
     frozen_rest: float = option(2.0, "1", "times that share at rest, where readings are equal more often", JUDGEMENT)
     flat_reach: float = option(

@@ -310,8 +310,13 @@ def _frozen(
         frozen[a : b + 1] = False
     if chance > audit.frozen_chance:
         return np.zeros(len(values), dtype=bool)
-    for a, b in runs:
-        frozen[a : b + 1] &= noisy or _ends_in_jump(values, a, b, options=options)
+    for k, (a, b) in enumerate(runs):
+        others = np.delete(length, k)
+        frozen[a : b + 1] &= (
+            noisy
+            or _ends_in_jump(values, a, b, options=options)
+            or _stands_once(values, command, read, (a, b), others, options=options)
+        )
     return frozen
 
 
@@ -327,6 +332,20 @@ def _ends_in_jump(values: np.ndarray, start: int, end: int, *, options: Identifi
         return False
     before, jump, after = np.abs(np.diff(values[[start - 1, start, end, end + 1, end + 2]]))[[0, 2, 3]]
     return bool(after > 0.0 and jump > options.audit.frozen_jump * max(before, after))
+
+
+def _stands_once(
+    values: np.ndarray, command: np.ndarray, read: np.ndarray, run: tuple[int, int], others: np.ndarray,
+    *, options: IdentificationOptions,
+) -> bool:  # fmt: skip
+    """Whether readings stand within their range from `run` begin to end, while the command goes far, and never again
+    for nearly as long (`others`): what sticks, or is at a stop, is so in each turn.
+    """
+    (start, end), audit = run, options.audit
+    far = np.ptp(command[start : end + 1]) > audit.held_reach * np.ptp(command)
+    alone = end - start > audit.stay_ratio * np.max(others, initial=0)
+    within = np.min(values[read]) < values[start] < np.max(values[read])
+    return bool(far and alone and within and start > 0 and end + 1 < len(values))
 
 
 def _has_noise(values: np.ndarray) -> bool:
@@ -434,7 +453,7 @@ def _noiseless_top(
     alike = [values[len(values) // 2 :] for values in rests if len(values) + 1 >= longest]  # it begins with a step
     equal = [int(np.max(np.diff(_runs_of(np.diff(values) == 0.0)), initial=0)) + 1 for values in alike]
     noisy = sum(_has_noise(values) and _returns(values) for values in alike) >= audit.top_rests
-    return noisy and sensor.resolution > 0.0 and longest > audit.top_ratio * max(equal)
+    return noisy and sensor.resolution > 0.0 and longest > audit.stay_ratio * max(equal)
 
 
 def _span(records: Sequence[Record], channel: str) -> float:
