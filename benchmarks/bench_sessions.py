@@ -40,7 +40,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import hidden_plant  # noqa: E402
 import numpy as np  # noqa: E402
 from bench_plant import IMPERFECTIONS, READINGS, Bench, bench_records, draw_bench, write_bench_session  # noqa: E402
-from hidden_plant import EFFECTS, truth  # noqa: E402
+from hidden_plant import DRAWN, truth  # noqa: E402
 from hidden_report import wilson  # noqa: E402
 from thermal_sessions import fit_to_plant, left_by_fit, meter_noise, read_rows, write_rows  # noqa: E402
 
@@ -65,7 +65,7 @@ DOCUMENT = ROOT / "docs" / "bench_sessions.md"
 CLEAR = 8.0  # d' from which a cause should be named
 COMMON = ("ripple", "warming", "gap", "corrupt", "skew", "drift", "saturation")
 SINCE = {"seventeenth": READINGS}  # what benches of later sets do besides
-HIDDEN = (None, "spool_coulomb_friction", None, *EFFECTS)
+HIDDEN = (None, "spool_coulomb_friction", None, *DRAWN)
 """What is hidden, in turn: a third of the sessions and more are of healthy valves."""
 
 

@@ -44,6 +44,7 @@ import hidden_plant  # noqa: E402
 import numpy as np  # noqa: E402
 from hidden_baselines import baselines  # noqa: E402
 from hidden_plant import (  # noqa: E402
+    DRAWN,
     EFFECTS,
     OUTSIDE,
     PARAMETERS,
@@ -158,7 +159,7 @@ def cases(offset: int = TABLE_SEEDS) -> list[Spec]:
 
     lists: dict[str, list[tuple[str | None, float]]] = {
         "none": [(None, 0.0)] * NONE_CASES,
-        "effect": [*each(list(EFFECTS), 8, TARGETS)],
+        "effect": [*each(DRAWN, 8, TARGETS)],
         "pair": [(None, PAIR_TARGET)] * PAIR_CASES,
         "outside": [*each(list(OUTSIDE), 4, OUTSIDE_TARGETS)],
         "parameter": [*each(PARAMETERS, 4, PARAMETER_TARGETS)],

@@ -437,6 +437,10 @@ def _turns(c, k, T, p):
     c["coil_inductance"] *= (1.0 - p["loss"]) ** 2
 
 
+def _amplifier(c, k, T, p):
+    k["amplifier_lag"] = OFF["amplifier_lag"] + p["time_constant"]
+
+
 def _saturation(c, k, T, p):
     if p["cubic_share"] > 0.0:
         k["saturation_current"] = p["reference_current"] / math.sqrt(3.0 * p["cubic_share"])
@@ -491,6 +495,7 @@ EFFECTS: dict[str, Hidden] = {
     "eddy_current_lag": Hidden(
         "share", (0.1, 0.3), _knobs(eddy_share="share", eddy_time="time_constant"), shapes={"time_constant": (2e-3,)}
     ),
+    "amplifier_lag": Hidden("time_constant", (2e-4, 1e-3), _amplifier),  # of a current drive
     "flexure_stiffness_loss": Hidden("loss", (0.05, 0.15), _scale("spring_tube_stiffness", lambda p: 1.0 - p["loss"])),
     "fixed_orifice_clogging": Hidden("clogged_share", (0.015, 0.06), _clogging, shapes={"side": (1.0, 2.0)}),
     "nozzle_erosion": Hidden("share", (0.02, 0.08), _erosion, shapes={"side": (1.0, 2.0)}),
@@ -606,6 +611,9 @@ SENSOR_FAULTS: dict[str, tuple[str, tuple[float, float]]] = {
 
 KINDS = ("none", "effect", "pair", "outside", "parameter", "sensor", "poor")
 
+DRAWN = tuple(name for name in EFFECTS if name != "amplifier_lag")
+"""What is drawn where no name is given: as it was when the lists of sessions were written down."""
+
 POOR = (
     "magnetic_saturation", "eddy_current_lag", "magnetic_hysteresis", "magnet_demagnetization", "coil_turns_loss",
     "flexure_stiffness_loss",
@@ -698,7 +706,9 @@ def _names(dice, kind: str, name: str | None) -> tuple[str, ...]:
         "parameter": PARAMETERS, "sensor": tuple(SENSOR_FAULTS),
     }  # fmt: skip
     pool = pools[kind]
-    if name is not None:
+    if name is None:
+        pool = DRAWN if kind in ("effect", "pair") else pool
+    else:
         names = tuple(name.split("+"))
         if unknown := [each for each in names if each not in pool]:
             raise ValueError(f"{unknown[0]!r} is none of {pool}")

@@ -110,6 +110,24 @@ def test_a_zero_that_is_off_in_one_record_alone_is_another_thing():
     assert _by_readings([off, well], [stated, other], options=OPTIONS) == []
 
 
+@pytest.mark.parametrize("what, count", [("first reading", 1), ("first ten readings", 10), ("mean", None)])
+def test_records_that_were_each_given_a_zero_are_told(what, count):
+    """Position and flow set to zero where a record begins had been another valve."""
+    records, readings = [], []
+    for k, by in enumerate((0.0, 1.2e-4, -0.8e-4)):  # where the stated valve stands, so that each begins otherwise
+        record, stated = both_ways(f"record_{k}")
+        start = 30 * k
+        stated = {name: by + np.roll(values, -start) for name, values in stated.items()}
+        record.values.update({name: values - np.mean(values[:count]) for name, values in stated.items()})
+        records.append(record)
+        readings.append(stated)
+    found = _by_readings(records, readings, options=OPTIONS)
+    assert len(found) == 2 and all(f"is zero by its {what} in all records" in words for words in found)
+    for record, stated in zip(records, readings, strict=True):
+        record.values.update(stated)
+    assert _by_readings(records, readings, options=OPTIONS) == []
+
+
 @pytest.fixture(scope="module")
 def folder_of_healthy_valve(tmp_path_factory):
     folder = tmp_path_factory.mktemp("healthy")

@@ -100,9 +100,10 @@ def _by_readings(
     records: Sequence[Record], readings: Sequence[dict[str, np.ndarray]], *, options: ChannelOptions
 ) -> list[str]:
     """What readings of channels that go both ways say by themselves beside those of the stated valve, in words: that a
-    meter does not tell the direction, or that its zero is far off; where all are off, it is the valve's null.
+    meter does not tell the direction, that its zero is far off (where all are off, it is the valve's null), or that
+    each record was given a zero of its own.
     """
-    undirected, off, measured = list[str](), list[str](), 0
+    undirected, off, apart, measured = list[str](), list[str](), list[str](), 0
     for name in dict.fromkeys(n for record in records for n in record.outputs if n in FROM_ZERO):
         own = [(r.values[name], read[name], r.usable[name] & np.isfinite(read[name]))
                for r, read in zip(records, readings, strict=True) if name in r.outputs]  # fmt: skip
@@ -115,11 +116,21 @@ def _by_readings(
         if goes_back and -np.min(y) < options.no_way_back * np.max(y) and _agree(y, np.abs(m), options=options):
             undirected.append(f"{name} reads nothing below zero, where the stated valve does: is its direction lost?")
         zeros = np.array([np.median(one - stated) for one, stated in pairs])
+        if not all(_agree(one, stated, options=options) for one, stated in pairs):
+            continue
         if abs(np.sign(zeros).sum()) == len(zeros) and np.min(np.abs(zeros)) > options.zero_off * span:
-            if all(_agree(one, stated, options=options) for one, stated in pairs):
-                by, way = value_text(float(np.median(np.abs(zeros))), UNITS[name]), "more" if zeros[0] > 0.0 else "less"
-                off.append(f"{name} reads {by} {way} than the stated valve does, in all records: its zero?")
-    return [*undirected, *(off if len(off) < measured else [])]
+            by, way = value_text(float(np.median(np.abs(zeros))), UNITS[name]), "more" if zeros[0] > 0.0 else "less"
+            off.append(f"{name} reads {by} {way} than the stated valve does, in all records: its zero?")
+        for what, count in (("first reading", 1), ("first ten readings", 10), ("mean", None)):
+            read, stated = np.array([np.mean(pair[:, :count], axis=1) for pair in pairs]).T
+            if np.max(np.abs(read)) < options.set_to_zero * span and np.ptp(stated) > options.zeros_apart * span:
+                by = value_text(float(np.ptp(stated)), UNITS[name])
+                apart.append(
+                    f"{name} is zero by its {what} in all records, where those of the stated valve are {by} apart: "
+                    "was each record given a zero of its own?"
+                )
+                break
+    return [*undirected, *(off if len(off) < measured else []), *apart]
 
 
 def _agree(y: np.ndarray, m: np.ndarray, *, options: ChannelOptions) -> bool:

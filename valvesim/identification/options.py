@@ -549,6 +549,10 @@ class ChannelOptions:
     zero_off: float = option(
         0.5, "1", "span of the stated valve's reading by which a channel alone is off throughout", "no cause does that"
     )
+    zeros_apart: float = option(
+        0.1, "1", "span by which beginnings, or means, of the stated valve's records are apart", JUDGEMENT
+    )
+    set_to_zero: float = option(0.02, "1", "span within which readings that were set to zero are, in all", JUDGEMENT)
     goes_back: float = option(
         0.2, "1", "share of its span by which the stated valve reads on either side of zero", JUDGEMENT
     )

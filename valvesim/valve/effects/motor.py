@@ -37,6 +37,13 @@ def _eddy_current(s: Situation, p, memory):
     return Ports(coil_current=p.share * behind), (-behind / p.time_constant,)
 
 
+def _amplifier_lag(s: Situation, p, memory):
+    """No lag at all at no time constant: what comes through at once is the share of an amplifier's own lag."""
+    (late,) = memory
+    behind, whole = late - s.coil_current, p.time_constant + _LEAST_LAG
+    return Ports(coil_current=p.time_constant / whole * behind), (-behind / whole,)
+
+
 def _resistance_drift(c: Coefficients, p, parts: PartTemperatures):
     return scaled(c, coil_resistance=1.0 + p.share)
 
@@ -45,6 +52,7 @@ def _flexure_loss(c: Coefficients, p, parts: PartTemperatures):
     return scaled(c, spring_tube_stiffness=1.0 - p.loss)
 
 
+_LEAST_LAG = 5e-5  # s, of any amplifier: its corner, 3 kHz, is far above a valve's
 _TURNING_SHARE = 0.2  # of rated current: over which a loop turns where nothing else is known; the default, of 10 mA
 
 MAGNETIC_HYSTERESIS = Effect(
@@ -144,6 +152,21 @@ MOTOR = (
         ),
         memory=(Channel("eddy_lagging_current", "A", "current j that the eddy currents have let through", 1e-2),),
         balance=_eddy_current,
+    ),
+    Effect(
+        name="amplifier_lag",
+        doc="the coil's current lags the one that was recorded: (1 + tau_0 s)/(1 + (tau + tau_0) s), tau_0 of 0.05 ms",
+        location="servo amplifier, whose command was recorded",
+        signature="every output late by tau, and less beyond 1/(2 pi tau); nothing at rest, no loop in a slow sweep",
+        advice=Advice(
+            part="servo amplifier",
+            inspect="bandwidth of its current loop; whether its command was recorded or the coil's current",
+            confirm="the coil's current by a shunt beside its record, steps and 50 to 400 Hz",
+            remedy="record the current of the coil",
+        ),
+        parameters=(amplitude_parameter("time_constant", "s", "tau of the current loop", (0.0, 0.02), 5e-4),),
+        memory=(Channel("amplifier_current", "A", "current that the amplifier has brought up", 1e-2),),
+        balance=_amplifier_lag,
     ),
     Effect(
         name="coil_resistance_drift",
