@@ -10,6 +10,7 @@ import pytest
 from hidden_plant import draw, shortened, write_session
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import butter, filtfilt, lfilter
 
 import valvesim as vs
 from valvesim.identification.channel_check import (
@@ -18,6 +19,7 @@ from valvesim.identification.channel_check import (
     _by_readings,
     _by_slopes,
     _slopes,
+    _smoothed,
     misread_channels,
 )
 from valvesim.identification.options import DEFAULT_IDENTIFICATION
@@ -126,6 +128,31 @@ def test_records_that_were_each_given_a_zero_are_told(what, count):
     for record, stated in zip(records, readings, strict=True):
         record.values.update(stated)
     assert _by_readings(records, readings, options=OPTIONS) == []
+
+
+def repeats(smooth, wander):
+    """Two repeats of a swing, each with a noise of its own, that wanders besides, smoothed before it was written."""
+    time, draw = np.arange(900) * 1e-3, np.random.default_rng(7)
+    swing = np.sin(2.0 * np.pi * (3.0 + 60.0 * time) * time)
+    for name in ("record_1", "record_2"):
+        noise = draw.normal(size=900) + wander * np.cumsum(draw.normal(size=900))
+        values = {"load_flow": smooth(1e-4 * (swing * (1.0 if name == "record_1" else 1.01) + 3e-3 * noise))}
+        usable = {"load_flow": np.full(900, True)}
+        yield SimpleNamespace(name=name, time=time, repeats="a", outputs=("load_flow",), values=values, usable=usable)
+
+
+@pytest.mark.parametrize("wander", [0.0, 0.3])
+def test_readings_that_were_smoothed_before_they_were_written_are_told(wander):
+    """A filter of 150 Hz, run forwards and backwards, had made another valve of a healthy one."""
+    ahead = butter(4, 150.0, fs=1000.0)
+    (words,) = _smoothed(list(repeats(lambda y: filtfilt(*ahead, y), wander)), options=OPTIONS)
+    (end,) = re.fullmatch(r"load_flow has hardly any noise above (\d+) Hz: was it smoothed before .*", words).groups()
+    assert 120.0 < float(end) < 240.0
+    analogue = lambda y: lfilter(*butter(1, 60.0, fs=1000.0), y)  # noqa: E731
+    for honest in (lambda y: y, analogue, lambda y: np.round(y, 6)):
+        assert _smoothed(list(repeats(honest, wander)), options=OPTIONS) == []
+    first, _ = repeats(lambda y: y, wander)
+    assert _smoothed([first, first], options=OPTIONS) == []
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import welch
 
 from valvesim.identification.fit import Fit, predict_readings
 from valvesim.identification.noise_estimation import evaluated_under_own_noise
@@ -46,6 +47,7 @@ def misread_channels(prepared: PreparedSession) -> MisreadChannels | None:
     readings = predict_readings(prepared, prepared.nominal.at(nominal))
     words = _by_slopes(_slopes(records, readings, options=options), options=options)
     words += _by_readings(records, readings, options=options)
+    words += _smoothed([predictor.record for predictor in prepared.predictors], options=options)
     return MisreadChannels(tuple(words), *evaluated_under_own_noise(prepared, nominal)) if words else None
 
 
@@ -131,6 +133,36 @@ def _by_readings(
                 )
                 break
     return [*undirected, *(off if len(off) < measured else []), *apart]
+
+
+def _smoothed(records: Sequence[Record], *, options: ChannelOptions) -> list[str]:
+    """The channels whose noise ends within the band of its samples, in words. That is told by repeats, less what goes
+    with the readings and their derivatives: no sensor's noise, nor an analogue filter's, falls so steeply.
+    """
+    ends = dict[str, list[float]]()
+    first: dict[str, Record] = {}
+    for record in records:
+        if record.repeats is None or (other := first.setdefault(record.repeats, record)) is record:
+            continue
+        for name in (each for each in record.outputs if each in other.outputs):
+            good = record.usable[name] & other.usable[name]
+            y, apart = other.values[name], record.values[name] - other.values[name]
+            terms = [np.ones(len(y)), record.time, y, *(np.gradient(y, edge_order=2), np.gradient(np.gradient(y)))]
+            columns = np.column_stack(terms) / [max(float(np.max(np.abs(term))), 1e-300) for term in terms]
+            left = np.where(good, apart - columns @ np.linalg.lstsq(columns[good], apart[good])[0], 0.0)
+            if len(left) < 4 * options.spectrum:
+                continue
+            rate = 1.0 / float(record.time[1] - record.time[0])
+            frequency, power = welch(left, rate, nperseg=options.spectrum)
+            share = frequency / frequency[-1]
+            below, above = np.median(power[(share > 0.05) & (share < 0.25)]), np.median(power[share > 0.7])
+            end = frequency[np.argmax((power < 0.1 * below) & (share > 0.05))]
+            ends.setdefault(name, []).append(float(end) if above < options.noise_ends * below else np.inf)
+    return [
+        f"{name} has hardly any noise above {max(own):.0f} Hz: was it smoothed before it was written? Such filters may "
+        "look ahead; give it as it was sampled"
+        for name, own in ends.items() if max(own) < np.inf
+    ]  # fmt: skip
 
 
 def _agree(y: np.ndarray, m: np.ndarray, *, options: ChannelOptions) -> bool:

@@ -552,6 +552,11 @@ class ChannelOptions:
     zeros_apart: float = option(
         0.1, "1", "span by which beginnings, or means, of the stated valve's records are apart", JUDGEMENT
     )
+    noise_ends: float = option(
+        2e-3, "1", "share of its lower spectrum that smoothed noise has left near half the sampling rate, at most",
+        "analogue filters, and what samples them, leave more",
+    )  # fmt: skip
+    spectrum: int = option(64, "1", "samples of each spectrum that tells it", JUDGEMENT)
     set_to_zero: float = option(0.02, "1", "span within which readings that were set to zero are, in all", JUDGEMENT)
     goes_back: float = option(
         0.2, "1", "share of its span by which the stated valve reads on either side of zero", JUDGEMENT
