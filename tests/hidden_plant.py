@@ -54,7 +54,7 @@ KNOBS = (
     "droop_time", "return_resistance", "cavitation_loss", "cavitation_ratio", "air_fraction", "air_exponent",
     "coulomb_force", "breakaway_force", "kinetic_share", "stribeck_velocity", "silt_force", "silt_dwell", "silt_break",
     "half_play", "form", "size", "shape", "shape_2", "amplifier_lag", "line_resistance", "line_time", "extra_inertia",
-    "extra_frequency", "bristle", "voltage_drive",
+    "extra_frequency", "bristle", "voltage_drive", "load_resistance",
 )  # fmt: skip
 """What an effect turns in the equations; zero is off."""
 
@@ -176,6 +176,11 @@ def _rates(t, y, u, supply, back, load, c, k, at_step, stops, dy, flows):
     dy[8] = (k.droop_resistance * drawn - y[8]) / k.droop_time
     dy[16] = (drawn - y[16]) / k.line_time
     ps -= k.line_resistance * (drawn - y[16])
+    if k.load_resistance > 0.0:  # lines between the ports
+        recorded = load
+        for _ in range(8):
+            q = _land(opening, (ps - load) / 2.0, c) - _land(closing, (ps + load) / 2.0, c)
+            load = 0.5 * (load + recorded + k.load_resistance * q * abs(q))
     p0 = back + k.return_resistance * drawn
     pa, pb = (ps + load) / 2.0, (ps - load) / 2.0
     q_pa, q_at = _land(opening, ps - pa, c), _land(closing, pa, c)
@@ -441,6 +446,10 @@ def _amplifier(c, k, T, p):
     k["amplifier_lag"] = OFF["amplifier_lag"] + p["time_constant"]
 
 
+def _load_line(c, k, T, p):
+    k["load_resistance"] = p["pressure_drop"] / p["reference_flow"] ** 2
+
+
 def _saturation(c, k, T, p):
     if p["cubic_share"] > 0.0:
         k["saturation_current"] = p["reference_current"] / math.sqrt(3.0 * p["cubic_share"])
@@ -508,6 +517,9 @@ EFFECTS: dict[str, Hidden] = {
         session="thermal",
     ),
     "thermal_lag": Hidden("time_constant", (2.0, 8.0), lambda c, k, T, p: None, session="thermal"),
+    "load_line_resistance": Hidden(
+        "pressure_drop", (2e5, 1e6), _load_line, shapes={"reference_flow": (2.5e-4,)}, shows=("load_flow",)
+    ),
     "supply_pressure_droop": Hidden(
         "resistance",
         (1e9, 5e9),
@@ -611,7 +623,7 @@ SENSOR_FAULTS: dict[str, tuple[str, tuple[float, float]]] = {
 
 KINDS = ("none", "effect", "pair", "outside", "parameter", "sensor", "poor")
 
-DRAWN = tuple(name for name in EFFECTS if name != "amplifier_lag")
+DRAWN = tuple(name for name in EFFECTS if name not in ("amplifier_lag", "load_line_resistance"))
 """What is drawn where no name is given: as it was when the lists of sessions were written down."""
 
 POOR = (

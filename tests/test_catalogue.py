@@ -33,7 +33,7 @@ from valvesim.valve.parameters import Valve
 
 FIXED_NAMES = (  # what records, scenarios and answers of a diagnosis call them
     "magnet_demagnetization magnetic_hysteresis magnetic_saturation coil_turns_loss eddy_current_lag "
-    "amplifier_lag "
+    "amplifier_lag load_line_resistance "
     "flexure_stiffness_loss fixed_orifice_clogging nozzle_erosion null_gap_asymmetry thermal_gradient_null_drift "
     "thermal_lag supply_pressure_droop return_pressure_rise flapper_cavitation entrained_air oil_viscosity_grade "
     "spool_coulomb_friction spool_stribeck_friction spool_silting spool_thermal_pinch feedback_ball_backlash "
@@ -455,6 +455,19 @@ def test_return_rises_with_the_load_flow_whichever_way_it_goes(position):
     higher = INPUTS._replace(return_pressure=0.5e6 + 3e9 * flow)
     assert rates(at("return_pressure_rise", 3e9), state=state) == pytest.approx(rates(state=state, inputs=higher))
     assert higher.return_pressure > 0.6e6
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_lines_between_the_ports_take_what_the_flow_that_passes_them_makes(side):
+    open_wide = list(STATE)
+    open_wide[4] = side * 1e-4
+    active = at("load_line_resistance", 8e5, reference_flow=2.5e-4)
+    flow = signals(active, state=open_wide).load_flow
+    taken = 8e5 * (flow / 2.5e-4) * abs(flow / 2.5e-4)
+    loaded = INPUTS._replace(load_pressure=INPUTS.load_pressure + taken)
+    assert abs(taken) > 1e4 and flow == pytest.approx(signals(state=open_wide, inputs=loaded).load_flow, rel=2e-3)
+    same = active.effect(pressure_drop=2e5, reference_flow=1.25e-4)
+    assert signals(same, state=open_wide).load_flow == pytest.approx(flow, rel=1e-9)
 
 
 def test_another_viscosity_grade_scales_viscosity_and_spool_damping():

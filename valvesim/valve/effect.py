@@ -42,6 +42,7 @@ class Ports(NamedTuple):
     compliance_2: Any = 0.0  # 1/Pa, chamber 2
     supply_pressure: Any = 0.0  # Pa, at the valve: added to the supply's in every equation
     return_pressure: Any = 0.0  # Pa, behind the nozzles: added to the return's
+    load_pressure: Any = 0.0  # Pa, between the ports: added to the load's in every equation
     chamber_flow_1: Any = 0.0  # m^3/s, into chamber 1
     chamber_flow_2: Any = 0.0  # m^3/s, into chamber 2
     load_flow: Any = 0.0  # m^3/s, out of port A

@@ -243,6 +243,7 @@ def valve_equations(x: State, u: Inputs, i, c: Coefficients, added: Ports) -> tu
     u = u._replace(
         supply_pressure=u.supply_pressure + added.supply_pressure,
         return_pressure=u.return_pressure + added.return_pressure,
+        load_pressure=u.load_pressure + added.load_pressure,
     )
 
     # torque motor

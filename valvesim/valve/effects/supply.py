@@ -1,7 +1,7 @@
 """Effects of supply, return and oil.
 
 Symbols
-    Q load flow, p_s supply and p_0 return pressure, p the parameters by name"""
+    Q load flow, p_s supply, p_0 return and p_L load pressure, p the parameters by name"""
 
 from __future__ import annotations
 
@@ -21,6 +21,13 @@ def _droop(s: Situation, p, memory):
 
 def _return_rise(s: Situation, p, memory):
     return Ports(return_pressure=p.resistance * np.abs(s.load_flow)), ()
+
+
+def _load_line(s: Situation, p, memory):
+    """At the flow that is left beside it: of an orifice in series with the lands, exact without a load."""
+    share = s.load_flow / p.reference_flow
+    alone = p.pressure_drop * share * np.abs(share)
+    return Ports(load_pressure=alone / (1.0 + np.abs(alone) / s.inputs.supply_pressure)), ()
 
 
 def _viscosity_grade(c: Coefficients, p, parts: PartTemperatures):
@@ -59,6 +66,23 @@ SUPPLY = (
         ),
         parameters=(amplitude_parameter("resistance", "Pa/(m^3/s)", "R of the return line", (0.0, 2e10), 3e9),),
         balance=_return_rise,
+    ),
+    Effect(
+        name="load_line_resistance",
+        doc="lines and meter between the ports take a pressure that was not recorded: p_L + dp (Q/Q_r) |Q/Q_r|",
+        location="load pressure, in every balance",
+        signature="less flow at large opening than the square root, at once; little else",
+        advice=Advice(
+            part="lines and flow meter between the ports",
+            inspect="bore and length of the lines, the meter's pressure drop",
+            confirm="load pressure at the valve's ports, the loop open, over flow",
+            remedy="record the load pressure; wider lines",
+        ),
+        parameters=(
+            amplitude_parameter("pressure_drop", "Pa", "dp of lines and meter at the reference flow", (0.0, 2e7), 5e5),
+            shape_parameter("reference_flow", "m^3/s", "Q_r, at which they take it", 2.5e-4, (1e-6, 1e-2)),
+        ),
+        balance=_load_line,
     ),
     Effect(
         name="oil_viscosity_grade",
