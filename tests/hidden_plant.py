@@ -518,7 +518,7 @@ EFFECTS: dict[str, Hidden] = {
     ),
     "thermal_lag": Hidden("time_constant", (2.0, 8.0), lambda c, k, T, p: None, session="thermal"),
     "load_line_resistance": Hidden(
-        "pressure_drop", (2e5, 1e6), _load_line, shapes={"reference_flow": (2.5e-4,)}, shows=("load_flow",)
+        "pressure_drop", (1e6, 4e6), _load_line, shapes={"reference_flow": (2.5e-4,)}, shows=("load_flow",)
     ),
     "supply_pressure_droop": Hidden(
         "resistance",
