@@ -15,7 +15,7 @@ import numpy as np
 
 from valvesim.identification.between_samples import InputDelay, InputShift, Wave
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.prior import NuisanceParameter, largest_reading, measured_channels, widest_span
+from valvesim.identification.prior import NuisanceParameter, largest_reading, measured_channels, range_read, widest_span
 from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError
 from valvesim.identification.session import Record, Session
 from valvesim.valve.effect import Parameter, Reading
@@ -124,7 +124,7 @@ def meter_zeros(
     """By how much the zero of a meter is another in each training record than in all together, or in each of other
     `records`: what all have in common is the sensor's bias.
     """
-    size = options.instrument.meter_zero * widest_span(session, channel)
+    size = options.instrument.meter_zero * range_read(session, channel)
     return _of_each_record(session, METER_ZERO, channel, size, options, records)
 
 

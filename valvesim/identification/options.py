@@ -259,7 +259,7 @@ class InstrumentOptions:
     clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")
     meter_drift: float = option(0.005, "1", "drift within a record, share of the channel's span", JUDGEMENT)
     meter_zero: float = option(
-        0.001, "1", "zero of a meter in one record beside the others, share of the channel's span", JUDGEMENT
+        0.001, "1", "zero of a meter in one record beside the others, share of the range that it read", JUDGEMENT
     )
     meter_gain: float = option(0.002, "1", "the same of its gain", JUDGEMENT)
     reset_reach: float = option(50.0, "1", "deviations by which a meter that was set anew is off at most", JUDGEMENT)
@@ -276,7 +276,9 @@ class InstrumentOptions:
 class PriorOptions:
     """Priors of the nuisance parameters, and candidates."""
 
-    sensor_bias: float = option(2e-3, "1", "tolerance of every sensor's offset, share of its channel's span", JUDGEMENT)
+    sensor_bias: float = option(
+        2e-3, "1", "tolerance of every sensor's offset, share of the range that it read", JUDGEMENT
+    )
     sensor_gain: float = option(4e-3, "1", "tolerance of every sensor's gain", JUDGEMENT)
     sensor_delay: float = option(
         1e-4, "s", "tolerance of every sensor's delay: its electronics and the logger's clock", JUDGEMENT

@@ -183,9 +183,8 @@ def nominal_model_of(session: Session, *, options: IdentificationOptions) -> Nom
                 )  # fmt: skip
             )
     for channel in measured_channels(session):
-        span = widest_span(session, channel)
         for error, tolerance in (
-            (SENSOR_BIAS, options.prior.sensor_bias * span),
+            (SENSOR_BIAS, options.prior.sensor_bias * range_read(session, channel)),
             (SENSOR_GAIN, options.prior.sensor_gain),
             (SENSOR_DELAY, options.prior.sensor_delay),
         ):
@@ -255,6 +254,13 @@ def widest_span(session: Session, channel: str) -> float:
     """The widest span of a channel's readings in a training record."""
     values = [record.values[channel] for record in session.training if channel in record.outputs]
     return float(max(np.ptp(v) for v in values))
+
+
+def range_read(session: Session, channel: str) -> float:
+    """The range in which a channel was read: its widest span, or its largest reading where that is more, as of a
+    pressure that is far from zero throughout.
+    """
+    return max(widest_span(session, channel), largest_reading(session, channel))
 
 
 def largest_reading(session: Session, channel: str) -> float:
