@@ -605,6 +605,16 @@ def test_a_sensor_beyond_its_tolerance_is_told_and_not_given_to_its_meter(biased
     assert bench_faults._meter_beyond_tolerance(scores) == likeliest.effect.channel != ""
 
 
+def test_the_channel_that_drifts_with_the_oil_is_known_where_that_explains_most():
+    """One of d' 8 had been zeros of its meter, one for each record of another temperature."""
+    drift, bias = (CATALOGUE[name].on("armature_angle") for name in ("sensor_temperature_drift", "sensor_bias"))
+    candidates = [SimpleNamespace(effect=one, equivalent=None) for one in (drift, bias, None)]
+    for z, channel in (([5.0, 4.0, 1.0], "armature_angle"), ([4.0, 5.0, 1.0], None), ([1.0, 4.0, 5.0], None)):
+        scores = SimpleNamespace(z=lambda z=z: np.array(z), candidates=candidates)
+        assert bench_faults._drifting_meter(scores) == channel
+    assert bench_faults._drifting_meter(SimpleNamespace(z=lambda: np.empty(0), candidates=[])) is None
+
+
 def test_beside_a_wave_the_ends_of_each_record_do_not_count(biased_session):
     prepared = prepare_session(biased_session)
     wave = wave_parameters(prepared.session.training, "supply_pressure", 37.0, 1e6)

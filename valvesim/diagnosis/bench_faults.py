@@ -439,22 +439,36 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
     if shows <= scores.level(options.detection.false_alarm) ** 2:
         return None
     known = [f.parameters for f in _known_faults(study) if all(p.name in place for p in f.parameters)]
-    meter = _meter_beyond_tolerance(scores)
-    errors = [each for each in known if not meter or any(p.sensor is None or p.sensor.channel != meter for p in each)]
-    if all(beside(each, fitted).gain <= shows - options.selection.answer_ratio for each in errors):
+    beyond, drifting = _meter_beyond_tolerance(scores), _drifting_meter(scores)
+    for each in known:
+        meters = {p.sensor.channel if p.sensor is not None else "" for p in each}
+        more = options.selection.answer_ratio if meters == {drifting} else -options.selection.answer_ratio
+        if meters != {beyond} and beside(each, fitted).gain > shows + more:
+            break
+    else:
         return None
     return next(beside(each, fitted) for each in hypotheses if known[0][0].name in [p.name for p in each])
 
 
-def _meter_beyond_tolerance(scores: ScoreTest) -> str:
+def _meter_beyond_tolerance(scores: ScoreTest) -> str | None:
     """The channel whose meter explains an alarm best by more of an error than its tolerance has: it is that meter then,
-    by whichever of its errors; "" where something else does.
+    by whichever of its errors; None where something else does.
     """
     z = scores.z()
     likeliest = scores.candidates[int(np.argmax(z))] if len(z) else None
     if likeliest is None or likeliest.effect is None or likeliest.equivalent is None:
-        return ""
-    return likeliest.effect.channel
+        return None
+    return likeliest.effect.channel or None
+
+
+def _drifting_meter(scores: ScoreTest) -> str | None:
+    """The channel whose drift with the oil's temperature explains an alarm best, by one figure where zeros of its meter
+    take one for each record; None where something else does.
+    """
+    z = scores.z()
+    likeliest = scores.candidates[int(np.argmax(z))] if len(z) else None
+    effect = likeliest.effect if likeliest is not None else None
+    return effect.channel if effect is not None and effect.feature == "oil_temperature" else None
 
 
 def _likeliest_causes(study: Study, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:
