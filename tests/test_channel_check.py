@@ -130,13 +130,14 @@ def test_records_that_were_each_given_a_zero_are_told(what, count):
     assert _by_readings(records, readings, options=OPTIONS) == []
 
 
-def repeats(smooth, wander):
+def repeats(smooth, wander, size=3e-4):
     """Two repeats of a swing, each with a noise of its own, that wanders besides, smoothed before it was written."""
     time, draw = np.arange(900) * 1e-3, np.random.default_rng(7)
     swing = np.sin(2.0 * np.pi * (3.0 + 60.0 * time) * time)
     for name in ("record_1", "record_2"):
         noise = draw.normal(size=900) + wander * np.cumsum(draw.normal(size=900))
-        values = {"load_flow": smooth(1e-4 * (swing * (1.0 if name == "record_1" else 1.01) + 3e-3 * noise))}
+        other = swing + (0.0 if name == "record_1" else 0.01 * swing * np.abs(swing))
+        values = {"load_flow": smooth(1e-4 * (other + size * noise))}
         usable = {"load_flow": np.full(900, True)}
         yield SimpleNamespace(name=name, time=time, repeats="a", outputs=("load_flow",), values=values, usable=usable)
 
@@ -145,7 +146,7 @@ def repeats(smooth, wander):
 def test_readings_that_were_smoothed_before_they_were_written_are_told(wander):
     """A filter of 150 Hz, run forwards and backwards, had made another valve of a healthy one."""
     ahead = butter(4, 150.0, fs=1000.0)
-    (words,) = _smoothed(list(repeats(lambda y: filtfilt(*ahead, y), wander)), options=OPTIONS)
+    (words,) = _smoothed(list(repeats(lambda y: filtfilt(*ahead, y), wander, 3e-3)), options=OPTIONS)
     (end,) = re.fullmatch(r"load_flow has hardly any noise above (\d+) Hz: was it smoothed before .*", words).groups()
     assert 120.0 < float(end) < 240.0
     analogue = lambda y: lfilter(*butter(1, 60.0, fs=1000.0), y)  # noqa: E731

@@ -137,7 +137,8 @@ def _by_readings(
 
 def _smoothed(records: Sequence[Record], *, options: ChannelOptions) -> list[str]:
     """The channels whose noise ends within the band of its samples, in words. That is told by repeats, less what goes
-    with the readings and their derivatives: no sensor's noise, nor an analogue filter's, falls so steeply.
+    with the readings, bent either way, and with their derivatives: no sensor's noise, nor an analogue filter's, falls
+    so steeply.
     """
     ends = dict[str, list[float]]()
     first: dict[str, Record] = {}
@@ -147,7 +148,8 @@ def _smoothed(records: Sequence[Record], *, options: ChannelOptions) -> list[str
         for name in (each for each in record.outputs if each in other.outputs):
             good = record.usable[name] & other.usable[name]
             y, apart = other.values[name], record.values[name] - other.values[name]
-            terms = [np.ones(len(y)), record.time, y, *(np.gradient(y, edge_order=2), np.gradient(np.gradient(y)))]
+            speed = np.gradient(y)
+            terms = [np.ones(len(y)), record.time, y, y * y, y * np.abs(y), speed, np.abs(speed), np.gradient(speed)]
             columns = np.column_stack(terms) / [max(float(np.max(np.abs(term))), 1e-300) for term in terms]
             left = np.where(good, apart - columns @ np.linalg.lstsq(columns[good], apart[good])[0], 0.0)
             if len(left) < 4 * options.spectrum:

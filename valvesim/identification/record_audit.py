@@ -310,12 +310,11 @@ def _frozen(
         frozen[a : b + 1] = False
     if chance > audit.frozen_chance:
         return np.zeros(len(values), dtype=bool)
-    for k, (a, b) in enumerate(runs):
-        others = np.delete(length, k)
-        frozen[a : b + 1] &= (
-            noisy
-            or _ends_in_jump(values, a, b, options=options)
-            or _stands_once(values, command, read, (a, b), others, options=options)
+    second, first = np.sort(np.append(length, [0, 0]))[-2:]
+    for a, b in () if noisy else runs[frozen[runs[:, 0]]]:
+        other = int(second if b - a == first else first)
+        frozen[a : b + 1] = _ends_in_jump(values, a, b, options=options) or _stands_once(
+            values, command, read, (a, b), other, options=options
         )
     return frozen
 
@@ -335,15 +334,15 @@ def _ends_in_jump(values: np.ndarray, start: int, end: int, *, options: Identifi
 
 
 def _stands_once(
-    values: np.ndarray, command: np.ndarray, read: np.ndarray, run: tuple[int, int], others: np.ndarray,
+    values: np.ndarray, command: np.ndarray, read: np.ndarray, run: tuple[int, int], other: int,
     *, options: IdentificationOptions,
 ) -> bool:  # fmt: skip
     """Whether readings stand within their range from `run` begin to end, while the command goes far, and never again
-    for nearly as long (`others`): what sticks, or is at a stop, is so in each turn.
+    for nearly as long (the longest `other` stay): what sticks, or is at a stop, is so in each turn.
     """
     (start, end), audit = run, options.audit
     far = np.ptp(command[start : end + 1]) > audit.held_reach * np.ptp(command)
-    alone = end - start > audit.stay_ratio * np.max(others, initial=0)
+    alone = end - start > audit.stay_ratio * other
     within = np.min(values[read]) < values[start] < np.max(values[read])
     return bool(far and alone and within and start > 0 and end + 1 < len(values))
 
