@@ -17,7 +17,7 @@ from scipy.signal import welch
 from valvesim.identification.fit import Fit, predict_readings
 from valvesim.identification.noise_estimation import evaluated_under_own_noise
 from valvesim.identification.options import ChannelOptions
-from valvesim.identification.session import UNITS, Record, value_text
+from valvesim.identification.session import UNITS, Record, replicates, value_text
 from valvesim.identification.study import PreparedSession, Study
 
 NOZZLES = ("nozzle_pressure_1", "nozzle_pressure_2")  # of which one rises as the other falls
@@ -141,10 +141,7 @@ def _smoothed(records: Sequence[Record], *, options: ChannelOptions) -> list[str
     so steeply.
     """
     ends = dict[str, list[float]]()
-    first: dict[str, Record] = {}
-    for record in records:
-        if record.repeats is None or (other := first.setdefault(record.repeats, record)) is record:
-            continue
+    for other, record in replicates(records):
         for name in (each for each in record.outputs if each in other.outputs):
             good = record.usable[name] & other.usable[name]
             y, apart = other.values[name], record.values[name] - other.values[name]

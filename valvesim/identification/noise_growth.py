@@ -7,21 +7,21 @@ Symbols
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.prior import largest_reading
 from valvesim.identification.projection import inverse_of
-from valvesim.identification.session import Record, Session
+from valvesim.identification.session import Record, Session, replicates
 
 
 def noise_growth(session: Session, *, options: IdentificationOptions) -> dict[str, float]:
     """The growth r (1/unit) of the noise of each channel whose replicates show that it grows."""
     found = {}
     for name in dict.fromkeys(n for record in session.training for n in record.outputs):
-        pairs = _replicates([record for record in session.training if name in record.outputs])
+        pairs = replicates([record for record in session.training if name in record.outputs])
         series = [_difference(one, other, name) for one, other in pairs]
         if not series:
             continue
@@ -46,13 +46,6 @@ def growth_notes(session: Session, growth: Mapping[str, float]) -> list[str]:
             "its deviation is given for a reading of zero"
         )
     return notes
-
-
-def _replicates(records: Sequence[Record]) -> list[tuple[Record, Record]]:
-    """Each replicate with the first of its test."""
-    first: dict[str, Record] = {}
-    pairs = [(first.setdefault(record.repeats, record), record) for record in records if record.repeats]
-    return [(one, other) for one, other in pairs if one is not other]
 
 
 def _difference(one: Record, other: Record, name: str) -> tuple[np.ndarray, np.ndarray]:

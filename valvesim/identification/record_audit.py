@@ -10,7 +10,16 @@ import numpy as np
 
 from valvesim.errors import InputError
 from valvesim.identification.options import IdentificationOptions
-from valvesim.identification.session import INPUTS, OUTPUTS, PART_TEMPERATURES, UNITS, Record, Sensor, value_text
+from valvesim.identification.session import (
+    INPUTS,
+    OUTPUTS,
+    PART_TEMPERATURES,
+    UNITS,
+    Record,
+    Sensor,
+    replicates,
+    value_text,
+)
 from valvesim.measurement.quality import grid_step, noise_of
 from valvesim.units import DISPLAY, quantities
 from valvesim.valve.fluid import COMPUTED_RANGE, KELVIN
@@ -125,10 +134,7 @@ def with_common_lengths(records: Sequence[Record], notes: list[str], *, options:
 
 def check_replicates(records: Sequence[Record], valve: Valve, *, options: IdentificationOptions) -> None:
     """Repeats of one test must have one clock and the same inputs."""
-    first: dict[str, Record] = {}
-    for record in records:
-        if record.repeats is None or (other := first.setdefault(record.repeats, record)) is record:
-            continue
+    for other, record in replicates(records):
         pair = f"{other.name} and {record.name} are called repeats {record.repeats!r}, but their"
         if len(record.time) != len(other.time):
             raise InputError(f"{pair} lengths differ: {len(other.time)} and {len(record.time)} samples")
@@ -156,10 +162,7 @@ def note_disagreement(records: Sequence[Record], notes: list[str], *, options: I
 
     What repeats do not share counts as noise of their channel, so that it would hide whatever is smaller.
     """
-    first: dict[str, Record] = {}
-    for record in records:
-        if record.repeats is None or (other := first.setdefault(record.repeats, record)) is record:
-            continue
+    for other, record in replicates(records):
         for name in (name for name in record.outputs if name in other.outputs):
             both = record.usable[name] & other.usable[name]
             apart = record.values[name][both] - other.values[name][both]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -151,6 +151,13 @@ class Session:
     def drive(self) -> Drive:
         """How the coils are driven, the same in every record."""
         return DRIVES[self.records[0].command]
+
+
+def replicates(records: Sequence[Record]) -> list[tuple[Record, Record]]:
+    """Each replicate with the first of its test."""
+    first: dict[str, Record] = {}
+    pairs = [(first.setdefault(record.repeats, record), record) for record in records if record.repeats]
+    return [(one, other) for one, other in pairs if one is not other]
 
 
 def place_text(line: int | None, time: float) -> str:
