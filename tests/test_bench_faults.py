@@ -824,17 +824,20 @@ def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
     assert max(gain(noise, wave)) < 20.0
 
 
-@pytest.mark.parametrize("shows, joint, alone, beyond, joins", [
-    (45.0, 30.0, 41.0, "", ["a", "b"]), (45.0, 30.0, 39.0, "", []),  # as good as a cause, at odds of 20 to 1; or not
-    (10.0, 0.0, 12.0, "", []), (500.0, 30.0, 505.0, "", ["a", "b"]),  # no alarm; however strong
-    (45.0, 70.0, 80.0, "", ["a", "b"]),
-    (45.0, 30.0, 41.0, "flow", []), (45.0, 30.0, 41.0, "spool", ["a", "b"]),  # a meter beyond its tolerance, or another
+@pytest.mark.parametrize("shows, joint, alone, beyond, feature, joins", [
+    (45.0, 30.0, 41.0, "", "", ["a", "b"]), (45.0, 30.0, 39.0, "", "", []),  # as good as a cause, at odds of 20 to 1
+    (10.0, 0.0, 12.0, "", "", []), (500.0, 30.0, 505.0, "", "", ["a", "b"]),  # no alarm; however strong
+    (45.0, 70.0, 80.0, "", "", ["a", "b"]),
+    (45.0, 30.0, 41.0, "flow", "", []), (45.0, 30.0, 41.0, "spool", "", ["a", "b"]),  # beyond its tolerance, or another
+    (45.0, 30.0, 51.0, "flow", "oil_temperature", []),  # one figure does as well: the drift of that meter
+    (45.0, 30.0, 57.0, "flow", "oil_temperature", ["a", "b"]),
+    (45.0, 30.0, 41.0, "spool", "oil_temperature", ["a", "b"]),
 ])  # fmt: skip
 def test_what_the_bench_does_that_explains_an_alarm_as_well_as_a_cause_takes_its_place(
-    monkeypatch, shows, joint, alone, beyond, joins
+    monkeypatch, shows, joint, alone, beyond, feature, joins
 ):
     drifts = tuple(SimpleNamespace(name=name, sensor=SimpleNamespace(channel="flow")) for name in "ab")
-    effect = SimpleNamespace(channel=beyond)
+    effect = SimpleNamespace(channel=beyond, feature=feature)
     gains = {(2, 0): 90.0, (2, 1): joint + 2.0, (1, 0): alone + 1.0, (1, 1): 0.0}  # by its columns, causes beside
     monkeypatch.setattr(bench_faults, "_hypotheses", lambda study, scores: [drifts])
     monkeypatch.setattr(bench_faults, "_known_faults", lambda study: [BenchFault((p,), str, None) for p in drifts])
@@ -846,7 +849,7 @@ def test_what_the_bench_does_that_explains_an_alarm_as_well_as_a_cause_takes_its
     scores = SimpleNamespace(
         columns=(), own_columns=(), linearised=(), own=(), fit=SimpleNamespace(chi_square=1050.0, rows=1000.0),
         z=lambda: np.array([np.sqrt(shows)]), level=lambda false_alarm: 4.0,
-        candidates=[SimpleNamespace(effect=effect, equivalent=beyond or None)],
+        candidates=[SimpleNamespace(effect=effect, equivalent=None if feature else beyond or None)],
     )  # fmt: skip
     found = _likeliest(SimpleNamespace(study=study), scores, options=DIAGNOSIS)
     assert [p.name for p in (found.parameters if found is not None else ())] == joins
