@@ -447,7 +447,7 @@ def _amplifier(c, k, T, p):
 
 
 def _load_line(c, k, T, p):
-    k["load_resistance"] = p["pressure_drop"] / p["reference_flow"] ** 2
+    k["load_resistance"] = p["pressure_drop"] / 2.5e-4**2
 
 
 def _saturation(c, k, T, p):
@@ -518,7 +518,7 @@ EFFECTS: dict[str, Hidden] = {
     ),
     "thermal_lag": Hidden("time_constant", (2.0, 8.0), lambda c, k, T, p: None, session="thermal"),
     "load_line_resistance": Hidden(
-        "pressure_drop", (1e6, 4e6), _load_line, shapes={"reference_flow": (2.5e-4,)}, shows=("load_flow",)
+        "pressure_drop", (1e6, 4e6), _load_line, shows=("load_flow",)
     ),
     "supply_pressure_droop": Hidden(
         "resistance",

@@ -23,9 +23,12 @@ def _return_rise(s: Situation, p, memory):
     return Ports(return_pressure=p.resistance * np.abs(s.load_flow)), ()
 
 
+_REFERENCE_FLOW = 2.5e-4  # m^3/s, 15 L/min: at which the drop of a load line is given
+
+
 def _load_line(s: Situation, p, memory):
     """At the flow that is left beside it: of an orifice in series with the lands, exact without a load."""
-    share = s.load_flow / p.reference_flow
+    share = s.load_flow / _REFERENCE_FLOW
     alone = p.pressure_drop * share * np.abs(share)
     return Ports(load_pressure=alone / (1.0 + np.abs(alone) / s.inputs.supply_pressure)), ()
 
@@ -69,7 +72,7 @@ SUPPLY = (
     ),
     Effect(
         name="load_line_resistance",
-        doc="lines and meter between the ports take a pressure that was not recorded: p_L + dp (Q/Q_r) |Q/Q_r|",
+        doc="lines and meter between the ports take a pressure not recorded: p_L + dp (Q/Q_r) |Q/Q_r|, Q_r of 15 L/min",
         location="load pressure, in every balance",
         signature="less flow at large opening than the square root, at once; little else",
         advice=Advice(
@@ -78,10 +81,7 @@ SUPPLY = (
             confirm="load pressure at the valve's ports, the loop open, over flow",
             remedy="record the load pressure; wider lines",
         ),
-        parameters=(
-            amplitude_parameter("pressure_drop", "Pa", "dp of lines and meter at the reference flow", (0.0, 2e7), 5e5),
-            shape_parameter("reference_flow", "m^3/s", "Q_r, at which they take it", 2.5e-4, (1e-6, 1e-2)),
-        ),
+        parameters=(amplitude_parameter("pressure_drop", "Pa", "dp of lines and meter at 15 L/min", (0.0, 2e7), 5e5),),
         balance=_load_line,
     ),
     Effect(
