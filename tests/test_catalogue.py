@@ -468,6 +468,15 @@ def test_lines_between_the_ports_take_what_the_flow_that_passes_them_makes(side)
     assert abs(taken) > 1e4 and flow == pytest.approx(signals(state=open_wide, inputs=loaded).load_flow, rel=2e-3)
 
 
+@given(st.floats(5e5, 3.5e7), st.floats(-0.999, 0.999), st.floats(-4e-4, 4e-4), st.sampled_from([0.0, 1e4, 1e6, 2e7]))
+def test_lines_between_the_ports_never_make_more_flow_nor_turn_it(supply, share, position, drop):
+    inputs = INPUTS._replace(supply_pressure=supply, load_pressure=share * supply)
+    state = STATE._replace(spool_position=position)
+    without = signals(state=state, inputs=inputs).load_flow
+    flow = signals(at("load_line_resistance", drop), state=state, inputs=inputs).load_flow
+    assert abs(flow) <= abs(without) * (1.0 + 1e-9)
+
+
 def test_another_viscosity_grade_scales_viscosity_and_spool_damping():
     for factor in (0.5, 2.0):
         found = differing(coefficients(at("oil_viscosity_grade", factor)))

@@ -27,6 +27,7 @@ from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import likeliest_starts
 from valvesim.identification.between_samples import Wave
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
 from valvesim.identification.hypothesis_fit import continue_fit, continue_from, fit_from_prior, fit_hypothesis
@@ -454,8 +455,7 @@ def _meter_beyond_tolerance(scores: ScoreTest) -> str | None:
     """The channel whose meter explains an alarm best by more of an error than its tolerance has: it is that meter then,
     by whichever of its errors; None where something else does.
     """
-    z = scores.z()
-    likeliest = scores.candidates[int(np.argmax(z))] if len(z) else None
+    likeliest = _likeliest_candidate(scores)
     if likeliest is None or likeliest.effect is None or likeliest.equivalent is None:
         return None
     return likeliest.effect.channel or None
@@ -465,10 +465,15 @@ def _drifting_meter(scores: ScoreTest) -> str | None:
     """The channel whose drift with the oil's temperature explains an alarm best, by one figure where zeros of its meter
     take one for each record; None where something else does.
     """
-    z = scores.z()
-    likeliest = scores.candidates[int(np.argmax(z))] if len(z) else None
+    likeliest = _likeliest_candidate(scores)
     effect = likeliest.effect if likeliest is not None else None
     return effect.channel if effect is not None and effect.feature == "oil_temperature" else None
+
+
+def _likeliest_candidate(scores: ScoreTest) -> Candidate | None:
+    """The candidate that explains most of what is left; None where there is none."""
+    z = scores.z()
+    return scores.candidates[int(np.argmax(z))] if len(z) else None
 
 
 def _likeliest_causes(study: Study, scores: ScoreTest, *, options: DiagnosisOptions) -> np.ndarray:

@@ -19,6 +19,7 @@ from valvesim.identification.fit import Fit
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_growth import grown
 from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.record_audit import runs_of
 from valvesim.identification.session import UNITS, Record, place_text, value_text
 from valvesim.identification.study import PreparedSession, Study, with_records
 
@@ -52,7 +53,7 @@ def measured_samples(
             notes.append(f"{name}: {more} more samples of {column} are corrupt and left out")
         good = there & ~corrupt
         told = 0
-        for start, end in _runs(~good):
+        for start, end in runs_of(~good):
             missing = np.count_nonzero(~there[start:end])
             if column not in outputs and end - start > options.audit.longest_bridge:
                 problem = f"no reading of {column} for {end - start} samples; an input may miss at most "
@@ -99,15 +100,10 @@ def _standing_apart(read: np.ndarray, *, options: IdentificationOptions) -> np.n
         inner = k
     apart = np.zeros(len(read), dtype=bool)
     apart[order[inner:]] = True
-    for start, end in _runs(apart):
+    for start, end in runs_of(apart):
         if end - start > options.audit.corrupt_run:
             apart[start:end] = False
     return apart
-
-
-def _runs(marked: np.ndarray) -> np.ndarray:
-    """(runs, 2): first and one past the last sample of each run of True in (n,)."""
-    return np.flatnonzero(np.diff(marked.astype(int), prepend=0, append=0)).reshape(-1, 2)
 
 
 def without_outliers(
@@ -236,7 +232,7 @@ def _bursts(left: np.ndarray, floor: np.ndarray, *, options: IdentificationOptio
     beside = options.noise.burst_beside
     bridged = np.convolve(large, np.ones(2 * beside + 1), "same") > 0.0
     found = []
-    for start, end in _runs(bridged):
+    for start, end in runs_of(bridged):
         own = turn[start:end]
         to_and_fro = float(np.sum(own[1:] * own[:-1])) < -0.33 * float(np.sum(own**2))  # noise: -2/3
         if np.count_nonzero(large[start:end]) >= options.noise.burst_samples and to_and_fro:

@@ -301,7 +301,7 @@ def _frozen(
     values, command, audit = record.values[channel], record.values[record.command], options.audit
     both = read[1:] & read[:-1]
     equal = (np.diff(values) == 0.0) & both
-    runs = _runs_of(equal)
+    runs = runs_of(equal)
     length = np.diff(runs, axis=1)[:, 0]
     frozen = np.zeros(len(values), dtype=bool)
     for a, b in runs[length >= _longest_by_chance(audit.frozen_rest / len(values), len(values), options=options)]:
@@ -445,7 +445,7 @@ def _noiseless_top(
         values, usable = side * record.values[channel], record.usable[channel]
         stays += np.diff(_runs_at(values, top, usable)).ravel().tolist()
         moved = np.abs(np.diff(record.values[record.command], prepend=np.nan)) > audit.least_motion * asked
-        rests += [values[a:b] for a, b in _runs_of(usable & (values < top) & ~moved)]
+        rests += [values[a:b] for a, b in runs_of(usable & (values < top) & ~moved)]
     longest = max(stays)
     bends = np.concatenate([np.abs(np.diff(values, 2)) for values in rests] or [np.empty(0)])
     if min(longest, len(bends)) < audit.flat_samples:
@@ -453,7 +453,7 @@ def _noiseless_top(
     if np.median(bends) > max(3.0 * sensor.resolution, audit.finest_grid * _span(records, channel)):
         return True
     alike = [values[len(values) // 2 :] for values in rests if len(values) + 1 >= longest]  # it begins with a step
-    equal = [int(np.max(np.diff(_runs_of(np.diff(values) == 0.0)), initial=0)) + 1 for values in alike]
+    equal = [int(np.max(np.diff(runs_of(np.diff(values) == 0.0)), initial=0)) + 1 for values in alike]
     noisy = sum(_has_noise(values) and _returns(values) for values in alike) >= audit.top_rests
     return noisy and sensor.resolution > 0.0 and longest > audit.stay_ratio * max(equal)
 
@@ -470,9 +470,9 @@ def _asked(records: Sequence[Record]) -> float:
 
 def _runs_at(values: np.ndarray, top: float, usable: np.ndarray) -> np.ndarray:
     """[first, end) of each run of readings (n,) at `top`, (runs, 2)."""
-    return _runs_of(usable & (values == top))
+    return runs_of(usable & (values == top))
 
 
-def _runs_of(marked: np.ndarray) -> np.ndarray:
+def runs_of(marked: np.ndarray) -> np.ndarray:
     """[first, end) of each run of True in (n,), (runs, 2)."""
     return np.flatnonzero(np.diff(marked.astype(int), prepend=0, append=0)).reshape(-1, 2)

@@ -27,10 +27,12 @@ _REFERENCE_FLOW = 2.5e-4  # m^3/s, 15 L/min: at which the drop of a load line is
 
 
 def _load_line(s: Situation, p, memory):
-    """At the flow that is left beside it: of an orifice in series with the lands, exact without a load."""
-    share = s.load_flow / _REFERENCE_FLOW
+    """At the flow that is left beside it: of an orifice in series with the lands, which a part of the head drives."""
+    share, u = s.load_flow / _REFERENCE_FLOW, s.inputs
     alone = p.pressure_drop * share * np.abs(share)
-    return Ports(load_pressure=alone / (1.0 + np.abs(alone) / s.inputs.supply_pressure)), ()
+    way = share / (np.abs(share) + 1e-6)
+    head = np.abs(u.supply_pressure - way * u.load_pressure) + s.coefficients.transition_pressure
+    return Ports(load_pressure=alone / (1.0 + np.abs(alone) / head)), ()
 
 
 def _viscosity_grade(c: Coefficients, p, parts: PartTemperatures):
