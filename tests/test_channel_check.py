@@ -10,6 +10,7 @@ import pytest
 from hidden_plant import draw, shortened, write_session
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, filtfilt, lfilter
 
 import valvesim as vs
@@ -18,6 +19,7 @@ from valvesim.identification.channel_check import (
     WITH_COMMAND,
     _by_readings,
     _by_slopes,
+    _samples_averaged,
     _slopes,
     _smoothed,
     misread_channels,
@@ -154,6 +156,24 @@ def test_readings_that_were_smoothed_before_they_were_written_are_told(wander):
         assert _smoothed(list(repeats(honest, wander)), options=OPTIONS) == []
     first, _ = repeats(lambda y: y, wander)
     assert _smoothed([first, first], options=OPTIONS) == []
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_a_moving_mean_is_told_by_its_samples(count):
+    """Of five samples it had been another mechanism, or no answer after seven minutes."""
+    averaged = list(repeats(lambda y: uniform_filter1d(y, count, mode="nearest"), 0.0, 3e-2))
+    (words,) = _smoothed(averaged, options=OPTIONS)
+    assert words.startswith(f"load_flow has no noise at {1000.0 / count:.0f} Hz and its multiples: is it a mean over "
+                            f"{count} samples")  # fmt: skip
+
+
+@given(st.integers(0, 9999), st.floats(-0.9, 0.97), st.floats(0.2, 3.0), st.sampled_from([300, 500, 1000, 4000]))
+def test_no_noise_of_a_sensor_is_taken_for_a_moving_mean(seed, colour, resonance, samples):
+    noise = np.random.default_rng(seed).standard_normal(samples)
+    noise = lfilter([1.0], [1.0, -colour], noise)
+    assert _samples_averaged(noise, options=OPTIONS) == 1
+    rings = lfilter([1.0], [1.0, -2.0 * 0.98 * np.cos(resonance), 0.98**2], noise)
+    assert _samples_averaged(rings, options=OPTIONS) == 1
 
 
 @pytest.fixture(scope="module")

@@ -9,14 +9,25 @@ import pytest
 
 from valvesim.diagnosis import conclusion, symbolic_form, term_entry, term_estimation
 from valvesim.diagnosis import diagnose as diagnosing
+from valvesim.diagnosis import isolation as isolating
 from valvesim.diagnosis import score_test as score_testing
 from valvesim.diagnosis.bench_faults import JointErrors
+from valvesim.diagnosis.channel_apart import ChannelApart
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.missing_term import recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.one_parameter_term import one_parameter_term
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
-from valvesim.diagnosis.result import AMBIGUOUS, BENCH, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART, UNKNOWN, WhatToDo
+from valvesim.diagnosis.result import (
+    AMBIGUOUS,
+    BENCH,
+    CHANNEL_APART,
+    NO_DISCREPANCY,
+    OTHER_VALVE,
+    RECORDS_APART,
+    UNKNOWN,
+    WhatToDo,
+)
 from valvesim.diagnosis.score_test import score_test
 from valvesim.diagnosis.symbolic_form import _fitted_formulas, formula_words, with_formula
 from valvesim.diagnosis.term_estimation import (
@@ -233,13 +244,14 @@ def test_a_fit_that_is_tested_again_is_not_linearised_again(nominal, scores, mon
 def answer(nominal, scores, found, monkeypatch):
     """The answer of a search that has ended without a cause, but for what is changed of it; the term was recovered."""
 
-    def answer(alarm=True, bench=(), joint_errors=None, **named):
+    def answer(alarm=True, bench=(), **named):
         monkeypatch.setattr(conclusion, "odd_test", lambda nominal, options: named.get("odd", ""))
         monkeypatch.setattr(conclusion, "recover_term", lambda nominal, scores: named.get("recovered", found))
         monkeypatch.setattr(conclusion, "one_parameter_term", lambda nominal, scores: named.get("slight"))
         monkeypatch.setattr(conclusion, "as_catalogue_entry", lambda isolation, recovered: isolation)
         monkeypatch.setattr(conclusion, "is_inadequate", lambda nominal, fit, options: named.get("inadequate", False))
-        ended = Isolation(nominal, scores, scores, [], [], "", alarm, 4.0, bench, joint_errors=joint_errors)
+        own = {name: named.get(name) for name in ("joint_errors", "channel")}
+        ended = Isolation(nominal, scores, scores, [], [], "", alarm, 4.0, bench, **own)
         return diagnosing._answer(ended)
 
     return answer
@@ -296,6 +308,25 @@ def test_records_that_do_not_belong_together_are_told_by_the_test_that_is_apart(
     told = answer(odd="ramp")
     assert (told.verdict, told.reason, told.term) == (UNKNOWN, RECORDS_APART, None)
     assert "ramp alone is not as the others say" in told.summary and told.what_to_do[0].label == "the test ramp"
+
+
+def test_a_channel_that_does_not_go_with_the_others_is_told_beside_a_term_or_instead(answer, found):
+    channel = ChannelApart("load_flow", "")
+    told = answer(channel=channel, recovered=None)
+    assert (told.verdict, told.reason) == (UNKNOWN, CHANNEL_APART) and "load_flow does not go" in told.summary
+    told = answer(channel=channel)
+    assert told.reason == "" and told.term is found.term and channel.words in told.notes
+
+
+def test_no_cause_is_sought_where_the_response_of_one_channel_explains_what_shows(nominal, monkeypatch):
+    slow = ChannelApart("load_flow", "a response of second order (60 Hz, damping ratio 0.50) explains it")
+    monkeypatch.setattr(isolating, "is_adequate", lambda fit, options: False)
+    monkeypatch.setattr(isolating, "channel_apart", lambda nominal, scores, options: slow)
+    monkeypatch.setattr(isolating, "_isolated", None)
+    monkeypatch.setattr(conclusion, "recover_term", None)
+    told = diagnosing._answer(isolating.isolate(nominal, lambda stage, share: None, options=DIAGNOSIS))
+    assert (told.verdict, told.reason, told.extension_offered) == (UNKNOWN, CHANNEL_APART, False)
+    assert slow.words in told.summary and told.what_to_do[0].label == "the channel load_flow"
 
 
 def test_records_that_no_fit_comes_near_are_told_to_be_of_another_valve(answer):

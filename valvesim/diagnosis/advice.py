@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from valvesim.diagnosis.model_selection import FittedHypothesis
-from valvesim.diagnosis.result import MISREAD, OTHER_VALVE, RECORDS_APART, Term, WhatToDo
+from valvesim.diagnosis.result import CHANNEL_APART, MISREAD, OTHER_VALVE, RECORDS_APART, Term, WhatToDo
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.prior import NETWORK
 from valvesim.valve.effect import Advice
@@ -33,8 +33,10 @@ def advice_on_causes(
 def advice_on_unknown(reason: str, odd: str, term: Term | None) -> tuple[WhatToDo, ...]:
     """What to do where nothing is named: by the `reason` of the verdict, else about a missing term, else in general.
 
-    `odd` is the test that does not belong to the others.
+    `odd` is the test, or the channel, that does not belong to the others.
     """
+    if reason == CHANNEL_APART:
+        return (what_to_do(f"the channel {odd}", CHANNEL),)
     if reason == RECORDS_APART:
         return (what_to_do(f"the test {odd}", APART),)
     if reason == OTHER_VALVE:
@@ -229,7 +231,13 @@ OTHER = Advice(
     confirm="flow over current and leakage at null, slow, against the data sheet of this valve",
     remedy="correct units or signs, or state the figures of the valve that was measured in [valve]",
 )
-
+CHANNEL = Advice(
+    part="measuring chain of that channel: sensor, lines to it, amplifier and its filter, converter",
+    inspect="its filter and range; air in the lines to a pressure transducer; play in a displacement sensor; whether "
+    "all samples are of the same instants",
+    confirm="the same test with another instrument in that channel, or a step that both measure",
+    remedy="mend its chain, or leave the channel out; what no other channel shows may be the valve still",
+)
 CHANNELS = Advice(
     part="wiring of these channels, and their columns",
     inspect="polarity of sensor and coils, plugs, scale of the amplifier; name and unit in the header of each column",

@@ -21,6 +21,7 @@ from valvesim.diagnosis.result import (
     AMBIGUOUS,
     BENCH,
     CAUSE,
+    CHANNEL_APART,
     NO_DISCREPANCY,
     OTHER_VALVE,
     RECORDS_APART,
@@ -44,8 +45,8 @@ class Conclusion:
     `answer_set` holds the hypotheses that may be the cause, `best` is the likeliest of all that were fitted.
     `unknown_reason` tells why the cause may be none of them, `doubt` adds errors of instruments to that, and
     `recovered` is the term that would then be missing. `reason` is the verdict's where the answer is about something
-    else than a cause in the valve, `because` the same in words, and `odd_test` the test that does not go with the
-    others.
+    else than a cause in the valve, `because` the same in words, and `odd` the test or the channel that does not go with
+    the others.
     """
 
     isolation: Isolation
@@ -57,7 +58,7 @@ class Conclusion:
     recovered: RecoveredTerm | None
     reason: str
     because: str
-    odd_test: str
+    odd: str
 
     @property
     def fit(self) -> Fit:
@@ -75,8 +76,10 @@ def conclude(isolation: Isolation) -> Conclusion:
     nominal, options = isolation.nominal, isolation.scores.options
     best, answer_set, unknown_reason = _hypotheses(isolation)
     inadequate = is_inadequate(nominal, _fit_of(isolation, best), options=options)
-    recovered, odd = None, ""
-    if isolation.alarm and not (inadequate or isolation.is_other_valve) and (unknown_reason or not answer_set):
+    recovered, odd, channel = None, "", isolation.channel
+    explained = channel is not None and bool(channel.response)
+    sought = isolation.alarm and not (inadequate or isolation.is_other_valve or explained)
+    if sought and (unknown_reason or not answer_set):
         isolation, recovered, odd = _with_missing_term(isolation, answer_set)
         best, answer_set, unknown_reason = _hypotheses(isolation)
     if _none_stands(nominal, answer_set, isolation.found, recovered, inadequate, options=options):
@@ -94,7 +97,9 @@ def conclude(isolation: Isolation) -> Conclusion:
         doubts.append(f"errors of the instruments explain {what} as well ({isolation.joint_errors.words})")
     doubt = "; ".join(doubts)
     verdict, reason, because = verdict_of(isolation.alarm, answer_set, doubt), "", ""
-    if inadequate or (verdict == UNKNOWN and far):
+    if verdict == UNKNOWN and recovered is None and not odd and channel is not None:
+        reason, because, odd = CHANNEL_APART, channel.words, channel.name
+    elif inadequate or (verdict == UNKNOWN and far):
         verdict, reason, because = UNKNOWN, OTHER_VALVE, INADEQUATE if inadequate else f"{FAR_OFF} ({far})"
     elif odd:
         reason, because = RECORDS_APART, f"these records do not belong together: {odd} alone is not as the others say"

@@ -161,12 +161,14 @@ def _extended(conclusion: Conclusion) -> _Extension:
     gain, claimed, offered, traces, failed = holdout_gain(
         nominal, before, variant, readings, options=isolation.scores.options
     )
-    notes = list(failed)
-    if not offered and variant is not unextended:
+    notes, why = list(failed), ""
+    if conclusion.is_named and not all(one.candidates for one in conclusion.answer_set):
+        offered, why = False, "noise alone may show it"
+    elif not offered:
+        why = "the locked records do not show that the extension helps"
+    if why and variant is not unextended:
         variant = before.variant(study.nominal)
-        notes.append(
-            "the locked records do not show that the extension helps: the scenario is that of the refitted base model"
-        )
+        notes.append(f"{why}: the scenario is that of the refitted base model")
     offered = offered and variant is not unextended
     return _Extension(variant, point, term, before, gain, claimed, offered, traces, tuple(notes))
 
@@ -176,6 +178,8 @@ def _notes(conclusion: Conclusion) -> list[str]:
     isolation, because = conclusion.isolation, conclusion.because
     study = isolation.nominal.study
     notes = [because] if because else []
+    if conclusion.verdict == UNKNOWN and isolation.channel is not None and isolation.channel.words not in because:
+        notes.append(isolation.channel.words)
     notes += study.session.notes
     if any(not noise.verified for noise in study.noise.values()):
         notes.append(
@@ -197,7 +201,7 @@ def _what_to_do(conclusion: Conclusion, term: Term | None) -> tuple[WhatToDo, ..
         errors = conclusion.isolation.joint_errors
         return advice_on_causes(conclusion.answer_set, conclusion.unknown_reason, or_instruments=errors is not None)
     if conclusion.verdict == UNKNOWN:
-        return advice_on_unknown(conclusion.reason, conclusion.odd_test, term)
+        return advice_on_unknown(conclusion.reason, conclusion.odd, term)
     return ()
 
 

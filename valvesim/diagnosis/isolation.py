@@ -23,6 +23,7 @@ from valvesim.diagnosis.bench_faults import (
     with_inputs_of_one_cause,
     without_instrument_errors,
 )
+from valvesim.diagnosis.channel_apart import ChannelApart, channel_apart
 from valvesim.diagnosis.detection import (
     bearable_beside_bench,
     beyond_noise,
@@ -89,7 +90,8 @@ class Isolation:
     if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
     in words, and what to do about it; `is_other_valve` whether these are records of another valve than the stated one,
     so that no cause was sought; `joint_errors` errors of the instruments that explain it together, instead of causes or
-    as well as those of the answer set; `second_level` the z that a second cause had to pass.
+    as well as those of the answer set; `second_level` the z that a second cause had to pass; `channel` the channel that
+    does not go with the others, where that was asked: no cause was sought where its response explains it.
     """
 
     nominal: NominalFit
@@ -104,6 +106,7 @@ class Isolation:
     is_other_valve: bool = False
     joint_errors: JointErrors | None = None
     second_level: float = np.inf
+    channel: ChannelApart | None = None
 
 
 def isolate(
@@ -116,6 +119,11 @@ def isolate(
     """
     progress("looking for causes", 0.0)
     scores, beside = score_test(nominal, nominal.fit, options=options), list[Fit]()
+    begun, adequate = (nominal, scores), is_adequate(nominal.fit, options=options.identification)
+    channel = None if adequate or known else channel_apart(*begun, options=options)
+    if channel is not None and channel.response:
+        level = scores.level(options.detection.false_alarm)
+        return Isolation(nominal, scores, scores, [], [], "", True, level, channel=channel)
     if detect(scores)[0]:
         nominal, scores, beside = _with_bench(nominal, scores, known, options=options)
     level = scores.level(options.detection.false_alarm)
@@ -132,7 +140,10 @@ def isolate(
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
     elif (other := _with_second_like_errors(isolation, progress, options=options)) is not None:
         isolation, errors = other
-    return replace(isolation, bench=told_faults(isolation.final, options=options), joint_errors=errors)
+    if adequate and isolation.alarm and not isolation.answer_set:
+        channel = channel_apart(*begun, options=options)
+    bench = told_faults(isolation.final, options=options)
+    return replace(isolation, bench=bench, joint_errors=errors, channel=channel)
 
 
 def _or_one_cause_under_other_inputs(

@@ -325,6 +325,27 @@ class DesignOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChannelApartOptions:
+    """One channel that does not go with the others."""
+
+    least_score: float = option(
+        2.0, "1", "times the alarm level that z must reach before a channel may be apart",
+        "less is hidden by leaving any channel out",
+    )
+    frequencies: tuple[float, ...] = option(
+        (0.02, 0.08, 0.25), "1", "natural frequencies of a response of second order to begin with, per sample rate",
+        JUDGEMENT,
+    )
+    explained: float = option(
+        0.25, "1", "share of what a lag of first order with a delay leaves, which a response may leave", JUDGEMENT
+    )
+    noise: float = option(2.0, "1", "mean square, in noise deviations, that a response may leave", JUDGEMENT)
+    nearly_all: float = option(
+        0.02, "1", "share of what the lag leaves, which a response may leave above that", "the other channels err too"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class HoldOutOptions:
     """The gain on hold-out records."""
 
@@ -346,6 +367,7 @@ class DiagnosisOptions:
     coarse_to_fine: CoarseToFineOptions = CoarseToFineOptions()
     missing_term: MissingTermOptions = MissingTermOptions()
     design: DesignOptions = DesignOptions()
+    channel_apart: ChannelApartOptions = ChannelApartOptions()
     hold_out: HoldOutOptions = HoldOutOptions()
 
 

@@ -17,6 +17,7 @@ from valvesim.valve.additive_term import LAG, PATH
 NO_DISCREPANCY, CAUSE, AMBIGUOUS, UNKNOWN = "no_discrepancy", "cause", "ambiguous", "unknown"
 
 BENCH, RECORDS_APART, OTHER_VALVE, MISREAD = "bench", "records_apart", "other_valve", "misread_channels"
+CHANNEL_APART = "channel_apart"
 """Reasons of a verdict: the bench and not the valve, records that do not belong together, records that are not of the
 stated valve."""
 
@@ -199,8 +200,8 @@ class Diagnosis(Shown):
     """What the measured data show of the model's errors. `summary` says it in words.
 
     `what_to_do` is what to do about each cause of the answer set, or where none is named, and about the bench.
-    `reason` is "" or why the verdict is not about a cause in the valve: `BENCH`, `RECORDS_APART`, `OTHER_VALVE` or
-    `MISREAD`; `bench` is what the bench did, in words, whatever the verdict.
+    `reason` is "" or why the verdict is not about a cause in the valve: `BENCH`, `RECORDS_APART`, `OTHER_VALVE`,
+    `MISREAD` or `CHANNEL_APART`; `bench` is what the bench did, in words, whatever the verdict.
 
     `extended_scenario` holds the extension where `extension_offered`: where the hold-out records most likely got better
     by it, or there are none; else it is the nominal model's, refitted.

@@ -136,11 +136,12 @@ def _by_readings(
 
 
 def _smoothed(records: Sequence[Record], *, options: ChannelOptions) -> list[str]:
-    """The channels whose noise ends within the band of its samples, in words. That is told by repeats, less what goes
-    with the readings, bent either way, and with their derivatives: no sensor's noise, nor an analogue filter's, falls
-    so steeply.
+    """The channels whose noise ends within the band of its samples, or vanishes at the frequencies of a moving mean, in
+    words. That is told by repeats, less what goes with the readings, bent either way, and with their derivatives: no
+    sensor's noise, nor an analogue filter's, falls so steeply.
     """
-    ends = dict[str, list[float]]()
+    ends, means = dict[str, list[float]](), dict[str, list[int]]()
+    rates = dict[str, float]()
     for other, record in replicates(records):
         for name in (each for each in record.outputs if each in other.outputs):
             good = record.usable[name] & other.usable[name]
@@ -151,17 +152,40 @@ def _smoothed(records: Sequence[Record], *, options: ChannelOptions) -> list[str
             left = np.where(good, apart - columns @ np.linalg.lstsq(columns[good], apart[good])[0], 0.0)
             if len(left) < 4 * options.spectrum:
                 continue
-            rate = 1.0 / float(record.time[1] - record.time[0])
-            frequency, power = welch(left, rate, nperseg=options.spectrum)
+            rates[name] = 1.0 / float(record.time[1] - record.time[0])
+            frequency, power = welch(left, rates[name], nperseg=options.spectrum)
             share = frequency / frequency[-1]
             below, above = np.median(power[(share > 0.05) & (share < 0.25)]), np.median(power[share > 0.7])
             end = frequency[np.argmax((power < 0.1 * below) & (share > 0.05))]
             ends.setdefault(name, []).append(float(end) if above < options.noise_ends * below else np.inf)
-    return [
+            means.setdefault(name, []).append(_samples_averaged(left, options=options))
+    told = [
         f"{name} has hardly any noise above {max(own):.0f} Hz: was it smoothed before it was written? Such filters may "
         "look ahead; give it as it was sampled"
         for name, own in ends.items() if max(own) < np.inf
     ]  # fmt: skip
+    return told + [
+        f"{name} has no noise at {rates[name] / own[0]:.0f} Hz and its multiples: is it a mean over {own[0]} samples "
+        "each? Give it as it was sampled"
+        for name, own in means.items() if min(own) == max(own) > 1 and max(ends[name]) == np.inf
+    ]  # fmt: skip
+
+
+def _samples_averaged(noise: np.ndarray, *, options: ChannelOptions) -> int:
+    """Over how many samples a moving mean was taken of noise (n,), whose power vanishes at the multiples of the sample
+    rate over so many; 1 where there was none.
+    """
+    frequency, power = welch(noise, 1.0, nperseg=min(len(noise) // 4, options.mean_spectrum))
+    for count in range(options.longest_mean, 1, -1):
+        depths = []
+        for zero in np.arange(1, (count + 1) // 2) / count:
+            at = np.abs(frequency - zero) * (len(frequency) - 1) * 2.0 < 0.75
+            sides = [power[np.abs((frequency - zero) * count - side) < 0.2] for side in (-0.5, 0.5)]
+            found = at.any() and all(map(len, sides))
+            depths.append(np.max(power[at]) / min(map(np.median, sides)) if found else np.inf)
+        if depths and max(depths) < options.mean_depth:
+            return count
+    return 1
 
 
 def _agree(y: np.ndarray, m: np.ndarray, *, options: ChannelOptions) -> bool:

@@ -559,6 +559,12 @@ class ChannelOptions:
         "analogue filters, and what samples them, leave more",
     )  # fmt: skip
     spectrum: int = option(64, "1", "samples of each spectrum that tells it", JUDGEMENT)
+    mean_spectrum: int = option(256, "1", "samples of each spectrum that tells a moving mean, at most", JUDGEMENT)
+    mean_depth: float = option(
+        0.05, "1", "share of its neighbours that the noise may have where that of a moving mean vanishes",
+        "by chance one spectrum in a million has so little",
+    )  # fmt: skip
+    longest_mean: int = option(25, "1", "samples of the longest moving mean that is looked for", "50 Hz at 1 kHz")
     set_to_zero: float = option(0.02, "1", "span within which readings that were set to zero are, in all", JUDGEMENT)
     goes_back: float = option(
         0.2, "1", "share of its span by which the stated valve reads on either side of zero", JUDGEMENT

@@ -12,6 +12,7 @@ from valvesim.diagnosis.result import (
     AMBIGUOUS,
     BENCH,
     CAUSE,
+    CHANNEL_APART,
     MISREAD,
     NO_DISCREPANCY,
     OTHER_VALVE,
@@ -70,6 +71,7 @@ REASON_WORDS = {
     RECORDS_APART: "Records that do not belong together",
     OTHER_VALVE: "Not the stated valve",
     MISREAD: "Channels, not the valve",
+    CHANNEL_APART: "One channel apart",
 }  # words of the banner in place of the verdict's
 DIAGNOSIS_DPI = 140  # of the pictures: sharp on paper too
 MEMORY_WORDS = {NONE: "none", LAG: "follows with a lag", PATH: "turns with the direction, as hysteresis does"}

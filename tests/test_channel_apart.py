@@ -1,0 +1,83 @@
+"""A channel that does not go with the others is told as that, and a second-order response of it by its figures."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import bilinear, lfilter
+
+from valvesim.diagnosis import channel_apart as own
+from valvesim.diagnosis.advice import advice_on_unknown
+from valvesim.diagnosis.channel_apart import ChannelApart, ReadAgainst, channel_apart, second_order_response
+from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS
+from valvesim.diagnosis.result import CHANNEL_APART
+
+OPTIONS = DEFAULT_DIAGNOSIS.channel_apart
+RATE, FINE = 1000.0, 32
+
+
+def through(x, denominator, fine=FINE * RATE):
+    """A series on a fine clock behind an analogue filter of unit gain, from rest: an oracle by the bilinear rule."""
+    b, a = bilinear([1.0], denominator, fine)
+    return x[0] + lfilter(b, a, x - x[0])
+
+
+def read_through(denominator, noise=2e-3, seed=1, late=0.0, gain=1.0):
+    """A swing of rising frequency and what a chain makes of it, as 1 kHz samples with noise; two records."""
+    draw_ = np.random.default_rng(seed)
+    for cycles in (20.0, 80.0):
+        fine = np.arange(int(FINE * RATE)) / (FINE * RATE)
+        swing = np.sin(2.0 * np.pi * (2.0 + 0.5 * cycles * fine) * fine)
+        y = gain * np.interp(fine - late, fine, through(swing, denominator))[::FINE]
+        y = y + noise * draw_.normal(size=len(y))
+        yield ReadAgainst(fine[::FINE], swing[::FINE], y, np.full(len(y), True), noise)
+
+
+@settings(max_examples=25)
+@given(st.floats(20.0, 150.0), st.floats(0.2, 1.2), st.floats(0.9, 1.1), st.integers(0, 99))
+def test_a_response_of_second_order_is_found(frequency, damping, gain, seed):
+    w = 2.0 * np.pi * frequency
+    read = list(read_through([1.0 / w**2, 2.0 * damping / w, 1.0], seed=seed, gain=gain))
+    found = second_order_response(read, options=OPTIONS)
+    if found is None:  # a well damped chain acts as a lag with a delay
+        assert damping > 0.6
+    else:
+        assert found == (pytest.approx(frequency, rel=0.05), pytest.approx(damping, rel=0.05))
+
+
+@pytest.mark.parametrize("lag, late", [(0.0, 0.0), (5e-4, 0.0), (5e-3, 0.0), (2e-3, 1.5e-3), (0.0, 2e-3)])
+def test_a_lag_and_a_delay_are_none(lag, late):
+    denominator = [lag, 1.0] if lag else [1.0]
+    assert second_order_response(list(read_through(denominator, late=late)), options=OPTIONS) is None
+
+
+def test_what_is_no_response_is_none():
+    """Play of one fiftieth of the swing, and a curve."""
+    for bend in (lambda y: y + 0.02 * np.sign(np.gradient(y)), lambda y: y - 0.05 * y**3):
+        read = [ReadAgainst(o.time, o.x, bend(o.y), o.usable, o.deviation) for o in read_through([1.0])]
+        assert second_order_response(read, options=OPTIONS) is None
+
+
+@pytest.mark.parametrize("shows, without, told", [
+    (40.0, {"b"}, "b"), (40.0, {"a", "b"}, None), (40.0, set(), None), (7.0, {"b"}, None),
+])  # fmt: skip
+def test_one_channel_is_apart_where_without_it_alone_nothing_is_wrong(monkeypatch, shows, without, told):
+    """Of two that both hide it, neither; nor of what shows so little that leaving out any may hide it."""
+    record = SimpleNamespace(outputs=("a", "b", "c"))
+    nominal = SimpleNamespace(study=SimpleNamespace(predictors=[SimpleNamespace(record=record)]))
+    scores = SimpleNamespace(z=lambda: np.array([shows]), level=lambda false_alarm: 4.0)
+    monkeypatch.setattr(own, "_without_channel", lambda n, name, options: nominal if name in without else None)
+    monkeypatch.setattr(own, "_response", lambda *_, **__: "")
+    found = channel_apart(nominal, scores, options=DEFAULT_DIAGNOSIS)
+    assert (found and found.name) == told
+    record.outputs = ("b",)
+    assert channel_apart(nominal, scores, options=DEFAULT_DIAGNOSIS) is None
+
+
+def test_a_channel_apart_is_told_in_words_with_what_to_do():
+    assert ChannelApart("load_flow", "").words.endswith("it, or what no other channel shows, is wrong")
+    assert ChannelApart("load_flow", "a lag explains it").words.endswith("nothing is wrong: a lag explains it")
+    (told,) = advice_on_unknown(CHANNEL_APART, "load_flow", None)
+    assert told.label == "the channel load_flow" and "another instrument" in told.confirm

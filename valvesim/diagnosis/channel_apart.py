@@ -1,0 +1,158 @@
+"""One channel that does not go with the others: without it nothing is left to explain.
+
+What is wrong is then in its measuring chain, or in what no other channel shows. A chain of second order is told by its
+natural frequency and damping ratio (Doebelin, Measurement Systems, 1990, ch. 3).
+
+Symbols
+    x what the valve does, y what is read, w natural angular frequency, z damping ratio, k gain, b bias
+    y''/w^2 + 2 z y'/w + y = k x + b
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import cont2discrete, lfilter
+
+from valvesim.diagnosis.detection import detect
+from valvesim.diagnosis.options import ChannelApartOptions, DiagnosisOptions
+from valvesim.diagnosis.score_test import ScoreTest, score_test
+from valvesim.errors import InputError, SolveError
+from valvesim.identification.fit import is_adequate, predict_readings
+from valvesim.identification.nominal_fit import NominalFit, fit_nominal_near, with_inputs_reviewed
+from valvesim.identification.study import Study, with_records
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelApart:
+    """A channel that does not go with the others, and the response of second order that explains it, in words; ""
+    where none does.
+    """
+
+    name: str
+    response: str
+
+    @property
+    def words(self) -> str:
+        told = self.response or "it, or what no other channel shows, is wrong"
+        return f"{self.name} does not go with the other channels, without which nothing is wrong: {told}"
+
+
+def channel_apart(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> ChannelApart | None:
+    """The one channel without which the nominal valve explains the records; None where there is none or several, or
+    what shows is so little, by the score test of the fit, that it may hide without any.
+    """
+    names, found = measured_names(nominal.study), list[tuple[str, NominalFit]]()
+    shows, level = float(np.max(scores.z(), initial=0.0)), scores.level(options.detection.false_alarm)
+    for name in names if len(names) > 1 and shows > options.channel_apart.least_score * level else ():
+        without = _without_channel(nominal, name, options=options)
+        if without is not None:
+            found.append((name, without))
+        if len(found) > 1:
+            return None
+    if not found:
+        return None
+    name, without = found[0]
+    return ChannelApart(name, _response(nominal.study, without, name, options=options))
+
+
+def measured_names(study: Study) -> list[str]:
+    """The channels that training records measure."""
+    return list(dict.fromkeys(name for one in study.predictors for name in one.record.outputs))
+
+
+def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOptions) -> NominalFit | None:
+    """The nominal valve fitted to all channels but one, from within tolerance; None where it leaves an alarm."""
+    study, records = nominal.study, []
+    for record in (predictor.record for predictor in nominal.study.predictors):
+        values, usable = dict(record.values), dict(record.usable)
+        if name in values:
+            del values[name], usable[name]
+        records.append(replace(record, values=values, usable=usable))
+    if not all(record.outputs for record in records):
+        return None
+    others = with_records(study.unweighted(), records, ())
+    limit = options.identification.fit.tolerance_deviations
+    try:
+        fit = fit_nominal_near(others, np.clip(nominal.fit.point, -limit, limit), full_weight=not study.weights)
+        if not is_adequate(fit.fit, options=options.identification):
+            return None
+        if detect(score_test(fit, fit.fit, options=options))[0]:
+            fit = with_inputs_reviewed(fit)
+        alarm, _ = detect(score_test(fit, fit.fit, options=options))
+    except (SolveError, InputError):
+        return None
+    return None if alarm else fit
+
+
+def _response(study: Study, without: NominalFit, name: str, *, options: DiagnosisOptions) -> str:
+    """The response of second order by which a channel reads what the valve does by the others, in words; "" where none
+    explains it.
+    """
+    reads = predict_readings(study.unweighted(), without.fit.variant(without.study.nominal))
+    read = [
+        ReadAgainst(p.record.time, x[name], p.record.values[name], p.record.usable[name],
+                    study.noise[name, p.record.pace].deviation)
+        for p, x in zip(study.predictors, reads, strict=True) if name in p.record.outputs
+    ]  # fmt: skip
+    found = second_order_response(read, options=options.channel_apart)
+    if found is None:
+        return ""
+    return f"a response of second order ({found[0]:.3g} Hz, damping ratio {found[1]:.2f}) explains it"
+
+
+@dataclass(frozen=True, eq=False)
+class ReadAgainst:
+    """A channel's readings `y` (n,) over what the valve does by the others, `x` (n,), at `time` (n,) s; `usable` (n,)
+    of them, whose noise has a deviation.
+    """
+
+    time: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    usable: np.ndarray
+    deviation: float
+
+
+def second_order_response(read: Sequence[ReadAgainst], *, options: ChannelApartOptions) -> tuple[float, float] | None:
+    """Natural frequency, Hz, and damping ratio of the response that explains the readings; None where it leaves more
+    than noise, or a lag of first order with a delay nearly as little, which are faults of the catalogue.
+    """
+    rate = min((len(one.time) - 1) / float(one.time[-1]) for one in read)
+    y = np.concatenate([(one.y / one.deviation)[one.usable] for one in read])
+
+    def left(respond: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """What is left (n,), in noise deviations, at the gain and bias that leave least."""
+        parts = [
+            np.column_stack([respond(one.time, one.x), np.ones(len(one.x))])[one.usable] / one.deviation for one in read
+        ]
+        x = np.concatenate(parts)
+        return y - x @ np.linalg.lstsq(x, y)[0]
+
+    def first_order(figures: np.ndarray) -> np.ndarray:
+        lag, delay = np.exp(figures[0]), figures[1]
+        return left(lambda time, x: np.interp(time - delay, time, _filtered(time, x, [lag, 1.0])))
+
+    def second_order(figures: np.ndarray) -> np.ndarray:
+        w, damping = np.exp(figures)
+        return left(lambda time, x: _filtered(time, x, [1.0 / w**2, 2.0 * damping / w, 1.0]))
+
+    plain = least_squares(first_order, [np.log(1.0 / rate), 0.0], x_scale=[1.0, 1.0 / rate])
+    lowest, highest = options.frequencies[0] / 10.0, 0.4
+    limits = np.log([[2.0 * np.pi * lowest * rate, 0.05], [2.0 * np.pi * highest * rate, 2.0]])
+    starts = [np.log([2.0 * np.pi * share * rate, 0.7]) for share in options.frequencies]
+    best = min((least_squares(second_order, start, bounds=limits) for start in starts), key=lambda one: float(one.cost))
+    near = max(0.5 * options.noise * len(y), options.nearly_all * plain.cost)
+    if best.cost > min(options.explained * plain.cost, near):
+        return None
+    w, damping = np.exp(best.x)
+    return float(w / (2.0 * np.pi)), float(damping)
+
+
+def _filtered(time: np.ndarray, x: np.ndarray, denominator: list[float]) -> np.ndarray:
+    """A series (n,) on an even clock behind a filter of unit gain at rest, from rest, by straight lines between."""
+    b, a, _ = cont2discrete(([1.0], denominator), time[1] - time[0], "foh")
+    return x[0] + lfilter(np.ravel(b), a, x - x[0])
