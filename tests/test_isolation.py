@@ -98,6 +98,7 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
     monkeypatch.setattr(isolation, "with_faults_beside_cause", beside_none)
+    monkeypatch.setattr(isolation, "channel_apart", lambda nominal, scores, options: None)
     monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
     monkeypatch.setattr(isolation, "joint_instrument_errors", lambda scores, options: None)
     monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
@@ -424,6 +425,7 @@ def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together
         "score_test": score_test_that_shows(shows),
         "detect": lambda scores: (False, 4.0),
         "told_faults": lambda scores, options: (),
+        "channel_apart": lambda nominal, scores, options: None,
         "_isolated": isolated,
         "joint_instrument_errors": lambda final, least, *, options: together,
         "without_instrument_errors": lambda nominal: plain,

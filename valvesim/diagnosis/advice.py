@@ -36,7 +36,7 @@ def advice_on_unknown(reason: str, odd: str, term: Term | None) -> tuple[WhatToD
     `odd` is the test, or the channel, that does not belong to the others.
     """
     if reason == CHANNEL_APART:
-        return (what_to_do(f"the channel {odd}", CHANNEL),)
+        return (what_to_do(f"the channel {odd}", APART_CHANNEL),)
     if reason == RECORDS_APART:
         return (what_to_do(f"the test {odd}", APART),)
     if reason == OTHER_VALVE:
@@ -231,7 +231,7 @@ OTHER = Advice(
     confirm="flow over current and leakage at null, slow, against the data sheet of this valve",
     remedy="correct units or signs, or state the figures of the valve that was measured in [valve]",
 )
-CHANNEL = Advice(
+APART_CHANNEL = Advice(
     part="measuring chain of that channel: sensor, lines to it, amplifier and its filter, converter",
     inspect="its filter and range; air in the lines to a pressure transducer; play in a displacement sensor; whether "
     "all samples are of the same instants",
