@@ -60,13 +60,22 @@ def test_what_is_no_response_is_none():
         assert second_order_response(read, options=OPTIONS) is None
 
 
+@pytest.mark.parametrize("x, deviation, usable", [(0.0, 1.0, True), (1.0, 1e6, True), (1.0, 1e-3, False)])
+def test_readings_within_their_noise_and_none_that_are_usable_tell_no_response(x, deviation, usable):
+    """Random channels had been told as responses where nothing was left to explain."""
+    draw_, time = np.random.default_rng(4), np.arange(300) / RATE
+    y = draw_.normal(size=300) * min(deviation, 1.0)
+    read = [ReadAgainst(time, x * np.cumsum(draw_.normal(size=300)), y, np.full(300, usable), deviation)]
+    assert second_order_response(read, options=OPTIONS) is None
+
+
 @pytest.mark.parametrize("shows, without, told", [
     (40.0, {"b"}, "b"), (40.0, {"a", "b"}, None), (40.0, set(), None), (7.0, {"b"}, None),
 ])  # fmt: skip
 def test_one_channel_is_apart_where_without_it_alone_nothing_is_wrong(monkeypatch, shows, without, told):
     """Of two that both hide it, neither; nor of what shows so little that leaving out any may hide it."""
     record = SimpleNamespace(outputs=("a", "b", "c"))
-    nominal = SimpleNamespace(study=SimpleNamespace(predictors=[SimpleNamespace(record=record)]))
+    nominal = SimpleNamespace(study=SimpleNamespace(session=SimpleNamespace(training=[record])))
     scores = SimpleNamespace(z=lambda: np.array([shows]), level=lambda false_alarm: 4.0)
     monkeypatch.setattr(own, "_without_channel", lambda n, name, options: nominal if name in without else None)
     monkeypatch.setattr(own, "_response", lambda *_, **__: "")

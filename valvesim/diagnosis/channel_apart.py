@@ -23,6 +23,7 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import is_adequate, predict_readings
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal_near, with_inputs_reviewed
+from valvesim.identification.prior import measured_channels
 from valvesim.identification.study import Study, with_records
 
 
@@ -45,7 +46,7 @@ def channel_apart(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisO
     """The one channel without which the nominal valve explains the records; None where there is none or several, or
     what shows is so little, by the score test of the fit, that it may hide without any.
     """
-    names, found = measured_names(nominal.study), list[tuple[str, NominalFit]]()
+    names, found = measured_channels(nominal.study.session), list[tuple[str, NominalFit]]()
     shows, level = float(np.max(scores.z(), initial=0.0)), scores.level(options.detection.false_alarm)
     for name in names if len(names) > 1 and shows > options.channel_apart.least_score * level else ():
         without = _without_channel(nominal, name, options=options)
@@ -57,11 +58,6 @@ def channel_apart(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisO
         return None
     name, without = found[0]
     return ChannelApart(name, _response(nominal.study, without, name, options=options))
-
-
-def measured_names(study: Study) -> list[str]:
-    """The channels that training records measure."""
-    return list(dict.fromkeys(name for one in study.predictors for name in one.record.outputs))
 
 
 def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOptions) -> NominalFit | None:
@@ -80,9 +76,9 @@ def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOption
         fit = fit_nominal_near(others, np.clip(nominal.fit.point, -limit, limit), full_weight=not study.weights)
         if not is_adequate(fit.fit, options=options.identification):
             return None
-        if detect(score_test(fit, fit.fit, options=options))[0]:
-            fit = with_inputs_reviewed(fit)
         alarm, _ = detect(score_test(fit, fit.fit, options=options))
+        if alarm and (reviewed := with_inputs_reviewed(fit)) is not fit:
+            fit, (alarm, _) = reviewed, detect(score_test(reviewed, reviewed.fit, options=options))
     except (SolveError, InputError):
         return None
     return None if alarm else fit
@@ -119,7 +115,7 @@ class ReadAgainst:
 
 def second_order_response(read: Sequence[ReadAgainst], *, options: ChannelApartOptions) -> tuple[float, float] | None:
     """Natural frequency, Hz, and damping ratio of the response that explains the readings; None where it leaves more
-    than noise, or a lag of first order with a delay nearly as little, which are faults of the catalogue.
+    than noise, or a lag of first order with a delay no more than noise, or nearly as little: faults of the catalogue.
     """
     rate = min((len(one.time) - 1) / float(one.time[-1]) for one in read)
     y = np.concatenate([(one.y / one.deviation)[one.usable] for one in read])
@@ -140,13 +136,16 @@ def second_order_response(read: Sequence[ReadAgainst], *, options: ChannelApartO
         w, damping = np.exp(figures)
         return left(lambda time, x: _filtered(time, x, [1.0 / w**2, 2.0 * damping / w, 1.0]))
 
-    plain = least_squares(first_order, [np.log(1.0 / rate), 0.0], x_scale=[1.0, 1.0 / rate])
+    lags = np.log([1e-3 / rate, 1e3 / rate])  # below and above these nothing changes
+    within = ([lags[0], -np.inf], [lags[1], np.inf])
+    plain = least_squares(first_order, [np.log(1.0 / rate), 0.0], x_scale=[1.0, 1.0 / rate], bounds=within)
     lowest, highest = options.frequencies[0] / 10.0, 0.4
     limits = np.log([[2.0 * np.pi * lowest * rate, 0.05], [2.0 * np.pi * highest * rate, 2.0]])
     starts = [np.log([2.0 * np.pi * share * rate, 0.7]) for share in options.frequencies]
     best = min((least_squares(second_order, start, bounds=limits) for start in starts), key=lambda one: float(one.cost))
-    near = max(0.5 * options.noise * len(y), options.nearly_all * plain.cost)
-    if best.cost > min(options.explained * plain.cost, near):
+    noise = 0.5 * options.noise * len(y)
+    near = max(noise, options.nearly_all * plain.cost)
+    if plain.cost <= noise or best.cost > min(options.explained * plain.cost, near):
         return None
     w, damping = np.exp(best.x)
     return float(w / (2.0 * np.pi)), float(damping)

@@ -35,6 +35,7 @@ from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
     CAUSE,
+    CHANNEL_APART,
     MISREAD,
     OTHER_VALVE,
     UNKNOWN,
@@ -178,7 +179,7 @@ def _notes(conclusion: Conclusion) -> list[str]:
     isolation, because = conclusion.isolation, conclusion.because
     study = isolation.nominal.study
     notes = [because] if because else []
-    if conclusion.verdict == UNKNOWN and isolation.channel is not None and isolation.channel.words not in because:
+    if conclusion.verdict == UNKNOWN and isolation.channel is not None and conclusion.reason != CHANNEL_APART:
         notes.append(isolation.channel.words)
     notes += study.session.notes
     if any(not noise.verified for noise in study.noise.values()):
