@@ -21,8 +21,14 @@ from valvesim.diagnosis.detection import detect
 from valvesim.diagnosis.options import ChannelApartOptions, DiagnosisOptions
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.errors import InputError, SolveError
-from valvesim.identification.fit import is_adequate, predict_readings
-from valvesim.identification.nominal_fit import NominalFit, fit_nominal_near, with_inputs_reviewed
+from valvesim.identification.fit import evaluate_fit, is_adequate
+from valvesim.identification.nominal_fit import (
+    NominalFit,
+    clipped_to_tolerance,
+    fit_nominal_near,
+    linearise_nominal,
+    with_inputs_reviewed,
+)
 from valvesim.identification.prior import measured_channels
 from valvesim.identification.study import Study, with_records
 
@@ -30,11 +36,12 @@ from valvesim.identification.study import Study, with_records
 @dataclass(frozen=True, eq=False)
 class ChannelApart:
     """A channel that does not go with the others, and the response of second order that explains it, in words; ""
-    where none does.
+    where none does. `nominal` is the nominal fit to the other channels, with what it reads of this one.
     """
 
     name: str
     response: str
+    nominal: NominalFit
 
     @property
     def words(self) -> str:
@@ -57,11 +64,14 @@ def channel_apart(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisO
     if not found:
         return None
     name, without = found[0]
-    return ChannelApart(name, _response(nominal.study, without, name, options=options))
+    whole = _with_channel(without, name, nominal.study)
+    return ChannelApart(name, _response(whole, name, options=options), whole)
 
 
 def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOptions) -> NominalFit | None:
-    """The nominal valve fitted to all channels but one, from within tolerance; None where it leaves an alarm."""
+    """The nominal valve fitted to all channels but one; None where it leaves an alarm. From the stated valve where that
+    channel may have dragged the fit to all of them along, from where this one is where it is adequate.
+    """
     study, records = nominal.study, []
     for record in (predictor.record for predictor in nominal.study.predictors):
         values, usable = dict(record.values), dict(record.usable)
@@ -71,9 +81,10 @@ def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOption
     if not all(record.outputs for record in records):
         return None
     others = with_records(study.unweighted(), records, ())
-    limit = options.identification.fit.tolerance_deviations
+    adequate = is_adequate(nominal.fit, options=options.identification)
+    point = clipped_to_tolerance(nominal) if adequate else np.zeros(len(nominal.fit.point))
     try:
-        fit = fit_nominal_near(others, np.clip(nominal.fit.point, -limit, limit), full_weight=not study.weights)
+        fit = fit_nominal_near(others, point, full_weight=not study.weights)
         if not is_adequate(fit.fit, options=options.identification):
             return None
         alarm, _ = detect(score_test(fit, fit.fit, options=options))
@@ -84,15 +95,27 @@ def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOption
     return None if alarm else fit
 
 
-def _response(study: Study, without: NominalFit, name: str, *, options: DiagnosisOptions) -> str:
+def _with_channel(without: NominalFit, name: str, whole: Study) -> NominalFit:
+    """A fit to all channels but one, with that channel as it is in a study of the whole of the same records."""
+    records = []
+    for other, one in ((p.record, q.record) for p, q in zip(without.study.predictors, whole.predictors, strict=True)):
+        if name in one.values:
+            values, usable = {**other.values, name: one.values[name]}, {**other.usable, name: one.usable[name]}
+            other = replace(other, values=values, usable=usable)
+        records.append(other)
+    study = with_records(without.study, records, ()).with_noise({**whole.noise, **without.study.noise})
+    return linearise_nominal(study, evaluate_fit(study, without.fit.point, ()))
+
+
+def _response(nominal: NominalFit, name: str, *, options: DiagnosisOptions) -> str:
     """The response of second order by which a channel reads what the valve does by the others, in words; "" where none
     explains it.
     """
-    reads = predict_readings(study.unweighted(), without.fit.variant(without.study.nominal))
+    study = nominal.study
     read = [
         ReadAgainst(p.record.time, x[name], p.record.values[name], p.record.usable[name],
                     study.noise[name, p.record.pace].deviation)
-        for p, x in zip(study.predictors, reads, strict=True) if name in p.record.outputs
+        for p, x in zip(study.predictors, nominal.fit.readings, strict=True) if name in p.record.outputs
     ]  # fmt: skip
     found = second_order_response(read, options=options.channel_apart)
     if found is None:
@@ -143,9 +166,10 @@ def second_order_response(read: Sequence[ReadAgainst], *, options: ChannelApartO
     limits = np.log([[2.0 * np.pi * lowest * rate, 0.05], [2.0 * np.pi * highest * rate, 2.0]])
     starts = [np.log([2.0 * np.pi * share * rate, 0.7]) for share in options.frequencies]
     best = min((least_squares(second_order, start, bounds=limits) for start in starts), key=lambda one: float(one.cost))
-    noise = 0.5 * options.noise * len(y)
-    near = max(noise, options.nearly_all * plain.cost)
-    if plain.cost <= noise or best.cost > min(options.explained * plain.cost, near):
+    expected = 0.5 * len(y)  # of noise alone
+    near = max(options.noise * expected, options.nearly_all * plain.cost)
+    explained = expected + options.explained * (plain.cost - expected)
+    if plain.cost <= options.noise * expected or best.cost > min(explained, near):
         return None
     w, damping = np.exp(best.x)
     return float(w / (2.0 * np.pi)), float(damping)

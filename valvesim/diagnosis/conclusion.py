@@ -66,6 +66,12 @@ class Conclusion:
         return _fit_of(self.isolation, self.best)
 
     @property
+    def nominal(self) -> NominalFit:
+        """The nominal fit that explains the records best: without the channel that does not go with the others."""
+        channel = self.isolation.channel
+        return channel.nominal if channel is not None and self.reason == CHANNEL_APART else self.isolation.nominal
+
+    @property
     def is_named(self) -> bool:
         """Whether known causes are named, one or several."""
         return self.best is not None and self.verdict in (CAUSE, AMBIGUOUS)

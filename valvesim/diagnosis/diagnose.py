@@ -106,14 +106,14 @@ class _Extension:
 def _answer(isolation: Isolation) -> Diagnosis:
     conclusion = conclude(isolation)
     isolation, level = conclusion.isolation, conclusion.isolation.level
-    nominal, options = isolation.nominal, isolation.scores.options
-    study, session, verdict = nominal.study, nominal.study.session, conclusion.verdict
+    study, options = conclusion.nominal.study, isolation.scores.options
+    session, verdict = study.session, conclusion.verdict
     extension = _extended(conclusion)
     best, answer_set, bench = conclusion.best, conclusion.answer_set, isolation.bench
     errors = isolation.joint_errors.words if isolation.joint_errors is not None else ""
     second = isolation.second_level
     candidates = candidate_answers(
-        nominal, isolation.found, answer_set, level, conclusion.doubt, second, options=options
+        isolation.nominal, isolation.found, answer_set, level, conclusion.doubt, second, options=options
     )
     return Diagnosis(
         title=session.title,
@@ -122,7 +122,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         summary=summary_text(verdict, answer_set, extension.term, conclusion.because, conclusion.doubt, errors),
         location=location_text(verdict, answer_set),
         candidates=tuple(candidates),
-        parameters=confidence_intervals(nominal, isolation.final) if conclusion.is_named else (),
+        parameters=confidence_intervals(isolation.nominal, isolation.final) if conclusion.is_named else (),
         gain=extension.gain,
         gain_claimed=extension.is_claimed,
         extension_offered=extension.is_offered,
@@ -148,7 +148,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
 def _extended(conclusion: Conclusion) -> _Extension:
     """The model that a conclusion extends, tried on the hold-out records."""
     isolation, recovered = conclusion.isolation, conclusion.recovered
-    nominal, study = isolation.nominal, isolation.nominal.study
+    nominal, study = conclusion.nominal, conclusion.nominal.study
     unextended, term = nominal.fit.variant(study.nominal), None
     variant, readings, point = unextended, nominal.fit.readings, nominal.fit.point
     if conclusion.is_named:
@@ -177,7 +177,7 @@ def _extended(conclusion: Conclusion) -> _Extension:
 def _notes(conclusion: Conclusion) -> list[str]:
     """What to know beside the answer: of the records, the noise, the bench and its instruments."""
     isolation, because = conclusion.isolation, conclusion.because
-    study = isolation.nominal.study
+    study = conclusion.nominal.study
     notes = [because] if because else []
     if conclusion.verdict == UNKNOWN and isolation.channel is not None and conclusion.reason != CHANNEL_APART:
         notes.append(isolation.channel.words)

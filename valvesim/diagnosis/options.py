@@ -337,7 +337,8 @@ class ChannelApartOptions:
         JUDGEMENT,
     )
     explained: float = option(
-        0.25, "1", "share of what a lag of first order with a delay leaves, which a response may leave", JUDGEMENT
+        0.25, "1", "share of what a lag of first order with a delay leaves beyond noise, which a response may leave",
+        JUDGEMENT,
     )
     noise: float = option(2.0, "1", "mean square, in noise deviations, that a response may leave", JUDGEMENT)
     nearly_all: float = option(
