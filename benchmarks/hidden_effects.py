@@ -87,7 +87,7 @@ KINDS = hidden_plant.KINDS
 TARGETS = (5.0, 8.0, 15.0, 40.0)
 PARAMETER_TARGETS = (8.0, 15.0, 40.0, 15.0)
 OUTSIDE_TARGETS = (8.0, 15.0, 40.0, 40.0)
-PAIR_TARGET, WEAKER = 20.0, 6.0  # d' of both together, and of the weaker alone
+PAIR_TARGET, WEAKER = 20.0, 6.0  # d' of both together, and of the weaker alone by the linear equations
 NONE_CASES, PAIR_CASES, POOR_CASES = 200, 50, 32
 ORACLE_LOOKS = 1
 STRONGEST = 20.0  # times the strength as drawn
@@ -254,6 +254,28 @@ class Ruler:
 
         What even the true cause leaves, fitted likewise, is the plant's and not what is hidden: it does not count.
         """
+        study = self._shown(case, records)
+        starts = [np.zeros(self.J.shape[1]), *([equivalent] if np.any(equivalent := self.shift(case)) else [])]
+        bases = [fit_nominal_from(study, evaluate_fit(study, point, ())) for point in starts]
+        nominal = min(bases, key=lambda one: one.fit.chi_square)
+        left = evaluate_fit(study, nominal.fit.point, ()).chi_square  # with all samples in full
+        return float(np.sqrt(max(left - self._left_by_cause(case, study, nominal), 0.0)))
+
+    def beside(self, case: Case, records: Records) -> tuple[float, ...]:
+        """d' of each of what is hidden beside the others, by fits to the noise-free records; () where the model lacks
+        one of them.
+        """
+        study = self._shown(case, records)
+        fitted = true_extras(case, study)
+        if fitted is None:
+            return ()
+        nominal = fit_nominal_from(study, evaluate_fit(study, np.zeros(self.J.shape[1]), ()))
+        all_left = self._left_by(fitted, study, nominal)
+        left = [self._left_by(tuple(one for one in fitted if one is not each), study, nominal) for each in fitted]
+        return tuple(float(np.sqrt(max(without - all_left, 0.0))) for without in left)
+
+    def _shown(self, case: Case, records: Records) -> Study:
+        """The study of noise-free records as the hidden changes those of the nominal valve."""
         by_name = {run.name: k for k, run in enumerate(case.runs)}
         predictors = []
         for predictor, rest in zip(self.study.predictors, self.at_rest, strict=True):
@@ -262,26 +284,27 @@ class Ruler:
             predictors.append(
                 replace(predictor, record=replace(predictor.record, values={**predictor.record.values, **shown}))
             )
-        study = replace(self.study, predictors=tuple(predictors))
-        starts = [np.zeros(self.J.shape[1]), *([equivalent] if np.any(equivalent := self.shift(case)) else [])]
-        bases = [fit_nominal_from(study, evaluate_fit(study, point, ())) for point in starts]
-        nominal = min(bases, key=lambda one: one.fit.chi_square)
-        left = evaluate_fit(study, nominal.fit.point, ()).chi_square  # with all samples in full
-        return float(np.sqrt(max(left - self._left_by_cause(case, study, nominal), 0.0)))
+        return replace(self.study, predictors=tuple(predictors))
 
     def _left_by_cause(self, case: Case, study: Study, nominal: NominalFit) -> float:
         """The deviance that even the true cause leaves; zero where the model has none such, or none so strong."""
         fitted = true_extras(case, study)
-        if fitted is None:
-            return 0.0
-        try:
-            on_bench = evaluate_fit(study, np.zeros(self.J.shape[1]), fitted)
-        except (vs.SolveError, vs.InputError):  # the model cannot follow so strong an effect
-            return 0.0
-        refitted = fit_hypothesis(nominal, fitted, on_bench.point, linearisations=ORACLE_LOOKS)
-        if refitted is None:
-            return on_bench.chi_square
-        return min(on_bench.chi_square, evaluate_fit(study, refitted.point, refitted.fitted).chi_square)
+        left = self._left_by(fitted, study, nominal) if fitted is not None else np.inf
+        return left if np.isfinite(left) else 0.0
+
+    def _left_by(self, fitted: tuple[FittedCandidate, ...], study: Study, nominal: NominalFit) -> float:
+        """The least deviance that these leave, fitted from their true figures; inf where the model cannot follow."""
+        least = np.inf
+        for point in (np.zeros(self.J.shape[1]), nominal.fit.point):
+            try:
+                begun = evaluate_fit(study, point, fitted)
+            except (vs.SolveError, vs.InputError):
+                continue
+            least = min(least, begun.chi_square)
+            refitted = fit_hypothesis(nominal, fitted, point, linearisations=ORACLE_LOOKS)
+            if refitted is not None:
+                least = min(least, evaluate_fit(study, refitted.point, refitted.fitted).chi_square)
+        return float(least)
 
     def moved_candidates(self, linearised: Sequence[LinearisedRecord]) -> np.ndarray:
         """Whitened readings (rows,) of other views less those at rest."""
@@ -380,6 +403,11 @@ def tune(case: Case, target: float, folder: Path) -> Tuned:
             break
     assert best is not None
     return best if believed else confirmed(rule, best)
+
+
+def beside(tuned: Tuned, folder: Path) -> tuple[float, ...]:
+    """d' of each of a pair beside the other."""
+    return ruler(tuned.case, responses(tuned.case, 0.0), folder).beside(tuned.case, tuned.records)
 
 
 def confirmed(rule: Ruler, tuned: Tuned) -> Tuned:
@@ -584,12 +612,18 @@ def diagnose_and_catch(folder: Path) -> tuple[Diagnosis, Caught, tuple[float, fl
 
 
 def tuned_case(case: Case, target: float, earlier: Row | None, folder: Path) -> Tuned:
-    """The case at its strength: that of an earlier row if the plant is the same, else tuned now."""
+    """The case at its strength: that of an earlier row if the plant is the same, its d' by the priors of today; else
+    tuned now.
+    """
     if earlier is None or earlier.get("plant") != PLANT or "distance" not in earlier:
         return tune(case, target, folder)
     case = scaled(case, earlier["factors"])
-    own = {name: tuple(earlier[name]) for name in ("factors", "alone")}
-    return Tuned(case, distance=earlier["distance"], overlap=earlier["overlap"], records=responses(case), **own)
+    factors, alone = (tuple(earlier[name]) for name in ("factors", "alone"))
+    tuned = Tuned(case, factors, 0.0, alone, earlier["overlap"], responses(case))
+    if not case.hidden:
+        return tuned
+    rule = ruler(case, responses(case, 0.0), folder)
+    return confirmed(rule, replace(tuned, distance=rule.distance(case, rule.change(case, tuned.records))))
 
 
 def run_case(spec: Spec, earlier: Row | None, with_baselines: bool, with_next_tests: bool) -> Row:
@@ -607,6 +641,8 @@ def run_case(spec: Spec, earlier: Row | None, with_baselines: bool, with_next_te
             }  # fmt: skip
             folder = Path(place) / "session"
             write(tuned.case, tuned.records, folder)
+            if spec.kind == "pair":
+                row["beside"] = beside(tuned, Path(place) / "quiet")
             row["preparing"] = time.perf_counter() - begin
             found, caught, (row["seconds"], row["cpu_seconds"]) = diagnose_and_catch(folder)
             row |= _of_diagnosis(tuned.case, found)

@@ -108,6 +108,28 @@ def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
     assert outstanding_frequencies(SimpleNamespace(predictors=quiet, options=IDENTIFICATION), readings, 15.0) == []
 
 
+@pytest.mark.parametrize("levels", [[0, 1, 0, -1], [0, 1, 2, 1, 0, -1, -2, -1], [1, -1]])
+def test_what_goes_with_the_commands_is_no_wave_and_a_ripple_beside_it_is_one(levels):
+    """What a cause leaves of steps had been told as a hum at the steps' own frequency, in four of 300 sessions."""
+    rng, predictors, readings, hold = np.random.default_rng(4), [], [], int(len(TIME) / 4.0 / len(levels))
+    steps = np.resize(np.repeat(np.array(levels, dtype=float), hold), len(TIME))
+    for record in RECORDS:
+        for ripple in (0.0, 0.8):
+            left = 1.5 * steps + ripple * np.sin(2.0 * np.pi * 94.6 * TIME) + rng.normal(size=len(TIME))
+            values = {name: np.zeros(len(TIME)) for name in record.values}
+            values |= {record.command: 2e-3 * steps, "spool_position": left}
+            record_ = replace(record, values=values, usable={"spool_position": TIME >= 0.0})
+            predictors.append((ripple, SimpleNamespace(record=record_)))
+            readings.append((ripple, {"spool_position": 0.0 * TIME}))
+
+    def found(amplitude):
+        own = [predictor for ripple, predictor in predictors if ripple == amplitude]
+        study = SimpleNamespace(predictors=own, options=IDENTIFICATION)
+        return outstanding_frequencies(study, [read for ripple, read in readings if ripple == amplitude], 15.0)
+
+    assert found(0.0) == [] and found(0.8) == [pytest.approx(94.6, abs=0.3)]
+
+
 @pytest.mark.parametrize("channel", ["load_flow", "spool_position"])
 def test_a_ripple_that_an_output_modulates_is_found_at_its_own_frequency(channel):
     rng, predictors, readings = np.random.default_rng(3), [], []

@@ -6,7 +6,7 @@ the spectrum of what a fit leaves; amplitude and phase are nuisance parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -155,7 +155,7 @@ def settled(record: Record, *, options: IdentificationOptions) -> Record:
 
 def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: float) -> list[float]:
     """The few frequencies (Hz) at which what is left stands furthest above what is left beside them, by a ratio of at
-    least `peak`.
+    least `peak`, and that times how far the commands stand out there: what goes with these is the valve's.
     """
     wave = study.options.wave
     longest = max(predictor.record.duration for predictor in study.predictors)
@@ -163,11 +163,9 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: fl
     grid = np.arange(wave.turns / longest, wave.highest_share * highest, 0.5 / longest)
     if len(grid) < wave.beside_bins:
         return []
-    from scipy.ndimage import median_filter
-
-    power = _powers(study, readings, grid)
-    each = power / np.maximum(median_filter(power, (1, wave.beside_bins)), 1e-300)
-    over, where = each.max(axis=0), each.argmax(axis=0)
+    each = _over_beside(_powers(study, readings, grid), wave.beside_bins)
+    commanded = _over_beside(_command_powers(study, grid), wave.beside_bins)
+    over, where = each.max(axis=0) / np.maximum(commanded[0], 1.0), each.argmax(axis=0)
     found: list[float] = []
     for k in np.argsort(-over, kind="stable"):
         if over[k] < peak or len(found) == wave.frequencies:
@@ -181,6 +179,30 @@ def outstanding_frequencies(study: PreparedSession, readings: Readings, peak: fl
     return found
 
 
+def _over_beside(power: np.ndarray, bins: int) -> np.ndarray:
+    """How far powers (k, n) stand above those beside them."""
+    from scipy.ndimage import median_filter
+
+    return power / np.maximum(median_filter(power, (1, bins)), 1e-300)
+
+
+def _command_powers(study: PreparedSession, frequencies: np.ndarray) -> np.ndarray:
+    """The power (1, n) of the commands at frequencies (n,) Hz, evenly spaced, over all records."""
+    power = np.zeros((1, len(frequencies)))
+    for record in (predictor.record for predictor in study.predictors):
+        command = record.values[record.command]
+        power += _power_of(command - np.mean(command), record.rate, frequencies)
+    return power
+
+
+def _power_of(series: np.ndarray, rate: float, frequencies: np.ndarray) -> np.ndarray:
+    """The power (n,) of a series at frequencies (n,) Hz, evenly spaced, as a share of its own."""
+    from scipy.signal import ZoomFFT
+
+    transform = ZoomFFT(len(series), [frequencies[0], frequencies[-1]], len(frequencies), fs=rate, endpoint=True)
+    return np.abs(transform(series)) ** 2 / max(float(series @ series), 1e-300)
+
+
 def _powers(study: PreparedSession, readings: Readings, frequencies: np.ndarray) -> np.ndarray:
     """The power (k, n) of what is left at frequencies (n,) Hz, evenly spaced, over all records, each series of power
     one: that of all channels, that of each `MODULATED` one times what it reads, and all of these together.
@@ -189,25 +211,18 @@ def _powers(study: PreparedSession, readings: Readings, frequencies: np.ndarray)
     ripple shows in proportion to what is read, and so by its sidebands; times that it shows at its own frequency. In
     which of them it stands out depends on the commands, and beside others it is lost.
     """
-    from scipy.signal import ZoomFFT
-
-    power, band = np.zeros((1 + len(MODULATED), len(frequencies))), [frequencies[0], frequencies[-1]]
+    power = np.zeros((1 + len(MODULATED), len(frequencies)))
     for predictor, read in zip(study.predictors, readings, strict=True):
         record = predictor.record
         residual = residual_of(record, read)
-        transform = ZoomFFT(len(record.time), band, len(frequencies), fs=record.rate, endpoint=True)
-
-        def power_of(series: np.ndarray, transform: Callable = transform) -> np.ndarray:
-            return np.abs(transform(series)) ** 2 / max(float(series @ series), 1e-300)
-
         for name in record.outputs:
             usable = record.usable[name]
             left = residual[name][:, 0] - np.median(residual[name][usable, 0])
             most = study.options.wave.clipped * 1.4826 * float(np.median(np.abs(left[usable])))
             left = np.where(usable, np.clip(left, -most, most), 0.0)
-            power[0] += power_of(left)
+            power[0] += _power_of(left, record.rate, frequencies)
             if name in MODULATED:
-                power[1 + MODULATED.index(name)] += power_of(left * read[name])
+                power[1 + MODULATED.index(name)] += _power_of(left * read[name], record.rate, frequencies)
     return np.vstack([power, power.sum(axis=0)])
 
 
