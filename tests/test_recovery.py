@@ -11,6 +11,7 @@ from valvesim.diagnosis import conclusion, symbolic_form, term_entry, term_estim
 from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis import isolation as isolating
 from valvesim.diagnosis import score_test as score_testing
+from valvesim.diagnosis.answer_tables import error_table, parameter_shifts
 from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.channel_apart import ChannelApart
 from valvesim.diagnosis.isolation import Isolation
@@ -310,16 +311,26 @@ def test_records_that_do_not_belong_together_are_told_by_the_test_that_is_apart(
     assert "ramp alone is not as the others say" in told.summary and told.what_to_do[0].label == "the test ramp"
 
 
-def test_a_channel_that_does_not_go_with_the_others_is_told_beside_a_term_or_instead(answer, found):
-    channel = ChannelApart("load_flow", "")
+def test_a_channel_that_does_not_go_with_the_others_is_told_beside_a_term_or_instead(answer, found, nominal):
+    """Instead of one, all that is shown is of the fit to the other channels."""
+    readings = tuple({name: read + 1e-3 for name, read in one.items()} for one in nominal.fit.readings)
+    others = replace(nominal, fit=replace(nominal.fit, readings=readings, point=nominal.fit.point + 0.1))
+    channel = ChannelApart("load_flow", "", others)
     told = answer(channel=channel, recovered=None)
     assert (told.verdict, told.reason) == (UNKNOWN, CHANNEL_APART) and "load_flow does not go" in told.summary
+    first = nominal.study.predictors[0].record.name
+    (shown,) = [trace for trace in told.traces if (trace.record, trace.channel) == (first, "load_flow")]
+    np.testing.assert_array_equal(shown.base, readings[0]["load_flow"])
+    assert told.errors == error_table(nominal.study, others.fit)
+    assert told.extended_variant == others.fit.variant(nominal.study.nominal)
+    assert told.shifts == parameter_shifts(nominal.study, others.fit.point)
     told = answer(channel=channel)
     assert told.reason == "" and told.term is found.term and channel.words in told.notes
+    assert told.errors != error_table(nominal.study, others.fit)
 
 
 def test_no_cause_is_sought_where_the_response_of_one_channel_explains_what_shows(nominal, monkeypatch):
-    slow = ChannelApart("load_flow", "a response of second order (60 Hz, damping ratio 0.50) explains it")
+    slow = ChannelApart("load_flow", "a response of second order (60 Hz, damping ratio 0.50) explains it", nominal)
     monkeypatch.setattr(isolating, "is_adequate", lambda fit, options: False)
     monkeypatch.setattr(isolating, "channel_apart", lambda nominal, scores, options: slow)
     monkeypatch.setattr(isolating, "_isolated", None)

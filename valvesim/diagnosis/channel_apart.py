@@ -99,10 +99,7 @@ def _with_channel(without: NominalFit, name: str, whole: Study) -> NominalFit:
     """A fit to all channels but one, with that channel as it is in a study of the whole of the same records."""
     records = []
     for other, one in ((p.record, q.record) for p, q in zip(without.study.predictors, whole.predictors, strict=True)):
-        if name in one.values:
-            values, usable = {**other.values, name: one.values[name]}, {**other.usable, name: one.usable[name]}
-            other = replace(other, values=values, usable=usable)
-        records.append(other)
+        records.append(replace(other, values=one.values | other.values, usable=one.usable | other.usable))
     study = with_records(without.study, records, ()).with_noise({**whole.noise, **without.study.noise})
     return linearise_nominal(study, evaluate_fit(study, without.fit.point, ()))
 

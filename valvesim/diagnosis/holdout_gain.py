@@ -38,9 +38,8 @@ def holdout_gain(
 ) -> tuple[tuple[Gain, ...], bool, bool, tuple[Trace, ...], list[str]]:
     """Errors of nominal and extended model on the hold-out records, opened here and once; and traces of all records.
 
-    The first flag tells whether a gain is claimed, the second whether the extended model is offered: where it most
-    likely does better on what it has not seen, or where nobody can tell. Last what could not be simulated, in words:
-    then it is not offered.
+    The first flag tells whether a gain is claimed, the second whether the extended model is offered: where one is, or
+    where nothing was held out. Last what could not be simulated, in words: then it is not offered.
     """
     study, session = nominal.study, nominal.study.session
     universe = study.predictors[0].universe
@@ -72,14 +71,10 @@ def holdout_gain(
             Gain(record=record.name, before=float(error), after=float(extended_error), floor=1.0,
                  change=float(change.mean()), low=float(low), high=float(high), claimed=bool(high < 0.0))
         )  # fmt: skip
-    claimed, offered = False, True
-    if pooled:
-        means = _block_means(np.concatenate(pooled), session.seed)
-        claimed, offered = (
-            bool(np.quantile(means, options.hold_out.interval[1]) < 0.0),
-            bool(np.mean(means < 0.0) >= options.hold_out.likely),
-        )
-    return tuple(gains), claimed, offered and not failed, tuple(traces), failed
+    means = _block_means(np.concatenate(pooled), session.seed) if pooled else None
+    claimed = means is not None and bool(np.quantile(means, options.hold_out.interval[1]) < 0.0)
+    offered = (claimed or means is None) and not failed
+    return tuple(gains), claimed, offered, tuple(traces), failed
 
 
 def _read_with_inputs(

@@ -350,9 +350,6 @@ class ChannelApartOptions:
 class HoldOutOptions:
     """The gain on hold-out records."""
 
-    likely: float = option(
-        0.9, "1", "chance that the hold-out records get better, below which no extended model is offered", JUDGEMENT
-    )
     interval: tuple[float, float] = option((0.025, 0.975), "1", "quantiles of the bootstrap interval", "95 %")
 
 

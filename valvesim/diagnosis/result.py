@@ -203,8 +203,8 @@ class Diagnosis(Shown):
     `reason` is "" or why the verdict is not about a cause in the valve: `BENCH`, `RECORDS_APART`, `OTHER_VALVE`,
     `MISREAD` or `CHANNEL_APART`; `bench` is what the bench did, in words, whatever the verdict.
 
-    `extended_scenario` holds the extension where `extension_offered`: where the hold-out records most likely got better
-    by it, or there are none; else it is the nominal model's, refitted.
+    `extended_scenario` holds the extension where `extension_offered`: where a gain is claimed, or no record was held
+    out; else it is the nominal model's, refitted.
     """
 
     title: str
