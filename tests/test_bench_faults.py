@@ -130,6 +130,26 @@ def test_what_goes_with_the_commands_is_no_wave_and_a_ripple_beside_it_is_one(le
     assert found(0.0) == [] and found(0.8) == [pytest.approx(94.6, abs=0.3)]
 
 
+@settings(max_examples=30)
+@given(st.integers(0, 9), st.floats(20.0, 300.0), st.sampled_from(["sine", "nothing", "constant", "chirp", "noise"]))
+def test_a_ripple_is_found_whatever_the_command_has_elsewhere(seed, frequency, command):
+    rng = np.random.default_rng(seed)
+    of = {
+        "sine": np.sin(2.0 * np.pi * 5.0 * TIME), "nothing": 0.0 * TIME, "constant": 0.0 * TIME + 3.0,
+        "chirp": np.sin(2.0 * np.pi * (2.0 + 100.0 * TIME) * TIME),
+        "noise": np.cumsum(rng.normal(size=len(TIME))),
+    }  # fmt: skip
+    predictors = []
+    for record in RECORDS:
+        left = 0.8 * np.sin(2.0 * np.pi * frequency * TIME + rng.uniform(0.0, 6.0)) + rng.normal(size=len(TIME))
+        values = {name: np.zeros(len(TIME)) for name in record.values}
+        values |= {record.command: 1e-3 * of[command], "spool_position": left}
+        predictors.append(SimpleNamespace(record=replace(record, values=values)))
+    study = SimpleNamespace(predictors=predictors, options=IDENTIFICATION)
+    found = outstanding_frequencies(study, [{"spool_position": 0.0 * TIME}] * len(predictors), 15.0)
+    assert any(abs(one - frequency) < 0.3 for one in found)
+
+
 @pytest.mark.parametrize("channel", ["load_flow", "spool_position"])
 def test_a_ripple_that_an_output_modulates_is_found_at_its_own_frequency(channel):
     rng, predictors, readings = np.random.default_rng(3), [], []
