@@ -55,7 +55,7 @@ from hidden_plant import (  # noqa: E402
     responses,
     write_session,
 )
-from hidden_report import TABLE_SEEDS, write_report  # noqa: E402
+from hidden_report import SHOWS, TABLE_SEEDS, write_report  # noqa: E402
 
 import valvesim as vs  # noqa: E402
 from valvesim.diagnosis import coarse_to_fine as leading_segments  # noqa: E402
@@ -87,7 +87,7 @@ KINDS = hidden_plant.KINDS
 TARGETS = (5.0, 8.0, 15.0, 40.0)
 PARAMETER_TARGETS = (8.0, 15.0, 40.0, 15.0)
 OUTSIDE_TARGETS = (8.0, 15.0, 40.0, 40.0)
-PAIR_TARGET, WEAKER = 20.0, 6.0  # d' of both together, and of the weaker alone by the linear equations
+PAIR_TARGET = 20.0  # d' of both together
 NONE_CASES, PAIR_CASES, POOR_CASES = 200, 50, 32
 ORACLE_LOOKS = 1
 STRONGEST = 20.0  # times the strength as drawn
@@ -438,7 +438,7 @@ def _factors(size: np.ndarray, overlap: float, target: float, most: np.ndarray) 
     """
     cosine = np.array([[1.0, overlap], [overlap, 1.0]])[: len(size), : len(size)]
     most = np.minimum(most, target / size)
-    alone = np.minimum(size * most, max(target / np.sqrt(len(size)), WEAKER))
+    alone = np.minimum(size * most, max(target / np.sqrt(len(size)), SHOWS))
     for _ in range(20):
         distance = float(np.sqrt(max(alone @ cosine @ alone, 1e-300)))
         alone = np.minimum(alone * target / distance, size * most)

@@ -19,7 +19,7 @@ NO_DISCREPANCY, CAUSE, AMBIGUOUS, UNKNOWN = "no_discrepancy", "cause", "ambiguou
 BENCH, RECORDS_APART, OTHER_VALVE, MISREAD = "bench", "records_apart", "other_valve", "misread_channels"
 CHANNEL_APART = "channel_apart"
 """Reasons of a verdict: the bench and not the valve, records that do not belong together, records that are not of the
-stated valve."""
+stated valve, channels that are misread, one channel that does not go with the others."""
 
 
 @dataclass(frozen=True, kw_only=True)
