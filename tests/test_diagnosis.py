@@ -25,6 +25,7 @@ from valvesim.diagnosis.model_selection import (
     distinct,
     null_hypothesis_beside,
     ranked,
+    width_beside,
 )
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.refits import (
@@ -294,6 +295,22 @@ def test_the_share_that_does_not_count_goes_by_the_law_and_never_beyond_the_nois
     )
     astray = SimpleNamespace(fit=SimpleNamespace(chi_square=1e7))
     assert answer_set_width(astray, lap) == pytest.approx(DIAGNOSIS.selection.answer_share * lap.fit.rows)
+
+
+def test_a_rival_whose_own_law_may_err_by_what_it_is_behind_stands_beside_the_best():
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=2500.0))
+    law_error = CATALOGUE["magnetic_hysteresis"].law_error
+
+    def labels(name, fall):
+        found = [explained(1000.0, "spool_silting"), explained(2500.0 - fall, name)]
+        return [one.label for one in answer_set_of(nominal, found, options=DIAGNOSIS)]
+
+    near, far = 1500.0 / (1.0 + 0.9 * law_error), 1500.0 / (1.0 + 1.1 * law_error)
+    assert labels("magnetic_hysteresis", near) == ["spool_silting", "magnetic_hysteresis"]
+    assert labels("magnetic_hysteresis", far) == labels("spool_lap", near) == ["spool_silting"]
+    best, rival = explained(1000.0, "spool_silting"), explained(2500.0 - near, "magnetic_hysteresis")
+    assert width_beside(nominal, best, rival) == width_beside(nominal, rival, best)
+    assert width_beside(nominal, best, rival) == pytest.approx(law_error * near)
 
 
 def test_what_explains_too_little_stands_beside_noise_alone():

@@ -30,7 +30,13 @@ from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain, traces_of
 from valvesim.diagnosis.intervals import confidence_intervals
 from valvesim.diagnosis.isolation import Isolation, isolate
-from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width, nested_levels, temperature_of
+from valvesim.diagnosis.model_selection import (
+    FittedHypothesis,
+    answer_set_width,
+    nested_levels,
+    temperature_of,
+    width_beside,
+)
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS, DiagnosisOptions
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
@@ -234,7 +240,7 @@ def _rival(conclusion: Conclusion, first: FittedHypothesis, other: FittedHypothe
             first.fit,
             other.label,
             other.fit,
-            lambda more: answer_set_width(nominal, first, more),
+            lambda more: width_beside(nominal, first, other, more),
             other.tempered(temperature) - first.tempered(temperature),
             options=isolation.scores.options,
         )

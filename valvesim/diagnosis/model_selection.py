@@ -154,6 +154,15 @@ def answer_set_width(nominal: NominalFit, best: FittedHypothesis, more: float = 
     return asked_difference(_explained(nominal, best) + more, best.law_error, options=best.options.selection)
 
 
+def width_beside(
+    nominal: NominalFit, best: FittedHypothesis, other: FittedHypothesis, more: float = 0.0
+) -> float:
+    """The difference of evidence up to which one of two hypotheses explains the data nearly as well as the other, by
+    the law of either.
+    """
+    return max(answer_set_width(nominal, best, more), answer_set_width(nominal, other, more))
+
+
 def temperature_of(nominal: NominalFit, best: FittedHypothesis) -> float:
     """The temperature of a tempered posterior: the model is not the plant, so that differences count less."""
     return answer_set_width(nominal, best) / best.options.selection.answer_ratio
@@ -239,7 +248,7 @@ def answer_set_of(
         if len(one.candidates) > most:
             return best.is_within(one) and one.gain_beyond(best) > least_gain(best)
         behind = one.least_chi_square - best.least_chi_square
-        return behind < width or (
+        return behind < width_beside(nominal, best, one) or (
             len(one.candidates) < most and one.is_within(best) and behind < options.selection.second_gain
         )
 
