@@ -1,6 +1,7 @@
 """A channel that does not go with the others is told as that, and a second-order response of it by its figures."""
 
 import re
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import hidden_plant
@@ -18,6 +19,7 @@ from valvesim.diagnosis.advice import advice_on_unknown
 from valvesim.diagnosis.channel_apart import ChannelApart, ReadAgainst, channel_apart, second_order_response
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS
 from valvesim.diagnosis.result import CHANNEL_APART
+from valvesim.errors import SolveError
 
 OPTIONS = DEFAULT_DIAGNOSIS.channel_apart
 RATE, FINE = 1000.0, 32
@@ -119,6 +121,36 @@ def test_one_channel_is_apart_where_without_it_alone_nothing_is_wrong(monkeypatc
     assert (found and found.name) == told
     record.outputs = ("b",)
     assert channel_apart(nominal, scores, options=DEFAULT_DIAGNOSIS) is None
+
+
+def test_a_channel_that_no_record_or_not_every_record_can_use_is_left_out_of_the_others(monkeypatch):
+    """A record whose readings of it are of no use had ended the diagnosis with a KeyError."""
+    @dataclass(frozen=True)
+    class Logged:
+        values: dict
+        usable: dict
+
+        @property
+        def outputs(self):
+            return tuple(self.usable)
+
+    def nominal(*records):
+        study = SimpleNamespace(predictors=[SimpleNamespace(record=one) for one in records], unweighted=lambda: None)
+        return SimpleNamespace(study=study)
+
+    seen = list[Logged]()
+
+    def with_records(study, records, notes):
+        seen.extend(records)
+        raise SolveError("as far as this test goes")
+
+    monkeypatch.setattr(own, "with_records", with_records)
+    values = {"current": 1.0, "a": 2.0, "b": 3.0}
+    records = [Logged(values, {"a": True, "b": True}), Logged(values, {"a": True})]
+    with pytest.raises(SolveError):
+        own._without_channel(nominal(*records), "b", options=DEFAULT_DIAGNOSIS)
+    assert [(one.values, one.usable) for one in seen] == [({"current": 1.0, "a": 2.0}, {"a": True})] * 2
+    assert own._without_channel(nominal(records[1]), "a", options=DEFAULT_DIAGNOSIS) is None  # none is left to fit
 
 
 def test_a_channel_apart_is_told_in_words_with_what_to_do():

@@ -14,7 +14,7 @@ from valvesim.identification.noise_model import NoiseModel
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.record_audit import audited_resolutions
 from valvesim.identification.session_toml import load_session
-from valvesim.identification.study import prepare_session, without_test
+from valvesim.identification.study import prepare_session, with_records, without_test
 from valvesim.valve.parameters import Valve
 
 
@@ -80,6 +80,18 @@ def test_without_one_of_its_tests_a_session_has_the_errors_of_the_others(noisy):
     ones = {name: np.ones((len(first.record.time), 1)) for name in first.record.outputs}
     both = (study.whiten(first, ones) for study in (left, prepared.with_noise(noise)))
     assert all(map(np.array_equal, *both))
+
+
+def test_without_a_channel_a_session_has_the_errors_of_the_others(noisy):
+    """The fit without a channel had ended with a KeyError where the command is noisy."""
+    prepared, name = with_input_errors(noisy[1]), "internal_leakage"
+    records = []
+    for record in (one.record for one in prepared.predictors):
+        records.append(replace(record, usable={c: usable for c, usable in record.usable.items() if c != name}))
+    others = {key: one for key, one in leakage_noise(prepared).items() if key[0] != name}
+    left = with_records(prepared, records, ()).with_noise(others)
+    first, ones = left.predictors[0], np.ones((len(records[0].time), 1))
+    assert len(left.whiten(first, dict.fromkeys(records[0].outputs, ones))) == len(records[0].outputs)
 
 
 def test_a_long_session_is_run_with_the_noise_less_often(noisy):

@@ -74,9 +74,7 @@ def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOption
     """
     study, records = nominal.study, []
     for record in (predictor.record for predictor in nominal.study.predictors):
-        values, usable = dict(record.values), dict(record.usable)
-        if name in values:
-            del values[name], usable[name]
+        values, usable = ({c: v for c, v in each.items() if c != name} for each in (record.values, record.usable))
         records.append(replace(record, values=values, usable=usable))
     if not all(record.outputs for record in records):
         return None

@@ -152,7 +152,7 @@ class Study(PreparedSession):
                 errors, self.options.input_noise.width, self.options.input_noise.lags
             )
             for (record, name), errors in self.input_errors.items()
-            if record in records
+            if record in records and name in records[record].outputs
         }
 
     def with_weights(self, weights: Sequence[np.ndarray]) -> Study:
