@@ -62,6 +62,7 @@ SETS = {"working": (700_000, 300), "second": (800_000, 300), "third": (820_000, 
         "seventeenth": (1_110_000, 300), "eighteenth": (1_120_000, 300)}  # first seed, sessions
 RESULTS = ROOT / "benchmarks" / "results" / "bench_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "bench_sessions.md"
+EXCEPTION = "exception"
 CLEAR = 8.0  # d' from which a cause should be named
 COMMON = ("ripple", "warming", "gap", "corrupt", "skew", "drift", "saturation")
 SINCE = {"seventeenth": READINGS}  # what benches of later sets do besides
@@ -103,6 +104,9 @@ def diagnosed(
             found = vs.diagnose(folder)
         except (vs.InputError, vs.SolveError) as error:
             return row | {"outcome": f"{type(error).__name__}: {error}"}
+        except Exception as error:  # of a set that is opened once, it counts as an answer that is not right
+            nothing: dict[str, Any] = {"bench": [], "causes": [], "set": [], "first": [], "covered": []}
+            return row | nothing | {"outcome": EXCEPTION, "reason": "", "summary": f"{type(error).__name__}: {error}"}
     (figures,) = truth(case)["parameters"].values() if hidden else ({},)
     amplitudes = [e for e in found.parameters if hidden and e.cause.startswith(hidden) and e.name in figures]
     return row | {
@@ -269,7 +273,7 @@ def _measured(rows: list[dict[str, Any]]) -> dict[str, str]:
         "a ripple of the supply is told to 5 % of its frequency": [
             _tells_ripple(row) for row in rows if "bench" in row
         ],
-        "refused or failed": [":" in row["outcome"] for row in rows],
+        "refused or failed": [":" in row["outcome"] or row["outcome"] == EXCEPTION for row in rows],
     }
     for low, high in ((CLEAR, 30.0), (30.0, 100.0), (100.0, np.inf)):
         some = [row for row in clear if low <= row["distance"] < high]
