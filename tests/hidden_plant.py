@@ -54,7 +54,7 @@ KNOBS = (
     "droop_time", "return_resistance", "cavitation_loss", "cavitation_ratio", "air_fraction", "air_exponent",
     "coulomb_force", "breakaway_force", "kinetic_share", "stribeck_velocity", "silt_force", "silt_dwell", "silt_break",
     "half_play", "form", "size", "shape", "shape_2", "amplifier_lag", "line_resistance", "line_time", "extra_inertia",
-    "extra_frequency", "bristle", "voltage_drive", "load_resistance",
+    "extra_frequency", "bristle", "voltage_drive", "load_resistance", "loop_time", "loop_damping",
 )  # fmt: skip
 """What an effect turns in the equations; zero is off."""
 
@@ -66,7 +66,7 @@ OFF = {
 }  # fmt: skip
 """Nothing hidden; the extra states of the plant are at work."""
 
-STATES = 17  # theta, omega, p1, p2, x, v, i, eddy, droop, bristle, dahl, silt, memory, rod, extra, extra', line
+STATES = 18  # theta, omega, p1, p2, x, v, i, eddy, droop, bristle, dahl, silt, memory, rod, extra, extra', line, i'
 RECORDED = (
     "armature_angle", "nozzle_pressure_1", "nozzle_pressure_2", "spool_position", "load_flow", "internal_leakage",
     "current",
@@ -152,6 +152,9 @@ def _rates(t, y, u, supply, back, load, c, k, at_step, stops, dy, flows):
     # drive
     if k.voltage_drive > 0.0:
         dy[6] = (u - c.coil_resistance * i - _torque_constant(c) * omega) / c.coil_inductance
+    elif k.loop_time > 0.0:  # a current loop of second order; the last state is its rate times that time
+        dy[6] = y[17] / k.loop_time
+        dy[17] = (u - i - 2.0 * k.loop_damping * y[17]) / k.loop_time
     else:
         dy[6] = (u - i) / k.amplifier_lag
 
@@ -446,6 +449,10 @@ def _amplifier(c, k, T, p):
     k["amplifier_lag"] = OFF["amplifier_lag"] + p["time_constant"]
 
 
+def _loop(c, k, T, p):
+    k["loop_time"], k["loop_damping"] = p["time_constant"], p["damping_ratio"]
+
+
 def _load_line(c, k, T, p):
     k["load_resistance"] = p["pressure_drop"] / 2.5e-4**2
 
@@ -505,6 +512,8 @@ EFFECTS: dict[str, Hidden] = {
         "share", (0.1, 0.3), _knobs(eddy_share="share", eddy_time="time_constant"), shapes={"time_constant": (2e-3,)}
     ),
     "amplifier_lag": Hidden("time_constant", (2e-4, 1e-3), _amplifier),  # of a current drive
+    "amplifier_second_order_lag": Hidden(
+        "time_constant", (2e-4, 1e-3), _loop, shapes={"damping_ratio": (0.5, 0.7, 0.9)}),
     "flexure_stiffness_loss": Hidden("loss", (0.05, 0.15), _scale("spring_tube_stiffness", lambda p: 1.0 - p["loss"])),
     "fixed_orifice_clogging": Hidden("clogged_share", (0.015, 0.06), _clogging, shapes={"side": (1.0, 2.0)}),
     "nozzle_erosion": Hidden("share", (0.02, 0.08), _erosion, shapes={"side": (1.0, 2.0)}),
@@ -623,7 +632,8 @@ SENSOR_FAULTS: dict[str, tuple[str, tuple[float, float]]] = {
 
 KINDS = ("none", "effect", "pair", "outside", "parameter", "sensor", "poor")
 
-DRAWN = tuple(name for name in EFFECTS if name not in ("amplifier_lag", "load_line_resistance"))
+UNDRAWN = ("amplifier_lag", "amplifier_second_order_lag", "load_line_resistance")
+DRAWN = tuple(name for name in EFFECTS if name not in UNDRAWN)
 """What is drawn where no name is given: as it was when the lists of sessions were written down."""
 
 POOR = (

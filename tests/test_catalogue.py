@@ -33,7 +33,7 @@ from valvesim.valve.parameters import Valve
 
 FIXED_NAMES = (  # what records, scenarios and answers of a diagnosis call them
     "magnet_demagnetization magnetic_hysteresis magnetic_saturation coil_turns_loss eddy_current_lag "
-    "amplifier_lag load_line_resistance "
+    "amplifier_lag amplifier_second_order_lag load_line_resistance "
     "flexure_stiffness_loss fixed_orifice_clogging nozzle_erosion null_gap_asymmetry thermal_gradient_null_drift "
     "thermal_lag supply_pressure_droop return_pressure_rise flapper_cavitation entrained_air oil_viscosity_grade "
     "spool_coulomb_friction spool_stribeck_friction spool_silting spool_thermal_pinch feedback_ball_backlash "
@@ -58,7 +58,11 @@ def differing(c, base=C20):
 
 # ---------------------------------------------------------------- mirror images
 
-ODD = {"eddy_lagging_current", "amplifier_current", "magnetic_hysteresis_state"}  # memories that change sign as it does
+ODD = {
+    "eddy_lagging_current", "amplifier_current", "amplifier_second_order_current", "amplifier_current_rise",
+    "magnetic_hysteresis_state",
+}  # fmt: skip
+"""Memories that change sign as the valve does."""
 SIDED = {"fixed_orifice_clogging": 2.0, "nozzle_erosion": 2.0}  # the mirror image is on the other side
 SIGNED = ("null_gap_asymmetry", "thermal_gradient_null_drift")  # the mirror image has the other sign
 
@@ -338,6 +342,23 @@ def test_the_current_of_an_amplifier_comes_up_with_its_lag_and_is_there_at_rest(
     assert torque(0.0) == pytest.approx(at_once, rel=1e-12)
     assert rates(active, memory=1e-3)[N] == pytest.approx((3e-3 - 1e-3) / (4e-4 + own), rel=1e-12)
     assert signals(at("amplifier_lag", 0.0), memory=1e-3).drive_torque == pytest.approx(signals().drive_torque)
+
+
+def test_the_current_of_an_amplifier_of_second_order_is_there_at_rest_and_rises_by_its_rate():
+    active, own, tau, zeta = at("amplifier_second_order_lag", 4e-4, damping_ratio=0.6), 5e-5, 4e-4, 0.6
+
+    def torque(late, rise):
+        return signals(active, memory=(late, rise)).drive_torque
+
+    assert torque(3e-3, 0.0) == torque(3e-3, 1.0) == pytest.approx(signals().drive_torque, rel=1e-12)
+    at_once = signals(inputs=INPUTS._replace(command=own / (tau + own) * 3e-3)).drive_torque
+    assert torque(0.0, 0.0) == pytest.approx(at_once, rel=1e-12)
+    found = rates(active, memory=(1e-3, 4e-4))
+    assert found[N] == pytest.approx(4e-4 / (tau + own), rel=1e-12)
+    assert found[N + 1] == pytest.approx((3e-3 - 1e-3 - 2.0 * zeta * 4e-4) / (tau + own), rel=1e-12)
+    assert signals(at("amplifier_second_order_lag", 0.0), memory=(1e-3, 1.0)).drive_torque == pytest.approx(
+        signals().drive_torque
+    )
 
 
 def test_coil_resistance_drift_changes_the_resistance_alone():

@@ -29,15 +29,15 @@ READING = Reading(_SAMPLES, 3e-4 * np.sin(200.0 * _SAMPLES), 20.0 + 400.0 * _SAM
 
 
 def rates(*active, state=STATE, inputs=INPUTS, memory=0.0, c=C20, drive=None):
-    """Derivatives of the six states, then of the memories; every memory at `memory`."""
+    """Derivatives of the six states, then of the memories; every memory at `memory`, or each at its own."""
     model = Model(effects=tuple(a.effect for a in active), **({} if drive is None else {"drive": drive}))
-    memories = (memory,) * (len(model.state_channels) - N)
+    memories = memory if isinstance(memory, tuple) else (memory,) * (len(model.state_channels) - N)
     return model.rhs((*state, *memories), inputs, model.flat_coefficients(c, active))
 
 
 def signals(*active, state=STATE, inputs=INPUTS, memory=0.0, c=C20):
     model = Model(effects=tuple(a.effect for a in active))
-    memories = (memory,) * (len(model.state_channels) - N)
+    memories = memory if isinstance(memory, tuple) else (memory,) * (len(model.state_channels) - N)
     return model.signals((*state, *memories), inputs, model.flat_coefficients(c, active))
 
 

@@ -29,6 +29,7 @@ from valvesim.identification.tangent_linear import (
     TangentLinear,
     first_order_response,
     linearise_along,
+    memory_response,
     propagators_of,
     relaxation_recursion,
     sampled_at,
@@ -242,6 +243,25 @@ def test_a_memory_is_exact_for_figures_that_change_from_step_to_step():
         goal = rate / decay
         expected.append(goal + (expected[-1] - goal) * np.exp(-decay * STEP))
     assert first_order_response(a, b, STEP) == pytest.approx(np.array(expected), rel=1e-9)
+
+
+def test_memories_of_each_other_answer_as_their_equations_do():
+    """A current loop of second order, from rest; an oracle by small steps, and one by one where none is of another."""
+    tau, zeta, step = 2e-3, 0.3, np.full(60, 5e-4)
+    B = np.broadcast_to(np.array([[0.0, -1.0], [1.0, 2.0 * zeta]]) / tau, (61, 2, 2))
+    a = np.zeros((61, 2))
+    a[:, 1] = np.where(np.arange(61) < 20, 1.0, -2.0) / tau
+    z, parts = np.array([1.0, 0.0]), 400
+    expected = [z]
+    for k in range(60):
+        for _ in range(parts):
+            z = z + step[k] / parts * (a[k + 1] - B[k] @ z)
+        expected.append(z)
+    assert memory_response(a, B, step) == pytest.approx(np.array(expected), abs=5e-3)
+    alone = np.stack([np.diag([3.0, 700.0])] * 61)
+    found = memory_response(a + 1.0, alone, step)
+    for k in range(2):
+        assert np.array_equal(found[:, k], first_order_response(a[:, k] + 1.0, alone[:, k, k], step))
 
 
 def test_a_memory_that_does_not_decay_adds_up():

@@ -27,8 +27,8 @@ from valvesim.identification.tangent_linear import (
     ScaledForcing,
     TangentLinear,
     change_of_jacobian,
-    first_order_response,
     linearise_along,
+    memory_response,
     sampled_at,
 )
 from valvesim.solver.partial_derivatives import CoefficientCourse, CompiledDerivatives, compile_derivatives
@@ -364,22 +364,25 @@ class LinearisedRecord:
         return self.model.situation(states, inputs, c)
 
     def _memory_trajectories(self, active: ActiveEffect, middle: Situation) -> list[np.ndarray]:
-        """The memories (n,) of an effect along the trajectory, by what it sees in the `middle` of the steps: each
-        linear in itself, so exact for a trajectory that rests.
+        """The memories (n,) of an effect along the trajectory, by what it sees in the `middle` of the steps: linear in
+        themselves, so exact for a trajectory that rests.
 
-        z' = a - b z with a and b of the trajectory alone; both follow from the rates at z = 0 and z = 1.
+        z' = a - B z with a and B of the trajectory alone; they follow from the rates at z = 0 and at each z = 1.
         """
         count, n = len(active.effect.memory), len(self.course.times)
         if not count:
             return []
         assert active.effect.balance is not None  # noqa: S101 - it has a memory
         p, balance = active.effect.values(active.numbers), active.effect.balance
-        at_0, at_1 = (balance(middle, p, (np.full(n, z),) * count)[1] for z in (0.0, 1.0))
-        memories = []
-        for zero, one in zip(at_0, at_1, strict=True):
-            a, b = np.broadcast_to(zero, n), np.broadcast_to(zero - one, n)
-            memories.append(first_order_response(a, b, self.course.steps))
-        return memories
+
+        def rates(*z: float) -> np.ndarray:
+            """Those of the memories z, (n, count)."""
+            own = balance(middle, p, tuple(np.full(n, each) for each in z))[1]
+            return np.stack([np.broadcast_to(each, n) for each in own], axis=-1)
+
+        a = rates(*(0.0,) * count)
+        B = np.stack([a - rates(*unit) for unit in np.eye(count)], axis=-1)
+        return list(memory_response(a, B, self.course.steps).T)
 
 
 def linearise_record(

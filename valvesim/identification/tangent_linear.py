@@ -54,6 +54,20 @@ def first_order_response(a: np.ndarray, b: np.ndarray, step: np.ndarray | float)
     return z
 
 
+def memory_response(a: np.ndarray, B: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """z (n, s) of z' = a - B z: a (n, s) and B (n, s, s) at rest, then constant over each of n - 1 steps (n - 1,);
+    starts at rest. Where one is of another, B must stay as it is.
+    """
+    s = a.shape[1]
+    if not (B[:, ~np.eye(s, dtype=bool)]).any():
+        return np.stack([first_order_response(a[:, k], B[:, k, k], step) for k in range(s)], axis=-1)
+    E, early, late = propagators_of(-B, np.asarray(step, dtype=float))
+    z = np.empty((len(a), s, 1))
+    z[0, :, 0] = np.linalg.lstsq(B[0], a[0], rcond=1e-12)[0]
+    compile_response(s).propagate(E, np.zeros_like(E), early + late, np.ascontiguousarray(a[:, :, None]), z)
+    return z[:, :, 0]
+
+
 def propagators_of(A: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """E, early and late (n-1, s, s) of the steps h (n-1,) between the matrices A (n, s, s), see
     `solver.linear_response`.

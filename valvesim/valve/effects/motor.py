@@ -44,6 +44,16 @@ def _amplifier_lag(s: Situation, p, memory):
     return Ports(coil_current=p.time_constant / whole * behind), (-behind / whole,)
 
 
+def _amplifier_second_order_lag(s: Situation, p, memory):
+    """As of first order: no lag at all at no time constant."""
+    late, rise = memory
+    behind, whole = late - s.coil_current, p.time_constant + _LEAST_LAG
+    return (
+        Ports(coil_current=p.time_constant / whole * behind),
+        (rise / whole, -(behind + 2.0 * p.damping_ratio * rise) / whole),
+    )
+
+
 def _resistance_drift(c: Coefficients, p, parts: PartTemperatures):
     return scaled(c, coil_resistance=1.0 + p.share)
 
@@ -167,6 +177,29 @@ MOTOR = (
         parameters=(amplitude_parameter("time_constant", "s", "tau of the current loop", (0.0, 0.02), 5e-4),),
         memory=(Channel("amplifier_current", "A", "current that the amplifier has brought up", 1e-2),),
         balance=_amplifier_lag,
+    ),
+    Effect(
+        name="amplifier_second_order_lag",
+        doc="the coil's current lags the recorded one i: y of T^2 y'' + 2 zeta T y' + y = i, T = tau + 0.05 ms, but a "
+        "share 0.05 ms/T of i",
+        location="servo amplifier, whose command was recorded",
+        signature="every output late by 2 zeta tau, larger or smaller about 1/(2 pi tau); nothing at rest",
+        advice=Advice(
+            part="servo amplifier",
+            inspect="bandwidth and damping of its current loop; whether its command was recorded or the coil's current",
+            confirm="the coil's current by a shunt beside its record, steps and 50 to 400 Hz",
+            remedy="record the current of the coil",
+        ),
+        parameters=(
+            amplitude_parameter("time_constant", "s", "tau, 1/(natural angular frequency)", (0.0, 0.02), 5e-4),
+            shape_parameter("damping_ratio", "1", "zeta of the current loop", 0.7, (0.1, 3.0), (0.5, 0.9)),
+        ),
+        plainer="amplifier_lag",
+        memory=(
+            Channel("amplifier_second_order_current", "A", "current that the amplifier has brought up", 1e-2),
+            Channel("amplifier_current_rise", "A", "its rate times the time constant", 1e-2),
+        ),
+        balance=_amplifier_second_order_lag,
     ),
     Effect(
         name="coil_resistance_drift",
