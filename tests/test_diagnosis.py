@@ -563,14 +563,19 @@ def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_t
     monkeypatch.setattr(
         refits, "fit_hypothesis", lambda nominal, start, point, **_: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0)
     )
-    best, behind = (
-        stretched(100.0, 0.5, "spool_lap"),
-        stretched(300.0, DIAGNOSIS.isolation.shifted + 1.0, "entrained_air"),
+    monkeypatch.setattr(
+        refits, "fit_from_prior", lambda nominal, start: Fit(np.zeros(1), tuple(start), 1.0, (), np.zeros(1), 1.0)
     )
-    (again,) = _from_best_point(
-        stretched(900.0, DIAGNOSIS.isolation.shifted + 1.0), [best, behind], best.fit, options=DIAGNOSIS
-    )
-    assert again.label == "entrained_air" and again.fit.point == best.fit.point
+    far = DIAGNOSIS.isolation.shifted + 1.0
+    best, behind = stretched(100.0, 0.5, "spool_lap"), stretched(300.0, far, "entrained_air")
+    again, anew = _from_best_point(stretched(900.0, far), [best, behind], best.fit, options=DIAGNOSIS)
+    assert again.label == anew.label == "entrained_air"
+    assert again.fit.point == best.fit.point and not anew.fit.point.any()
+    pair = stretched(300.0, far, "entrained_air", "spool_silting")
+    (again,) = _from_best_point(stretched(900.0, far), [best, pair], best.fit, options=DIAGNOSIS)
+    assert again.fit.point == best.fit.point  # of a pair that would be another search
+    monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, start: None)  # no valve runs there
+    assert len(_from_best_point(stretched(900.0, far), [best, behind], best.fit, options=DIAGNOSIS)) == 1
     assert (
         _from_best_point(
             stretched(900.0, DIAGNOSIS.isolation.shifted - 1.0),

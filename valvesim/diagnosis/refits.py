@@ -85,12 +85,14 @@ def _from_best_point(
     nominal: NominalFit, found: Sequence[FittedHypothesis], least: Fit, *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
     """Those that keep a nuisance parameter far from nominal where the one that explains most does not, fitted from
-    its figures.
+    its figures; single causes from within tolerance too: the nominal fit may have gone where there is no way back.
     """
     if not largest_shift(least) < options.isolation.shifted < largest_shift(nominal.fit):
         return []
     shifted = [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted]
-    return fit_starts(nominal, shifted, least.point, others=found, options=options)
+    more = fit_starts(nominal, shifted, least.point, others=found, options=options)
+    anew = [fit_from_prior(nominal, fitted) for fitted in shifted if len(fitted) == 1]
+    return [*more, *(FittedHypothesis(fit, options=options) for fit in anew if fit is not None)]
 
 
 def largest_shift(fit: Fit) -> float:
