@@ -269,6 +269,11 @@ OF_INPUT = {
         inspect="calibration and place of the manometer; the pump's compensator; charge of the accumulator",
         confirm="a second transducer at the valve's port during one record",
         remedy="measure the supply at the valve's port and record it as a column"),
+    "load_pressure": Advice(
+        part="transducers at the load ports",
+        inspect="calibration and zeros of both transducers; hoses, filters and couplings between them and the valve",
+        confirm="both ports joined at rest: what difference is read? A second pair at the valve's ports",
+        remedy="measure the load pressure at the valve's ports and record it as a column"),
 }  # fmt: skip
 TRANSDUCER = Advice(
     part="transducer of that pressure",

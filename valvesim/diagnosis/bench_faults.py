@@ -47,6 +47,7 @@ from valvesim.identification.input_waves import (
 from valvesim.identification.instrument_errors import (
     DELAYED,
     SHIFTED,
+    SHIFTS,
     clock_rates,
     contrasts,
     fastest_drift,
@@ -106,7 +107,7 @@ def with_bench_faults(
         if likeliest is None:
             break
         better = _extended(nominal, likeliest.parameters)
-        if _gain_by_fault(nominal, better) < 0.5 * likeliest.gain:
+        if not _keeps_promise(nominal, better, likeliest, options=options):
             break  # the linear answers were wrong: it is something else
         nominal = with_inputs_reviewed(better)  # which the fault may have hidden
         scores = score_test(nominal, nominal.fit, options=options)
@@ -243,23 +244,40 @@ def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisO
     if likeliest is None:
         return None
     better = _extended(nominal, likeliest.parameters)
-    at_peaks = _has_lost_weight(nominal, better) and _gain_by_fault(nominal, better) < 0.5 * likeliest.gain
+    without = _at_weight_of(nominal, better)
+    at_peaks = without is not nominal and _gain_by_fault(without, better) < 0.5 * likeliest.gain
     return None if at_peaks else better
 
 
-def _has_lost_weight(nominal: NominalFit, better: NominalFit) -> bool:
-    """Whether samples next to peaks count less in a fit with more parameters than they did."""
-    return bool(better.study.weights) and not nominal.study.weights
-
-
-def _gain_by_fault(nominal: NominalFit, better: NominalFit) -> float:
-    """What the bench explains in a nominal fit that is better by what it did: under the same weights, for a fault has
-    not explained what shows at peaks alone.
+def _keeps_promise(
+    nominal: NominalFit, better: NominalFit, likeliest: BenchHypothesis, *, options: DiagnosisOptions
+) -> bool:
+    """Whether what the bench did explains half of what it promised, or where samples next to peaks count less by it,
+    half of what it promises without them.
     """
-    without = nominal
-    if _has_lost_weight(nominal, better):
-        without = fit_nominal_near(nominal.study.unweighted(), nominal.fit.point, full_weight=False)
+    without, promised = _at_weight_of(nominal, better), likeliest.gain
+    gain = _gain_by_fault(without, better)
+    if without is not nominal and gain < 0.5 * promised:
+        left = score_test(without, without.fit, options=options)
+        again = _likeliest(without, left, options=options)
+        promised = again.gain if again is not None else promised
+    return gain >= 0.5 * promised
+
+
+def _gain_by_fault(without: NominalFit, better: NominalFit) -> float:
+    """What the bench explains in a nominal fit that is better by what it did than the one `without`, see
+    `_at_weight_of`.
+    """
     return rescored(better.study, without.fit).chi_square - better.fit.chi_square
+
+
+def _at_weight_of(nominal: NominalFit, better: NominalFit) -> NominalFit:
+    """The nominal fit, made anew with samples next to peaks counting less where they do so in the better one alone: a
+    fault has not explained what shows at peaks alone.
+    """
+    if nominal.study.weights or not better.study.weights:
+        return nominal
+    return fit_nominal_near(nominal.study.unweighted(), nominal.fit.point, full_weight=False)
 
 
 def _tuned_beside(nominal: NominalFit, fit: Fit, beside: ScoreTest) -> tuple[NominalFit, Fit] | None:
@@ -511,8 +529,7 @@ def _known_faults(study: Study) -> list[BenchFault]:
     waves = [BenchFault(wave, _wave_words(wave), _wave_advice(wave)) for wave in _waves_apart(study)]
     shifts = [
         BenchFault(input_shifts(session, column, growing, options), _shift_words(column, growing), OF_INPUT[column])
-        for column in SHIFTED
-        for growing in (False, True)
+        for column, growing in SHIFTS
     ]
     late = [
         BenchFault(delays, _delay_words(column), TRANSDUCER)

@@ -38,17 +38,19 @@ def errors_of_records(
     """Those that are others in each training record, or in each of other `records`: of its inputs, and of its meters'
     zeros and gains.
     """
-    ways = [(column, growing) for column in SHIFTED for growing in (False, True)]
     return (
-        *(p for column, growing in ways for p in input_shifts(session, column, growing, options, records)),
+        *(p for column, growing in SHIFTS for p in input_shifts(session, column, growing, options, records)),
         *(p for column in DELAYED for p in input_delays(session, column, options, records)),
         *(p for channel in measured_channels(session) for p in meter_zeros(session, channel, options, records)),
         *(p for channel in measured_channels(session) for p in meter_gains(session, channel, options, records)),
     )
 
 
-SHIFTED = {"oil_temperature": "delta_degC", "supply_pressure": "Pa"}
+SHIFTED = {"oil_temperature": "delta_degC", "supply_pressure": "Pa", "load_pressure": "Pa"}
 """Inputs that may be off, with the unit of what they are off by."""
+
+SHIFTS = (*((column, False) for column in SHIFTED), ("oil_temperature", True), ("supply_pressure", True))
+"""The ways in which they may be: throughout a record, or growing within it; a load's transducers do not so fast."""
 
 
 def input_shifts(
