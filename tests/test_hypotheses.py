@@ -198,7 +198,8 @@ def test_every_effect_of_the_catalogue_is_looked_for_once_on_each_side_and_senso
                 expected = 1 if shape.discrete else len(shape.sought)
                 assert all(counts[f] == expected for f in counts if f.startswith(effect.name))
     assert {f for f, count in counts.items() if count > 1} == {
-        "eddy_current_lag", "magnetic_hysteresis", "spool_thermal_pinch", "thermal_lag", "thermal_network",
+        "amplifier_second_order_lag", "eddy_current_lag", "magnetic_hysteresis", "spool_thermal_pinch", "thermal_lag",
+        "thermal_network",
     }  # fmt: skip
 
 

@@ -47,7 +47,6 @@ from valvesim.identification.input_waves import (
 from valvesim.identification.instrument_errors import (
     DELAYED,
     SHIFTED,
-    SHIFTS,
     clock_rates,
     contrasts,
     fastest_drift,
@@ -59,6 +58,7 @@ from valvesim.identification.instrument_errors import (
     meter_gains,
     meter_linearity,
     meter_zeros,
+    shift_ways,
 )
 from valvesim.identification.nominal_fit import (
     NominalFit,
@@ -529,7 +529,7 @@ def _known_faults(study: Study) -> list[BenchFault]:
     waves = [BenchFault(wave, _wave_words(wave), _wave_advice(wave)) for wave in _waves_apart(study)]
     shifts = [
         BenchFault(input_shifts(session, column, growing, options), _shift_words(column, growing), OF_INPUT[column])
-        for column, growing in SHIFTS
+        for column, growing in shift_ways()
     ]
     late = [
         BenchFault(delays, _delay_words(column), TRANSDUCER)

@@ -39,7 +39,7 @@ def errors_of_records(
     zeros and gains.
     """
     return (
-        *(p for column, growing in SHIFTS for p in input_shifts(session, column, growing, options, records)),
+        *(p for column, growing in shift_ways() for p in input_shifts(session, column, growing, options, records)),
         *(p for column in DELAYED for p in input_delays(session, column, options, records)),
         *(p for channel in measured_channels(session) for p in meter_zeros(session, channel, options, records)),
         *(p for channel in measured_channels(session) for p in meter_gains(session, channel, options, records)),
@@ -49,8 +49,13 @@ def errors_of_records(
 SHIFTED = {"oil_temperature": "delta_degC", "supply_pressure": "Pa", "load_pressure": "Pa"}
 """Inputs that may be off, with the unit of what they are off by."""
 
-SHIFTS = (*((column, False) for column in SHIFTED), ("oil_temperature", True), ("supply_pressure", True))
-"""The ways in which they may be: throughout a record, or growing within it; a load's transducers do not so fast."""
+WANDERING = ("oil_temperature", "supply_pressure")
+"""Those that may wander in a record: a load's transducers do not so fast."""
+
+
+def shift_ways() -> list[tuple[str, bool]]:
+    """Inputs that may be off, throughout a record, or growing within it."""
+    return [*((column, False) for column in SHIFTED), *((column, True) for column in WANDERING)]
 
 
 def input_shifts(
