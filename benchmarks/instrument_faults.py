@@ -164,7 +164,7 @@ def behind_filter(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Cal
     return changed
 
 
-def both(*changes: Callable[..., list[Record]]) -> Callable[..., list[Record]]:
+def in_turn(*changes: Callable[..., list[Record]]) -> Callable[..., list[Record]]:
     """Several changes, one after the other."""
 
     def changed(case: Case, records: list[Record]) -> list[Record]:
@@ -219,7 +219,7 @@ FAULTS = {
     ),
     "antialias_all": Fault(
         "each channel and the command behind a Bessel filter of 200 Hz",
-        both(*(of_column(name, ANTIALIAS) for name in EACH_AND_COMMAND)),
+        in_turn(*(of_column(name, ANTIALIAS) for name in EACH_AND_COMMAND)),
     ),
     "ac_coupled": Fault(
         "a pressure without its mean, from 0.5 Hz on", of_column("nozzle_pressure_1", filtered("highpass", 0.5, 1))
@@ -252,11 +252,11 @@ FAULTS = {
     ),
     "moving_mean_command": Fault(
         "a moving mean of five samples of all columns",
-        logger=both(*(of_column(name, lambda x, t: moving_mean(x, 5)) for name in EACH_AND_COMMAND)),
+        logger=in_turn(*(of_column(name, lambda x, t: moving_mean(x, 5)) for name in EACH_AND_COMMAND)),
     ),
     "resampled": Fault(
         "from 800 Hz to the file's rate by straight lines",
-        logger=both(*(of_column(name, lambda x, t: resampled(x, t, 800.0)) for name in EACH_AND_COMMAND)),
+        logger=in_turn(*(of_column(name, lambda x, t: resampled(x, t, 800.0)) for name in EACH_AND_COMMAND)),
     ),
     "jitter": Fault("the samples' times jitter by 0.2 ms", logger=of_column("each", lambda x, t: jittered(x, t, 2e-4))),
     "coarse": Fault("each channel in 200 steps of its span", logger=of_column("each", coarse)),
@@ -286,19 +286,19 @@ def is_wrong(found: vs.Diagnosis, case: Case, fault: Fault) -> bool:
 def diagnosed(name: str, seed: int, kind: str) -> tuple[Any, ...]:
     """The fault, what is hidden, the answer with its seconds of the processor, and whether it is wrong."""
     case = draw(seed, kind, noise=NOISE)
-    hidden = ", ".join(one for one, _ in case.hidden) or "-"
+    hidden, fault = ", ".join(one for one, _ in case.hidden) or "-", f"{name}, {FAULTS[name].words}"
     with tempfile.TemporaryDirectory() as folder:
         write_files(case, spoilt(case, FAULTS[name]), folder)
         worked = time.process_time()
         try:
             found = vs.diagnose(folder)
         except (vs.InputError, vs.SolveError) as error:
-            return name, seed, hidden, f"{type(error).__name__}: {error}", f"{time.process_time() - worked:.1f} s", ""
+            return fault, seed, hidden, f"{type(error).__name__}: {error}", f"{time.process_time() - worked:.1f} s", ""
     in_set = ", ".join(one.label for one in found.candidates if one.in_set) or "-"
     bench = "; ".join(note for note in found.notes if note.startswith("the bench"))
     answer = f"{found.verdict} {found.reason}: {in_set} ({found.summary}) [{bench}]"
     wrong = "WRONG" if is_wrong(found, case, FAULTS[name]) else ""
-    return name, seed, hidden, answer, f"{time.process_time() - worked:.1f} s", wrong
+    return fault, seed, hidden, answer, f"{time.process_time() - worked:.1f} s", wrong
 
 
 def main() -> None:
