@@ -10,7 +10,7 @@ What is told of it in the end goes by a Wald statistic, beside the cause that is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,9 +28,14 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import likeliest_starts
 from valvesim.identification.between_samples import Wave
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
+from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, rescored, with_shapes
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
-from valvesim.identification.hypothesis_fit import continue_fit, continue_from, fit_from_prior, fit_hypothesis
+from valvesim.identification.hypothesis_fit import (
+    continue_fit,
+    continue_from,
+    fit_from_prior,
+    fit_hypothesis,
+)
 from valvesim.identification.input_choice import chi_square_of_way
 from valvesim.identification.input_waves import (
     fitted_waves,
@@ -80,6 +85,8 @@ from valvesim.identification.session import UNITS, Session, value_text
 from valvesim.identification.study import Study
 from valvesim.valve.effect import Advice
 
+Weights = dict[tuple[str, str], np.ndarray]  # of whitened rows, by record and channel
+
 
 @dataclass(frozen=True, eq=False)
 class BenchFault:
@@ -111,6 +118,28 @@ def with_bench_faults(
             break  # the linear answers were wrong: it is something else
         nominal = with_inputs_reviewed(better)  # which the fault may have hidden
         scores = score_test(nominal, nominal.fit, options=options)
+    return nominal, scores
+
+
+def with_assumed_inputs(
+    nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions
+) -> tuple[NominalFit, ScoreTest]:
+    """The nominal fit with the inputs that nobody measured off by what the readings say, and what that leaves, where
+    this explains at least half of what any cause does: it is likelier. It begins from nominal, lower and higher by a
+    deviation: the valve's figures may have made up for it.
+    """
+    session = nominal.study.session
+    columns = {column for record in session.training for column in record.assumed}
+    for column in sorted(columns):
+        shifts = input_shifts(session, column, False, options.identification)
+        prepared = with_parameters(nominal.study.unweighted(), shifts)
+        fully, valve = _is_at_full_weight(nominal.study, prepared), np.zeros(len(nominal.fit.point))
+        fits = [fit_nominal_near(prepared, np.append(valve, np.full(len(shifts), by)), full_weight=fully)
+                for by in (-1.0, 1.0)]  # fmt: skip
+        better = min(fits, key=lambda one: one.fit.chi_square - one.fit.rows)
+        shows = float(np.max(scores.z(), initial=0.0)) ** 2
+        if _gain_by_fault(_at_weight_of(nominal, better), better) >= 0.5 * shows:
+            nominal, scores = better, score_test(better, better.fit, options=options)
     return nominal, scores
 
 
@@ -208,10 +237,9 @@ def with_inputs_of_cause(
     if not has_implausible_delays(nominal.study, cause.point):
         return None
     ways, few = under_other_inputs(nominal, cause), options.isolation.near_linearisations
-    best = _best_way(ways, cause, few, _excess(nominal.study, cause))
-    if best is None:
-        return None
-    return _fitted_under(nominal, best[0]), best[1]
+    weights = _least_weights([nominal, *ways])
+    best = _best_way([(way, cause.fitted) for way in ways], few, _excess(nominal.study, cause, weights), weights)
+    return None if best is None else (_fitted_under(nominal, best[0]), best[1])
 
 
 def _fitted_under(nominal: NominalFit, at: NominalFit) -> NominalFit:
@@ -228,12 +256,39 @@ def with_inputs_of_one_cause(
 
     What straight lines cut off a fast command, a larger inertia of the armature takes off the valve's answer.
     """
-    few, least, best = options.isolation.near_linearisations, _excess(nominal.study, pair), None
+    few, most, best = options.isolation.near_linearisations, 0.0, None
     for cause in alone:
-        found = _best_way(under_other_inputs(nominal, cause), cause, few, _excess(nominal.study, cause))
-        if found is not None and (excess := _excess(found[0].study, found[1])) <= least:
-            best, least = found, excess
+        ways = under_other_inputs(nominal, cause)
+        weights = _least_weights([nominal, *ways])
+        tried = [(way, cause.fitted) for way in ways]
+        found = _best_way(tried, few, _excess(nominal.study, cause, weights), weights)
+        if found is None:
+            continue
+        gain = _excess(nominal.study, pair, weights) - _excess(found[0].study, found[1], weights)
+        if gain >= most:
+            best, most = found, gain
     return None if best is None else (_fitted_under(nominal, best[0]), best[1])
+
+
+def with_inputs_of_any_cause(
+    nominal: NominalFit, best: Fit, causes: Sequence[Fit], *, options: DiagnosisOptions
+) -> tuple[NominalFit, Fit] | None:
+    """The nominal fit under another way of its commands by which one of some single `causes` explains far more than
+    the best under this one, and the fit of that cause; None where none does.
+
+    Under the wrong way each may have ended far from its amount: they begin at what is typical of them.
+    """
+    starts = [(_at_typical(one.fitted[0]),) for one in causes if len(one.fitted) == 1]
+    ways = under_other_inputs(nominal) if starts else []
+    few, weights = options.isolation.near_linearisations, _least_weights([nominal, *ways])
+    tried = [(way, start) for way in ways for start in starts]
+    found = _best_way(tried, few, _excess(nominal.study, best, weights), weights)
+    return None if found is None else (_fitted_under(nominal, found[0]), found[1])
+
+
+def _at_typical(member: FittedCandidate) -> FittedCandidate:
+    """A fitted candidate at what is typical of it, with its shapes where they are looked for."""
+    return with_shapes(member.candidate, float(np.copysign(member.candidate.typical, member.above_neutral)))
 
 
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:
@@ -300,30 +355,45 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
     """A nominal fit and a fit of causes beside it, or both under another way of the commands by which this explains
     far more from within tolerance: linear answers do not tell where a fit has gone astray under a wrong one.
     """
-    return _best_way((nominal, *under_other_inputs(nominal)), fit, few, np.inf) or (nominal, fit)
+    ways = [nominal, *under_other_inputs(nominal)]
+    return _best_way([(way, fit.fitted) for way in ways], few, np.inf, _least_weights(ways)) or (nominal, fit)
 
 
-def _best_way(ways: Sequence[NominalFit], fit: Fit, few: int, least: float) -> tuple[NominalFit, Fit] | None:
-    """The way of the commands by which the causes of a fit, fitted a little from within tolerance, leave far less
-    beyond the noise than `least` and than by those before it; None where there is none. Fits that promise to be the
+def _best_way(
+    ways: Sequence[tuple[NominalFit, tuple[FittedCandidate, ...]]], few: int, least: float, weights: Weights
+) -> tuple[NominalFit, Fit] | None:
+    """The way of the commands by which causes, fitted a little from within tolerance, leave far less beyond the noise
+    at these weights than `least` and than by those before it; None where there is none. Fits that promise to be the
     best are continued: a few steps from there may have stopped far short.
     """
-    fits = [(way, one) for way in ways if (one := fit_from_prior(way, fit.fitted, few)) is not None]
-    begun = [(way, one, _excess(way.study, one)) for way, one in fits]
+    fits = [(way, one) for way, fitted in ways if (one := fit_from_prior(way, fitted, few)) is not None]
+    begun = [(way, one, _excess(way.study, one, weights)) for way, one in fits]
     reached, best = min([least, *(excess for _, _, excess in begun)]), None
     for way, tried, excess in begun:
         options, promised = way.study.options.input, tried.predicted_reduction
         if promised > options.minimum_gain and excess - promised < reached:
             tried = continue_from(way, tried) or tried
-            excess = _excess(way.study, tried)
+            excess = _excess(way.study, tried, weights)
         if excess + max(options.minimum_gain, options.gain_share * excess) < least:
             best, least = (way, tried), excess
     return best
 
 
-def _excess(study: Study, fit: Fit) -> float:
-    """The chi-square that a fit leaves beyond the noise, as ways of the commands are judged by it."""
-    return chi_square_of_way(study, fit) - fit.rows
+def _excess(study: Study, fit: Fit, weights: Weights) -> float:
+    """The chi-square that a fit leaves beyond the noise at some weights, as ways of the commands are judged by it."""
+    weighted = replace(study, weights=weights)
+    return chi_square_of_way(weighted, fit) - rescored(weighted, fit).rows
+
+
+def _least_weights(ways: Sequence[NominalFit]) -> Weights:
+    """The least weight of each sample under some ways of the commands: a way under which readings peak more often
+    counts fewer of them, and would be judged by less.
+    """
+    least = dict[tuple[str, str], np.ndarray]()
+    for way in ways:
+        for key, own in way.study.weights.items():
+            least[key] = np.minimum(least.get(key, own), own)
+    return least
 
 
 def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:

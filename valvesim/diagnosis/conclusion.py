@@ -107,6 +107,7 @@ def conclude(isolation: Isolation) -> Conclusion:
         reason, because, odd = CHANNEL_APART, channel.words, channel.name
     elif inadequate or (verdict == UNKNOWN and far):
         verdict, reason, because = UNKNOWN, OTHER_VALVE, INADEQUATE if inadequate else f"{FAR_OFF} ({far})"
+        isolation = replace(isolation, bench=())  # a fit that is rejected tells nothing of it
     elif odd:
         reason, because = RECORDS_APART, f"these records do not belong together: {odd} alone is not as the others say"
     elif verdict == NO_DISCREPANCY and isolation.bench:

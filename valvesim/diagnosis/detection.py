@@ -64,8 +64,8 @@ def verified_chi_square(fit: Fit, study: Study) -> tuple[float, float]:
         record = predictor.record
         for name, white in zip(record.outputs, study.whiten(predictor, residual_of(record, read)), strict=True):
             if study.noise[name, record.pace].verified:
-                weights = study.weights.get((record.name, name), np.ones(len(white)))
-                left, rows = left + float(np.sum(white**2)), rows + float(np.sum(weights**2))
+                left += float(np.sum(white**2))
+                rows += float(np.sum(study.expected_squares(record, name)))
     prior = fit.chi_square - float(fit.residual @ fit.residual)
     return left + prior * rows / fit.rows, rows
 

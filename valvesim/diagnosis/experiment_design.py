@@ -341,7 +341,8 @@ def _refitted(
         if not may_follow or found.power < options.design.uninformative_power:
             continue
         try:
-            distance = min(found.distance, joint_distance(nominal, tried.predictor, true, wrong, n))
+            left = joint_distance(nominal, tried.predictor, true, wrong, n, most=found.distance)
+            distance = min(found.distance, left)
         except (SolveError, InputError):
             return replace(found, distance=0.0, power=0.0)
         found = replace(found, distance=distance, power=rival.power(distance, found.more, n * tried.error))

@@ -16,9 +16,11 @@ from valvesim.diagnosis.bench_faults import (
     JointErrors,
     joint_instrument_errors,
     told_faults,
+    with_assumed_inputs,
     with_bench_faults,
     with_fault_left,
     with_faults_beside_cause,
+    with_inputs_of_any_cause,
     with_inputs_of_cause,
     with_inputs_of_one_cause,
     without_instrument_errors,
@@ -149,15 +151,18 @@ def isolate(
 def _or_one_cause_under_other_inputs(
     isolation: Isolation, progress: Callable[[str, float], None], *, options: DiagnosisOptions
 ) -> Isolation:
-    """The isolation whose likeliest are two causes under another way of the commands, where one of the two explains as
-    much alone by that; else as it was. A way that is as plain is likelier than a second cause.
+    """The isolation whose likeliest are two causes, or none, under another way of the commands, where one of the two
+    explains as much alone by that, or any does far more; else as it was. A way that is as plain is likelier than a
+    second cause.
     """
     best = isolation.found[0].fit if isolation.found else isolation.nominal.fit
-    if len(best.fitted) < 2:
-        return isolation
-    members = [(member.candidate.label,) for member in best.fitted]
-    alone = [one.fit for one in isolation.found if tuple(c.label for c in one.candidates) in members]
-    under = with_inputs_of_one_cause(isolation.nominal, best, alone, options=options)
+    members, under = [(member.candidate.label,) for member in best.fitted], None
+    if len(members) > 1:
+        alone = [one.fit for one in isolation.found if tuple(c.label for c in one.candidates) in members]
+        under = with_inputs_of_one_cause(isolation.nominal, best, alone, options=options)
+    if under is None and isolation.found and not isolation.answer_set:
+        causes = [one.fit for one in isolation.found]
+        under = with_inputs_of_any_cause(isolation.nominal, best, causes, options=options)
     if under is None:
         return isolation
     nominal, fit = under
@@ -231,7 +236,11 @@ def _with_bench(
     What it leaves, and the fits of causes beside which the bench was looked at: of the hypotheses `known` from
     elsewhere, where there are any; how the commands go has been asked there.
     """
-    beside, reviewed, settled = list[Fit](), nominal, None
+    beside, settled = list[Fit](), None
+    nominal, scores = with_assumed_inputs(nominal, scores, options=options)
+    if not detect(scores)[0]:
+        return nominal, scores, beside
+    reviewed = nominal
     if not known:
         reviewed = with_inputs_reviewed(nominal)
         adequate = is_adequate(nominal.fit, options=options.identification)
@@ -412,6 +421,14 @@ def unknown_reason_of(best: FittedHypothesis, left: float) -> str:
         return "sensors that err alike may show one thing that reaches them all"
     if any(member.candidate.is_ordinary(member.above_neutral) for member in best.fit.fitted):
         return "there may be so little of it without a fault"
+    for member in best.fit.fitted:
+        figure, most = member.candidate.parameter, best.options.isolation.largest_ratio
+        if figure is None or not figure.is_of_valve or not figure.nominal:
+            continue
+        ratio = 1.0 + member.above_neutral / figure.nominal
+        far = abs(member.above_neutral) > best.options.isolation.far_figure * figure.deviation
+        if far and not 1.0 / most < ratio < most:
+            return f"{ratio:.2g} times the stated figure: is the valve's file right, and what its command reads?"
     return ""
 
 

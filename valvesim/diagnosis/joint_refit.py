@@ -22,18 +22,20 @@ from valvesim.identification.study import Study, with_experiment
 
 
 def joint_distance(
-    nominal: NominalFit, predictor: RecordPredictor, true: Fit, wrong: Fit, replicates: int
+    nominal: NominalFit, predictor: RecordPredictor, true: Fit, wrong: Fit, replicates: int, most: float = np.inf
 ) -> float:
     """The distance d that a refit of the `wrong` of two fits of a study leaves of the `true` one in an experiment on a
-    predictor, replicated. Raises SolveError, InputError where that cannot be simulated.
+    predictor, replicated; the refit ends where it does not promise to leave less than `most`. Raises SolveError,
+    InputError where that cannot be simulated.
     """
     study = _as_measured(nominal.study, predictor, true, replicates)
     before = evaluate_fit(study, wrong.point, wrong.fitted)
-    after = continue_from(replace(nominal, study=study), before, np.inf)
+    shown = before.residual[len(nominal.fit.residual) :]
+    of_session = before.chi_square - float(shown @ shown)
+    after = continue_from(replace(nominal, study=study), before, of_session + most**2)
     if after is None:
         raise SolveError(f"{predictor.where}no refit of the hypothesis can be simulated")
-    shown = before.residual[len(nominal.fit.residual) :]
-    return float(np.sqrt(max(shown @ shown - (before.chi_square - after.chi_square), 0.0)))
+    return float(np.sqrt(max(after.chi_square - of_session, 0.0)))
 
 
 def _as_measured(study: Study, predictor: RecordPredictor, fit: Fit, replicates: int) -> Study:

@@ -95,6 +95,10 @@ class IsolationOptions:
     most_causes: int = option(2, "1", "causes at once", "what two leave over tells that one of them is wrong")
     singles: int = option(5, "1", "single candidates that are fitted", JUDGEMENT)
     pairs: int = option(3, "1", "pairs of candidates that are fitted", JUDGEMENT)
+    largest_ratio: float = option(
+        1.5, "1", "ratio of a named figure to the stated one from which something else may be wrong", JUDGEMENT
+    )
+    far_figure: float = option(10.0, "1", "prior deviations that it must be off besides", JUDGEMENT)
     single_share: float = option(
         0.5,
         "1",

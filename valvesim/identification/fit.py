@@ -144,7 +144,7 @@ def rescored(study: Study, fit: Fit) -> Fit:
     chi_square = float(residual @ residual + fit.point @ fit.point + shape_prior)
     if not chi_square < study.options.fit.largest_chi_square:
         raise SolveError("the readings of this variant are beyond all sense")
-    rows = len(residual) - sum(float(np.sum(1.0 - weights**2)) for weights in study.weights.values())
+    rows = study.expected_rows
     return replace(fit, chi_square=chi_square, residual=residual, rows=rows, predicted_reduction=0.0, occam_factor=0.0)
 
 

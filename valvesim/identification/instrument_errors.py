@@ -80,10 +80,10 @@ def input_shifts(
 
 def _shift_size(session: Session, record: Record, column: str, options: IdentificationOptions) -> float:
     """What an input of a record may be off by: more where it was not measured."""
+    measured, errors = column not in record.assumed, options.instrument
     if column == "oil_temperature":
-        return options.instrument.oil_temperature
-    measured = column in record.values
-    share = options.instrument.supply_pressure if measured else options.instrument.assumed_supply_pressure
+        return errors.oil_temperature if measured else errors.assumed_oil_temperature
+    share = errors.supply_pressure if measured else errors.assumed_supply_pressure
     return share * float(session.valve.supply_pressure)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from valvesim.identification.between_samples import undersampled_share
 from valvesim.identification.fit import Fit, evaluate_fit, rescored
 from valvesim.identification.noise_growth import grown
-from valvesim.identification.noise_model import NoiseModel, fit_autoregression, quantisation_error
+from valvesim.identification.noise_model import NoiseModel, fit_autoregression
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.session import Record
 from valvesim.identification.study import PreparedSession, Study
@@ -40,15 +40,8 @@ def identify_noise(
             series = [left for record, left in own]
         floor = max(resolution / np.sqrt(12.0), 1e-9 * _size(own, name), stated or 0.0 if not verified else 0.0)
         noise = fit_autoregression(series, verified=verified, source=source, floor=floor, options=prepared.options)
-        if resolution > 2.0 * noise.deviation:  # too coarse to be dithered by the noise: rounding repeats itself
-            coarse = [
-                quantisation_error(read[name], noise.deviation, resolution, session.seed)
-                for record, read in zip(records, readings, strict=True)
-                if name in record.outputs and record.pace == rate
-            ]
-            noise = fit_autoregression(
-                coarse, verified=verified, source=noise.source + ", resolution", floor=floor, options=prepared.options
-            )
+        if resolution > 2.0 * noise.deviation:
+            noise = NoiseModel(noise.deviation, (), verified, source, coarse=resolution)
         found[name, rate] = noise
     return found
 

@@ -13,17 +13,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from valvesim.identification.input_noise import rounding_error, without_rounding
 from valvesim.identification.options import IdentificationOptions
+
+REALISATIONS = 16  # of what a coarse channel was rounded by
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Autoregressive noise of one channel at one rate; `verified` where repeats have shown it."""
+    """Autoregressive noise of one channel at one rate; `verified` where repeats have shown it. `coarse` is the step of
+    the grid on which it was read, where that is too coarse to be dithered by the noise: rounding repeats itself.
+    """
 
     innovation: float
     lags: tuple[float, ...]
     verified: bool
     source: str
+    coarse: float = 0.0
 
     @property
     def deviation(self) -> float:
@@ -55,6 +61,18 @@ class NoiseModel:
         alike = np.abs(together) / (together[0] or 1.0)
         own = uniform_filter1d(np.mean(white**2, axis=1), width, mode="nearest")
         return np.pad(own, (len(errors) - len(own), 0), mode="edge") * (2.0 * np.sum(alike) - alike[0])
+
+    def rounding_variance(self, values: np.ndarray, seed: int) -> float:
+        """The variance of independent errors, in units of the innovation's, to which the rounding of a coarse channel's
+        values (n,) comes at most: the largest power of its spectrum, for no combination of samples has more.
+        """
+        from scipy.signal import welch
+
+        dice, known = np.random.default_rng(seed), without_rounding(values, self.coarse)
+        true = [known + rounding_error(values, self.coarse, dice) for _ in range(REALISATIONS)]
+        white = self.whiten(values[:, None] - np.transpose(true), np.ones(len(values), dtype=bool))
+        _, power = welch(white, axis=0, nperseg=max(len(white) // 4, 2), detrend=False, return_onesided=False)
+        return float(np.max(np.mean(power, axis=1)))
 
     def kept(self, usable: np.ndarray) -> np.ndarray:
         """True for the samples (n,) whose rows `whiten` gives back."""
@@ -121,10 +139,3 @@ def _stable(lags: tuple[float, ...]) -> tuple[float, ...]:
         return lags
     roots = roots * np.minimum(1.0, 0.995 / size)
     return tuple(float(v) for v in -np.real(np.poly(roots))[1:])
-
-
-def quantisation_error(values: np.ndarray, deviation: float, resolution: float, seed: int) -> np.ndarray:
-    """What a sensor of that resolution adds to values with noise of that deviation: rounding, coloured where slow."""
-    noise = np.random.default_rng(seed).normal(0.0, 1.0, len(values)) * deviation
-    seen = values + noise
-    return np.round(seen / resolution) * resolution - values

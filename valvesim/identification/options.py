@@ -251,9 +251,12 @@ class InstrumentOptions:
     """Errors of a bench's instruments that no record tells; the sizes are prior deviations."""
 
     oil_temperature: float = option(2.0, "delta_degC", "error of the oil's thermometer", JUDGEMENT)
+    assumed_oil_temperature: float = option(
+        15.0, "delta_degC", "the same where no oil temperature was measured", "benches at -40 to 80 °C"
+    )
     supply_pressure: float = option(0.005, "1", "error of the supply's manometer, share of it", JUDGEMENT)
     assumed_supply_pressure: float = option(
-        0.02, "1", "the same where no supply pressure was measured: the pump's setting", JUDGEMENT
+        0.1, "1", "the same where no supply pressure was measured: the pump may be set to another", JUDGEMENT
     )
     pressure_delay: float = option(3e-3, "s", "delay of a pressure transducer beside the other channels", JUDGEMENT)
     clock_rate: float = option(1e-4, "1", "difference of two clocks, share of the time", "quartz clocks: 20 to 100 ppm")

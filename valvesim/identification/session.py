@@ -55,7 +55,8 @@ class Record:
     first file, and `line_of(sample)` a line in it, None where it has none. `shares[channel]` is the share of the
     samples that a sensor slower than the record reads. `input_noise[column]` is the standard deviation of the white
     noise that the instrument of an input has put upon it, where it is known to have any, and `input_resolution[column]`
-    the step of the grid on which it was read, where that is coarse enough to matter.
+    the step of the grid on which it was read, where that is coarse enough to matter. `assumed` are inputs whose values
+    nobody measured.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Record:
     shares: dict[str, float] = field(default_factory=dict)
     input_noise: dict[str, float] = field(default_factory=dict)
     input_resolution: dict[str, float] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
 
     def place(self, sample: int) -> str:
         """Where a sample stands, in words: its line, or its time."""

@@ -285,7 +285,8 @@ def _read_record(
     notes += recording.notes
     if recording.left_out:
         notes.append(f"{name}: columns that are no channel are left out: {', '.join(recording.left_out)}")
-    if "oil_temperature" not in values:
+    assumed = tuple(column for column in ("oil_temperature", "supply_pressure") if column not in values)
+    if "oil_temperature" in assumed:
         values["oil_temperature"] = np.full(len(time), REFERENCE_TEMPERATURE)
         notes.append(f"{name}: no oil temperature was measured; {REFERENCE_TEMPERATURE:g} °C is assumed")
     outputs = [n for n in OUTPUTS if n in values and (n != "current" or "voltage" in values)]
@@ -296,7 +297,9 @@ def _read_record(
     read_at, shares = _between_slow_samples(recording, values, name, notes)
     usable = measured_samples(path, name, values, outputs, rated, recording.line_of, time, notes, options=options)
     usable = {channel: good & read_at[channel] if channel in read_at else good for channel, good in usable.items()}
-    record = Record(name, time, values, usable, entry.role, entry.repeats, path, recording.line_of, shares)
+    record = Record(
+        name, time, values, usable, entry.role, entry.repeats, path, recording.line_of, shares, assumed=assumed
+    )
     for column in record.inputs:
         scale = input_scale(column, session.valve)
         if column in resolutions:

@@ -106,6 +106,20 @@ class Study(PreparedSession):
             white.append(rows)
         return white
 
+    @cached_property
+    def expected_rows(self) -> float:
+        """The chi-square that noise alone leaves of the training records."""
+        pairs = [(predictor.record, name) for predictor in self.predictors for name in predictor.record.outputs]
+        return sum(float(np.sum(self.expected_squares(record, name))) for record, name in pairs)
+
+    def expected_squares(self, record: Record, name: str) -> np.ndarray:
+        """(rows,) mean square that noise alone leaves of each whitened row of a channel of a training record."""
+        noise, weights = self.noise[name, record.pace], self.weights.get((record.name, name))
+        squares = np.ones(len(record.time))[noise.kept(record.usable[name])][:: self.stride]
+        if (rounding := self._rounding_variances.get((record.name, name))) is not None:
+            squares /= 1.0 + rounding[noise.kept(record.usable[name])][:: self.stride]
+        return squares if weights is None else squares * weights**2
+
     def noise_near(self, channel: str, rate: float) -> NoiseModel | None:
         """The noise of a channel at the nearest rate that it was seen at; None where it was not."""
         seen = {pace: noise for (name, pace), noise in self.noise.items() if name == channel}
@@ -138,7 +152,8 @@ class Study(PreparedSession):
         known = [one[key] for one in (self.spread, self.discrepancy) if key in one]
         of_inputs = [self._input_variances[key]] if key in self._input_variances else []
         of_level = [grown(self.noise_growth[name], record.values[name]) ** 2 - 1.0] if name in self.noise_growth else []
-        return [(deviation / noise.innovation) ** 2 for deviation in known] + of_inputs + of_level
+        of_rounding = [self._rounding_variances[key]] if key in self._rounding_variances else []
+        return [(deviation / noise.innovation) ** 2 for deviation in known] + of_inputs + of_level + of_rounding
 
     @cached_property
     def _input_variances(self) -> dict[tuple[str, str], np.ndarray]:
@@ -154,6 +169,18 @@ class Study(PreparedSession):
             for (record, name), errors in self.input_errors.items()
             if record in records and name in records[record].outputs
         }
+
+    @cached_property
+    def _rounding_variances(self) -> dict[tuple[str, str], np.ndarray]:
+        """(record, channel): variances (n,) of the innovation that the rounding of coarse channels comes to beside."""
+        found = {}
+        for record in (predictor.record for predictor in self.predictors):
+            for name in record.outputs:
+                noise = self.noise[name, record.pace]
+                if noise.coarse:
+                    beside = noise.rounding_variance(record.values[name], self.session.seed) - 1.0
+                    found[record.name, name] = np.full(len(record.time), max(beside, 0.0))
+        return found
 
     def with_weights(self, weights: Sequence[np.ndarray]) -> Study:
         """The study with weights (rows,) of each channel of each training record, in their order."""
