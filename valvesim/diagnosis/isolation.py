@@ -126,6 +126,8 @@ def isolate(
     if channel is not None and channel.response:
         level = scores.level(options.detection.false_alarm)
         return Isolation(nominal, scores, scores, [], [], "", True, level, channel=channel)
+    if channel is not None and (isolation := _beside_other_channels(channel, progress, options=options)).answer_set:
+        return isolation
     if detect(scores)[0]:
         nominal, scores, beside = _with_bench(nominal, scores, known, options=options)
     level = scores.level(options.detection.false_alarm)
@@ -146,6 +148,19 @@ def isolate(
         channel = channel_apart(*begun, options=options)
     bench = told_faults(isolation.final, options=options)
     return replace(isolation, bench=bench, joint_errors=errors, channel=channel)
+
+
+def _beside_other_channels(
+    channel: ChannelApart, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> Isolation:
+    """The isolation that begins where the other channels say that the valve is: one that is far off has dragged the fit
+    to all of them along.
+    """
+    nominal = channel.nominal
+    isolation = _isolated(
+        nominal, score_test(nominal, nominal.fit, options=options), progress, (), [], options=options
+    )
+    return replace(isolation, bench=told_faults(isolation.final, options=options))
 
 
 def _or_one_cause_under_other_inputs(
