@@ -53,7 +53,7 @@ from valvesim.diagnosis.wording import OTHERWISE, location_text, summary_text
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
-from valvesim.identification.prior import NETWORK, NuisanceParameter
+from valvesim.identification.prior import NETWORK, NuisanceParameter, nominal_model_of
 from valvesim.identification.projection import GramMatrix, ProjectedScores
 from valvesim.identification.session_toml import load_session
 from valvesim.units import quantities
@@ -432,6 +432,21 @@ def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_
 def test_two_sensors_that_err_alike_may_be_one_thing():
     assert unknown_reason_of(explained(1.0, "sensor_bias@load_flow", "sensor_bias@spool_position"), 0.0)
     assert not unknown_reason_of(explained(1.0, "sensor_bias@load_flow", "spool_lap"), 0.0)
+
+
+@pytest.mark.parametrize("name, ratio, doubted", [
+    ("coil_turns", 2.2, True), ("coil_turns", 0.5, True), ("coil_turns", 1.4, False),
+    ("null_gap_difference", 2.2, False),  # which has no stated size
+])  # fmt: skip
+def test_a_figure_that_no_valve_of_this_kind_has_is_doubted(biased_session, name, ratio, doubted):
+    """One of two coils was logged: "the cause is coil turns", of twice as many."""
+    model = nominal_model_of(biased_session, options=DIAGNOSIS.identification)
+    parameter = next(p for p in model.parameters if p.name == name)
+    candidate = SimpleNamespace(parameter=parameter, effect=None, is_ordinary=lambda amount: False)
+    member = SimpleNamespace(candidate=candidate, above_neutral=(ratio - 1.0) * (parameter.nominal or 1e-3))
+    best = SimpleNamespace(candidates=(candidate,), fit=SimpleNamespace(fitted=(member,)), options=DIAGNOSIS)
+    said = unknown_reason_of(best, 0.0)
+    assert (f"{ratio:.2g} times the stated figure" in said) if doubted else said == ""
 
 
 def test_a_lag_that_any_amplifier_has_is_not_named_for_sure():

@@ -91,6 +91,11 @@ def beside_none(nominal, scores, known, *, options):
     return nominal, scores, None
 
 
+@pytest.fixture(autouse=True)
+def inputs_are_all_measured(monkeypatch):
+    monkeypatch.setattr(isolation, "with_assumed_inputs", lambda nominal, scores, options: (nominal, scores))
+
+
 @pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e8, False)])
 def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch, beside, alarm):
     base, found = nominal(9000.0), []
@@ -556,6 +561,7 @@ def white_study(verified, excess, seed=0):
         noise=noise,
         weights={},
         whiten=lambda predictor, left: [left[name] for name in CHANNELS],
+        expected_squares=lambda record, name: np.ones(ROWS),
     )
     residual, zero = np.concatenate(list(values.values())), {name: np.zeros(ROWS) for name in CHANNELS}
     return study, Fit(np.ones(2), (), float(residual @ residual) + 2.0, (zero,), residual, 2.0 * ROWS)
@@ -597,3 +603,28 @@ def test_of_an_answer_set_that_was_emptied_no_candidate_is_told_to_be_in_it(inad
     answers = candidate_answers(base, ended.found, concluded.answer_set, 4.0, concluded.doubt, options=DIAGNOSIS)
     in_set = {answer.label for answer in answers if answer.in_set}
     assert in_set == ({"none of the known causes"} if inadequate else {"spool_lap"})
+
+
+@pytest.mark.parametrize("response, answer", [("", ["sensor_lag"]), ("", []), ("60 Hz", ["never asked"])])
+def test_a_channel_that_is_far_off_is_fitted_beside_the_figures_of_the_others(monkeypatch, response, answer):
+    """A flow meter of 20 ms had dragged the fit to all channels along: the records were of another valve."""
+    base, others = nominal(5e6), nominal(6e6)
+    channel = SimpleNamespace(nominal=others, response=response, words="a channel")
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "detect", lambda scores: (False, 4.0))
+    monkeypatch.setattr(isolation, "channel_apart", lambda nominal, scores, options: channel)
+    monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ())
+    monkeypatch.setattr(isolation, "joint_instrument_errors", lambda scores, options: None)
+    begun = []
+
+    def isolated(nominal, scores, progress, known, beside, *, options):
+        begun.append(nominal)
+        in_set = [hypothesis(5000.0, "spool_lap")] if nominal is others and answer else []
+        return isolation.Isolation(nominal, scores, scores, in_set, in_set, "", nominal is others, 4.0)
+
+    monkeypatch.setattr(isolation, "_isolated", isolated)
+    ended = isolation.isolate(base, lambda stage, share: None, options=DIAGNOSIS)
+    if response:
+        assert begun == [] and ended.channel is channel
+    else:
+        assert begun == ([others] if answer else [others, base]) and ended.nominal is begun[-1]

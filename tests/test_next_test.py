@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from valvesim.diagnosis import experiment_design
+from valvesim.diagnosis import experiment_design, joint_refit
 from valvesim.diagnosis.experiment_design import ExperimentPower, design, nested_rival, rival_beside, simulate_library
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
 from valvesim.diagnosis.joint_refit import joint_distance
@@ -282,10 +282,25 @@ def test_a_refit_of_session_and_experiment_leaves_no_more_than_both_differ_by(no
     assert joint_distance(nominal, trial.predictor, nominal.fit, nominal.fit, 1) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_refit_that_leaves_more_than_was_foreseen_is_not_finished(nominal, fits, monkeypatch):
+    trial, asked = trials_of(nominal, fits[0])[0], []
+    continued = joint_refit.continue_from
+
+    def spied(nominal, fit, worthwhile):
+        asked.append(worthwhile - fit.chi_square)
+        return continued(nominal, fit, worthwhile)
+
+    monkeypatch.setattr(joint_refit, "continue_from", spied)
+    whole = joint_distance(nominal, trial.predictor, fits[0], nominal.fit, 1)
+    ended = joint_distance(nominal, trial.predictor, fits[0], nominal.fit, 1, most=0.5 * whole)
+    shown = float(np.sum(trial.beyond(nominal.fit) ** 2))
+    assert asked == [np.inf, pytest.approx((0.5 * whole) ** 2 - shown, rel=1e-6)] and ended >= whole * (1.0 - 1e-9)
+
+
 def test_an_experiment_is_proposed_by_refits_that_are_simulated(nominal, fits, found, monkeypatch):
     tried = []
 
-    def follows(nominal, predictor, true, wrong, replicates):
+    def follows(nominal, predictor, true, wrong, replicates, most):
         tried.append(predictor.record.name)
         return 1e-3 if predictor.record.name in found.description else 50.0
 
@@ -296,7 +311,7 @@ def test_an_experiment_is_proposed_by_refits_that_are_simulated(nominal, fits, f
 
 
 def test_what_cannot_be_refitted_is_not_proposed(nominal, fits, monkeypatch):
-    def fails(*args):
+    def fails(*args, most):
         raise SolveError("no valve has these figures")
 
     monkeypatch.setattr(experiment_design, "joint_distance", fails)

@@ -155,7 +155,7 @@ def test_whitening_is_linear_so_that_answers_and_residual_stay_together():
 
 def rounded(values, step):
     """What a white noise as large as rounding by a step makes of the variance of a coarse channel."""
-    return NoiseModel(step / np.sqrt(12.0), (), True, "test", coarse=step).rounding_variance(values, seed=0)
+    return NoiseModel(step / np.sqrt(12.0), (), True, "test", coarse=step).rounding_variance(values, 0, 16)
 
 
 def test_rounding_of_what_moves_by_many_steps_in_a_sample_is_white():
@@ -183,3 +183,22 @@ def test_the_mean_of_a_rounded_channel_is_off_by_no_more_than_its_noise_says(sha
     variance = np.mean(np.square(apart)) * 250.0
     assert variance < np.mean(bound)
 
+
+
+def test_rows_of_a_coarse_channel_count_as_much_as_noise_leaves_of_them(biased_fit):
+    """And what noise and rounding leave of the records is what is expected of them."""
+    study = biased_fit.study
+    (name, pace), *_ = study.noise
+    before, step = study.expected_rows, 4.0 * study.noise[name, pace].deviation
+    coarse = NoiseModel(step / np.sqrt(12.0), (), True, "test", coarse=step)
+    other = study.with_noise(study.noise | {(name, pace): coarse})
+    own = [(one.record, other.expected_squares(one.record, name)) for one in other.predictors]
+    assert before == study.expected_rows and all(np.all(squares <= 1.0) for _, squares in own)
+    for predictor, (record, squares) in zip(other.predictors, own, strict=True):
+        one = {each: np.zeros((len(record.time), 1)) for each in record.outputs} | {
+            name: np.full((len(record.time), 1), coarse.deviation)
+        }
+        white = other.whiten(predictor, one)[list(record.outputs).index(name)][:, 0]
+        assert white == pytest.approx(np.sqrt(squares))
+    rows = [study.expected_squares(one.record, name) for one in study.predictors]
+    assert other.expected_rows <= before + sum(len(new) - len(old) for (_, new), old in zip(own, rows, strict=True))

@@ -129,6 +129,8 @@ def isolate(
     if channel is not None and (isolation := _beside_other_channels(channel, progress, options=options)).answer_set:
         return isolation
     if detect(scores)[0]:
+        nominal, scores = with_assumed_inputs(nominal, scores, options=options)
+    if detect(scores)[0]:
         nominal, scores, beside = _with_bench(nominal, scores, known, options=options)
     level = scores.level(options.detection.false_alarm)
     if beside and is_other_valve(nominal, beside[0], options=options):
@@ -251,11 +253,7 @@ def _with_bench(
     What it leaves, and the fits of causes beside which the bench was looked at: of the hypotheses `known` from
     elsewhere, where there are any; how the commands go has been asked there.
     """
-    beside, settled = list[Fit](), None
-    nominal, scores = with_assumed_inputs(nominal, scores, options=options)
-    if not detect(scores)[0]:
-        return nominal, scores, beside
-    reviewed = nominal
+    beside, reviewed, settled = list[Fit](), nominal, None
     if not known:
         reviewed = with_inputs_reviewed(nominal)
         adequate = is_adequate(nominal.fit, options=options.identification)

@@ -16,9 +16,6 @@ import numpy as np
 from valvesim.identification.input_noise import rounding_error, without_rounding
 from valvesim.identification.options import IdentificationOptions
 
-REALISATIONS = 16  # of what a coarse channel was rounded by
-
-
 @dataclass(frozen=True)
 class NoiseModel:
     """Autoregressive noise of one channel at one rate; `verified` where repeats have shown it. `coarse` is the step of
@@ -62,14 +59,15 @@ class NoiseModel:
         own = uniform_filter1d(np.mean(white**2, axis=1), width, mode="nearest")
         return np.pad(own, (len(errors) - len(own), 0), mode="edge") * (2.0 * np.sum(alike) - alike[0])
 
-    def rounding_variance(self, values: np.ndarray, seed: int) -> float:
+    def rounding_variance(self, values: np.ndarray, seed: int, realisations: int) -> float:
         """The variance of independent errors, in units of the innovation's, to which the rounding of a coarse channel's
-        values (n,) comes at most: the largest power of its spectrum, for no combination of samples has more.
+        values (n,) comes at most, by so many realisations: the largest power of its spectrum, for no combination of
+        samples has more.
         """
         from scipy.signal import welch
 
         dice, known = np.random.default_rng(seed), without_rounding(values, self.coarse)
-        true = [known + rounding_error(values, self.coarse, dice) for _ in range(REALISATIONS)]
+        true = [known + rounding_error(values, self.coarse, dice) for _ in range(realisations)]
         white = self.whiten(values[:, None] - np.transpose(true), np.ones(len(values), dtype=bool))
         _, power = welch(white, axis=0, nperseg=max(len(white) // 4, 2), detrend=False, return_onesided=False)
         return float(np.max(np.mean(power, axis=1)))

@@ -173,13 +173,13 @@ class Study(PreparedSession):
     @cached_property
     def _rounding_variances(self) -> dict[tuple[str, str], np.ndarray]:
         """(record, channel): variances (n,) of the innovation that the rounding of coarse channels comes to beside."""
-        found = {}
+        found, realisations = {}, self.options.input_noise.realisations
         for record in (predictor.record for predictor in self.predictors):
             for name in record.outputs:
                 noise = self.noise[name, record.pace]
                 if noise.coarse:
-                    beside = noise.rounding_variance(record.values[name], self.session.seed) - 1.0
-                    found[record.name, name] = np.full(len(record.time), max(beside, 0.0))
+                    whole = noise.rounding_variance(record.values[name], self.session.seed, realisations)
+                    found[record.name, name] = np.full(len(record.time), max(whole - 1.0, 0.0))
         return found
 
     def with_weights(self, weights: Sequence[np.ndarray]) -> Study:
