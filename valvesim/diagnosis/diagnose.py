@@ -192,6 +192,7 @@ def _notes(conclusion: Conclusion) -> list[str]:
         notes.append(
             "noise unverified: no repeats, so it was taken from what the model leaves; small effects may hide in it"
         )
+    notes += _notes_on_noise(study, isolation.scores.options)
     notes += [f"the bench, not the valve: {one.label}" for one in isolation.bench if one.label not in because]
     errors = isolation.joint_errors
     if errors is not None and not conclusion.answer_set:
@@ -295,6 +296,19 @@ def _before_any_fit(
         reason=reason,
         what_to_do=advice_on_unknown(reason, "", None),
     )
+
+
+def _notes_on_noise(study: Study, options: DiagnosisOptions) -> list[str]:
+    """On the channels whose noise no repeats tell, and which leave far more than is stated of them."""
+    notes = []
+    for (channel, _), noise in study.noise.items():
+        stated = study.session.sensors[channel].noise if channel in study.session.sensors else None
+        if not noise.verified and stated and noise.deviation > options.detection.stated_ratio * stated:
+            notes.append(
+                f"{channel}: what the model leaves is {noise.deviation / stated:.2g} times the stated noise, and "
+                "without repeats it counts as noise all the same: what is wrong may hide in it; repeat a test"
+            )
+    return notes
 
 
 def _noise_found(study: Study) -> tuple[NoiseFound, ...]:

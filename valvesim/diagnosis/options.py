@@ -25,6 +25,9 @@ class DetectionOptions:
     equivalent_share: float = option(
         0.9, "1", "share of a parameter's z that an equivalent effect must have to be counted in its place", JUDGEMENT
     )
+    stated_ratio: float = option(
+        2.0, "1", "ratio of what a model leaves to the stated noise from which it is told, without repeats", JUDGEMENT
+    )
     noise_error: float = option(0.06, "1", "relative error of a noise's variance", "a pair of short replicates")
     false_alarm: float = option(
         0.005,

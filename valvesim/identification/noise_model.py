@@ -16,6 +16,7 @@ import numpy as np
 from valvesim.identification.input_noise import rounding_error, without_rounding
 from valvesim.identification.options import IdentificationOptions
 
+
 @dataclass(frozen=True)
 class NoiseModel:
     """Autoregressive noise of one channel at one rate; `verified` where repeats have shown it. `coarse` is the step of

@@ -289,6 +289,9 @@ def _read_record(
     if "oil_temperature" in assumed:
         values["oil_temperature"] = np.full(len(time), REFERENCE_TEMPERATURE)
         notes.append(f"{name}: no oil temperature was measured; {REFERENCE_TEMPERATURE:g} °C is assumed")
+    if "supply_pressure" in assumed:
+        stated = value_text(float(session.valve.supply_pressure), UNITS["supply_pressure"])
+        notes.append(f"{name}: no supply pressure was measured; {stated} is assumed")
     outputs = [n for n in OUTPUTS if n in values and (n != "current" or "voltage" in values)]
     if not outputs:
         raise InputError(f"no output channel; expected one or more of {', '.join(OUTPUTS[:-1])}", file=path)
