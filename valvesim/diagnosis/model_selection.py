@@ -74,8 +74,12 @@ class FittedHypothesis:
 
     @property
     def law_error(self) -> float:
-        """The share of what it explains by which another law of the same effect may do better."""
-        return max((c.effect.law_error for c in self.candidates if c.effect is not None), default=0.0)
+        """The share of what it explains by which another law of the same effect may do better: a recorder's filter,
+        which makes several sensors late, is of any order.
+        """
+        own = max((c.effect.law_error for c in self.candidates if c.effect is not None), default=0.0)
+        together = len(self.candidates) > len(self._independent) == 1
+        return max(own, self.options.selection.filter_law_error) if together else own
 
     @property
     def label(self) -> str:

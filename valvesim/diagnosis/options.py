@@ -169,6 +169,9 @@ class SelectionOptions:
     answer_share: float = option(
         0.04, "1", "share of the explained chi-square that the answer set is wide", "no model is the plant"
     )
+    filter_law_error: float = option(
+        0.1, "1", "share that another order explains beyond a lag of all sensors", "0.08 for a Bessel filter of order 4"
+    )
     least_law_error: float = option(
         5e-4,
         "1",

@@ -86,7 +86,9 @@ def without_corrections_of_laws(
 def with_other_pairs(
     nominal: NominalFit, found: list[FittedHypothesis], final: ScoreTest
 ) -> tuple[list[FittedHypothesis], ScoreTest]:
-    """The found where the best has two causes, with what else would go well beside each of these."""
+    """The found where the best has two causes, with what else would go well beside each of these; a pair that is better
+    so is tried with one cause fewer.
+    """
     best, more = found[0].fit, list[FittedHypothesis]()
     if len(best.fitted) < 2:
         return found, final
@@ -109,7 +111,10 @@ def with_other_pairs(
         likeliest = new[: final.options.isolation.seconds]
         more += fit_starts(nominal, likeliest, best.point, others=found, options=final.options)
     merged = distinct([*found, *more], options=final.options)
-    return merged, final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=final.options)
+    if merged[0] is found[0]:
+        return merged, final
+    merged = reduced_hypotheses(nominal, merged, options=final.options)
+    return merged, score_test(nominal, merged[0].fit, options=final.options)
 
 
 def with_singles_from_prior(
