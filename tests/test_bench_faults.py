@@ -1078,6 +1078,19 @@ def test_clocks_that_run_far_apart_are_told_without_powers_of_ten():
     assert _clock_words(np.array([0.0, -1.26e-3])).endswith("by up to 1260 ppm")
 
 
+@pytest.mark.parametrize("name, left, told", [
+    ("spool_stribeck_friction", 1.0, True), ("spool_coulomb_friction", 1.0, True), ("spool_silting", 1e3, False),
+    ("magnetic_hysteresis", 1.0, False),
+])  # fmt: skip
+def test_the_bench_is_looked_at_beside_one_of_the_laws_that_are_alike(name, left, told):
+    def member(effect):
+        return SimpleNamespace(candidate=SimpleNamespace(plainest=CATALOGUE[effect].plainer or effect))
+
+    rows = 5000.0
+    fit = SimpleNamespace(fitted=(member("spool_coulomb_friction"),), chi_square=left * rows, rows=rows)
+    assert bench_faults._tells_as_much(fit, (member(name),), options=DIAGNOSIS) is told
+
+
 def test_ways_of_the_commands_are_judged_by_the_samples_that_count_under_all(monkeypatch):
     """A hold makes readings peak at each of its samples: few of them counted, and it seemed to leave less."""
     key, other = ("r", "flow"), ("r", "leakage")

@@ -157,6 +157,8 @@ def with_faults_beside_cause(
         return nominal, scores, None
     fit = continue_fit(nominal, known[0]) if known else None
     for start in likeliest_starts(nominal, scores) if not known else ():
+        if fit is not None and _tells_as_much(fit, start, options=options):
+            continue
         other = fit_from_prior(nominal, start, few)
         if other is not None and (fit is None or _explains_more(other, fit, options=options)):
             fit = other
@@ -210,6 +212,12 @@ def _continued_if_other_valve(
     if fit is None or not is_other_valve(nominal, fit, options=options):
         return fit
     return continue_from(at, fit, np.inf) or fit
+
+
+def _tells_as_much(fit: Fit, start: Sequence[FittedCandidate], *, options: DiagnosisOptions) -> bool:
+    """Whether the fit of a cause tells the bench as well as a start would: an adequate one of the same plainest law."""
+    alike = fit.fitted[0].candidate.plainest == start[0].candidate.plainest
+    return alike and is_adequate(fit, options=options.identification)
 
 
 def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -> bool:
