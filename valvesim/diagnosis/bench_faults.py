@@ -135,7 +135,7 @@ def with_assumed_inputs(
         prepared = with_parameters(nominal.study.unweighted(), shifts)
         fully, valve = _is_at_full_weight(nominal.study, prepared), np.zeros(len(nominal.fit.point))
         fits = [fit_nominal_near(prepared, np.append(valve, np.full(len(shifts), by)), full_weight=fully)
-                for by in (-1.0, 1.0)]  # fmt: skip
+                for by in np.array([-1.0, 1.0]) / np.sqrt(len(shifts))]  # fmt: skip
         better = min(fits, key=lambda one: one.fit.chi_square - one.fit.rows)
         shows = float(np.max(scores.z(), initial=0.0)) ** 2
         if _gain_by_fault(_at_weight_of(nominal, better), better) >= 0.5 * shows:

@@ -66,13 +66,15 @@ def input_shifts(
     records: Sequence[Record] | None = None,
 ) -> tuple[NuisanceParameter, ...]:
     """What an input is off by in each training record, or in other `records`: throughout, or where `growing` by so much
-    at the end.
+    at the end. Of an input that nobody measured all are likely off by the same, which counts once.
     """
     name = f"{column}{':growing' if growing else ''}"
     every = session.training if records is None else records
     sizes = [(record, _shift_size(session, record, column, options)) for record in every]
+    assumed = max(sum(column in record.assumed for record in session.training), 1)
     return tuple(
-        NuisanceParameter(f"shift@{record.name}:{name}", SHIFTED[column], 0.0, size, (-4.0 * size, 4.0 * size),
+        NuisanceParameter(f"shift@{record.name}:{name}", SHIFTED[column], 0.0,
+                          size * (np.sqrt(assumed) if column in record.assumed else 1.0), (-4.0 * size, 4.0 * size),
                           input=InputShift(record.name, column, growing))
         for record, size in sizes
     )  # fmt: skip
