@@ -130,7 +130,8 @@ def test_a_full_session_is_read_in_si(session, tmp_path):
     assert [record.name for record in loaded.training] == ["a", "b"]
     assert [record.name for record in loaded.locked] == ["c"]
     assert [record.repeats for record in loaded.records] == ["sine", "sine", None]
-    assert loaded.drive == CurrentDrive() and loaded.notes == ()
+    assert loaded.drive == CurrentDrive()
+    assert loaded.notes == tuple(f"{name}: no supply pressure was measured; 210 bar is assumed" for name in "abc")
     first = loaded.records[0]
     assert first.values["current"] == pytest.approx(5e-3 * WAVE) and "time" not in first.values
     assert first.values["spool_position"] == pytest.approx(1e-3 * columns(1)[SPOOL])
