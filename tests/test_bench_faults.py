@@ -1231,6 +1231,7 @@ def test_a_load_pressure_that_is_read_off_is_no_fault_of_the_valve(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed, name, others", [
     (1310103, "amplifier_lag", {"amplifier_second_order_lag"}), (1310101, "amplifier_second_order_lag", set()),
+    (1310100, "amplifier_second_order_lag", set()),
 ])  # fmt: skip
 def test_an_amplifier_between_the_recorded_command_and_the_coil_is_named(tmp_path, seed, name, others):
     """Of first order it was `cause`: eddy currents, for the fit of its lag had stopped far from nominal."""
