@@ -29,6 +29,7 @@ from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
 from valvesim.diagnosis.score_test import score_test
 from valvesim.diagnosis.wording import summary_text
+from valvesim.errors import SolveError
 from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.fit import evaluate_fit, predict_readings, with_shapes
 from valvesim.identification.fit_jacobian import linearise_fit
@@ -1154,6 +1155,7 @@ def test_an_input_that_nobody_measured_may_be_off_by_far_more_and_by_as_much_in_
 @pytest.mark.parametrize("columns, left, taken", [
     ((), None, None), (("supply_pressure",), (7e3, 6e3), 1), (("supply_pressure",), (6e3, 7e3), 0),
     (("supply_pressure",), (9.95e3, 9.96e3), None),  # less than half of what a cause explains
+    (("supply_pressure",), (None, 6e3), 1), (("supply_pressure",), (None, None), None),  # it cannot be run
 ])  # fmt: skip
 def test_what_nobody_measured_is_asked_first(monkeypatch, columns, left, taken):
     record, begun = SimpleNamespace(assumed=columns), []
@@ -1162,6 +1164,8 @@ def test_what_nobody_measured_is_asked_first(monkeypatch, columns, left, taken):
 
     def fit(prepared, point, full_weight):
         begun.append(point.tolist())
+        if left[len(begun) - 1] is None:
+            raise SolveError("no valve runs there")
         return SimpleNamespace(fit=SimpleNamespace(chi_square=left[len(begun) - 1], rows=5e3), way=len(begun) - 1)
 
     for name, stub in {

@@ -10,6 +10,7 @@ What is told of it in the end goes by a Wald statistic, beside the cause that is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,16 +27,12 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import likeliest_starts
+from valvesim.errors import InputError, SolveError
 from valvesim.identification.between_samples import Wave
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, rescored, with_shapes
 from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidate_sensitivities
-from valvesim.identification.hypothesis_fit import (
-    continue_fit,
-    continue_from,
-    fit_from_prior,
-    fit_hypothesis,
-)
+from valvesim.identification.hypothesis_fit import continue_fit, continue_from, fit_from_prior, fit_hypothesis
 from valvesim.identification.input_choice import chi_square_of_way
 from valvesim.identification.input_waves import (
     fitted_waves,
@@ -134,11 +131,14 @@ def with_assumed_inputs(
         shifts = input_shifts(session, column, False, options.identification)
         prepared = with_parameters(nominal.study.unweighted(), shifts)
         fully, valve = _is_at_full_weight(nominal.study, prepared), np.zeros(len(nominal.fit.point))
-        fits = [fit_nominal_near(prepared, np.append(valve, np.full(len(shifts), by)), full_weight=fully)
-                for by in np.array([-1.0, 1.0]) / np.sqrt(len(shifts))]  # fmt: skip
-        better = min(fits, key=lambda one: one.fit.chi_square - one.fit.rows)
+        fits = list[NominalFit]()
+        for by in np.array([-1.0, 1.0]) / np.sqrt(len(shifts)):
+            with suppress(SolveError, InputError):  # there the valve cannot be run
+                point = np.append(valve, np.full(len(shifts), by))
+                fits.append(fit_nominal_near(prepared, point, full_weight=fully))
+        better = min(fits, key=lambda one: one.fit.chi_square - one.fit.rows, default=nominal)
         shows = float(np.max(scores.z(), initial=0.0)) ** 2
-        if _gain_by_fault(_at_weight_of(nominal, better), better) >= 0.5 * shows:
+        if better is not nominal and _gain_by_fault(_at_weight_of(nominal, better), better) >= 0.5 * shows:
             nominal, scores = better, score_test(better, better.fit, options=options)
     return nominal, scores
 
