@@ -155,7 +155,7 @@ def test_whitening_is_linear_so_that_answers_and_residual_stay_together():
 
 def rounded(values, step):
     """What a white noise as large as rounding by a step makes of the variance of a coarse channel."""
-    return NoiseModel(step / np.sqrt(12.0), (), True, "test", coarse=step).rounding_variance(values, 0, 16)
+    return NoiseModel(step / np.sqrt(12.0), (), True, "test", rounding_step=step).rounding_variance(values, 0, 16)
 
 
 def test_rounding_of_what_moves_by_many_steps_in_a_sample_is_white():
@@ -190,7 +190,7 @@ def test_rows_of_a_coarse_channel_count_as_much_as_noise_leaves_of_them(biased_f
     study = biased_fit.study
     (name, pace), *_ = study.noise
     before, step = study.expected_rows, 4.0 * study.noise[name, pace].deviation
-    coarse = NoiseModel(step / np.sqrt(12.0), (), True, "test", coarse=step)
+    coarse = NoiseModel(step / np.sqrt(12.0), (), True, "test", rounding_step=step)
     other = study.with_noise(study.noise | {(name, pace): coarse})
     own = [(one.record, other.expected_squares(one.record, name)) for one in other.predictors]
     assert before == study.expected_rows and all(np.all(squares <= 1.0) for _, squares in own)

@@ -129,13 +129,10 @@ def with_assumed_inputs(
     columns = {column for record in session.training for column in record.assumed}
     for column in sorted(columns):
         shifts = input_shifts(session, column, False, options.identification)
-        prepared = with_parameters(nominal.study.unweighted(), shifts)
-        fully, valve = _is_at_full_weight(nominal.study, prepared), np.zeros(len(nominal.fit.point))
-        fits = list[NominalFit]()
+        valve, fits = np.zeros(len(nominal.fit.point)), list[NominalFit]()
         for by in np.array([-1.0, 1.0]) / np.sqrt(len(shifts)):
             with suppress(SolveError, InputError):  # there the valve cannot be run
-                point = np.append(valve, np.full(len(shifts), by))
-                fits.append(fit_nominal_near(prepared, point, full_weight=fully))
+                fits.append(_extended(nominal, shifts, np.append(valve, np.full(len(shifts), by))))
         better = min(fits, key=lambda one: one.fit.chi_square - one.fit.rows, default=nominal)
         shows = float(np.max(scores.z(), initial=0.0)) ** 2
         if better is not nominal and _gain_by_fault(_at_weight_of(nominal, better), better) >= 0.5 * shows:
@@ -244,9 +241,7 @@ def with_inputs_of_cause(
     """
     if not has_implausible_delays(nominal.study, cause.point):
         return None
-    ways, few = under_other_inputs(nominal, cause), options.isolation.near_linearisations
-    weights = _least_weights([nominal, *ways])
-    best = _best_way([(way, cause.fitted) for way in ways], few, _excess(nominal.study, cause, weights), weights)
+    best = _way_beyond(nominal, cause, under_other_inputs(nominal, cause), [cause.fitted], options=options)
     return None if best is None else (_fitted_under(nominal, best[0]), best[1])
 
 
@@ -264,14 +259,13 @@ def with_inputs_of_one_cause(
 
     What straight lines cut off a fast command, a larger inertia of the armature takes off the valve's answer.
     """
-    few, most, best = options.isolation.near_linearisations, 0.0, None
+    most, best = 0.0, None
     for cause in alone:
         ways = under_other_inputs(nominal, cause)
-        weights = _least_weights([nominal, *ways])
-        tried = [(way, cause.fitted) for way in ways]
-        found = _best_way(tried, few, _excess(nominal.study, cause, weights), weights)
+        found = _way_beyond(nominal, cause, ways, [cause.fitted], options=options)
         if found is None:
             continue
+        weights = _least_weights([nominal, *ways])
         gain = _excess(nominal.study, pair, weights) - _excess(found[0].study, found[1], weights)
         if gain >= most:
             best, most = found, gain
@@ -288,9 +282,7 @@ def with_inputs_of_any_cause(
     """
     starts = [(_at_typical(one.fitted[0]),) for one in causes if len(one.fitted) == 1]
     ways = under_other_inputs(nominal) if starts else []
-    few, weights = options.isolation.near_linearisations, _least_weights([nominal, *ways])
-    tried = [(way, start) for way in ways for start in starts]
-    found = _best_way(tried, few, _excess(nominal.study, best, weights), weights)
+    found = _way_beyond(nominal, best, ways, starts, options=options)
     return None if found is None else (_fitted_under(nominal, found[0]), found[1])
 
 
@@ -367,6 +359,23 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
     return _best_way([(way, fit.fitted) for way in ways], few, np.inf, _least_weights(ways)) or (nominal, fit)
 
 
+def _way_beyond(
+    nominal: NominalFit,
+    than: Fit,
+    ways: Sequence[NominalFit],
+    starts: Sequence[tuple[FittedCandidate, ...]],
+    *,
+    options: DiagnosisOptions,
+) -> tuple[NominalFit, Fit] | None:
+    """The one of some ways of the commands by which causes explain far more, from one of the `starts`, than a fit under
+    the nominal one does, and that fit; None where none does.
+    """
+    weights = _least_weights([nominal, *ways])
+    tried = [(way, start) for way in ways for start in starts]
+    least = _excess(nominal.study, than, weights)
+    return _best_way(tried, options.isolation.near_linearisations, least, weights)
+
+
 def _best_way(
     ways: Sequence[tuple[NominalFit, tuple[FittedCandidate, ...]]], few: int, least: float, weights: Weights
 ) -> tuple[NominalFit, Fit] | None:
@@ -411,10 +420,12 @@ def _widened(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> No
     return linearised_at(study, point, full_weight=_is_at_full_weight(nominal.study, study))
 
 
-def _extended(nominal: NominalFit, parameters: Sequence[NuisanceParameter]) -> NominalFit:
-    """The nominal fit with more parameters."""
+def _extended(
+    nominal: NominalFit, parameters: Sequence[NuisanceParameter], start: np.ndarray | None = None
+) -> NominalFit:
+    """The nominal fit with more parameters: from where it is, at nothing of them, or from another point."""
     prepared = with_parameters(nominal.study.unweighted(), parameters)
-    point = np.append(nominal.fit.point, np.zeros(len(parameters)))
+    point = np.append(nominal.fit.point, np.zeros(len(parameters))) if start is None else start
     return fit_nominal_near(prepared, point, full_weight=_is_at_full_weight(nominal.study, prepared))
 
 

@@ -41,7 +41,7 @@ def identify_noise(
         floor = max(resolution / np.sqrt(12.0), 1e-9 * _size(own, name), stated or 0.0 if not verified else 0.0)
         noise = fit_autoregression(series, verified=verified, source=source, floor=floor, options=prepared.options)
         if resolution > 2.0 * noise.deviation:
-            noise = NoiseModel(noise.deviation, (), verified, source, coarse=resolution)
+            noise = NoiseModel(noise.deviation, (), verified, source, rounding_step=resolution)
         found[name, rate] = noise
     return found
 

@@ -19,15 +19,15 @@ from valvesim.identification.options import IdentificationOptions
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Autoregressive noise of one channel at one rate; `verified` where repeats have shown it. `coarse` is the step of
-    the grid on which it was read, where that is too coarse to be dithered by the noise: rounding repeats itself.
+    """Autoregressive noise of one channel at one rate; `verified` where repeats have shown it. `rounding_step` is the
+    step of the grid on which it was read, where the noise is too small to dither it: rounding repeats itself.
     """
 
     innovation: float
     lags: tuple[float, ...]
     verified: bool
     source: str
-    coarse: float = 0.0
+    rounding_step: float = 0.0
 
     @property
     def deviation(self) -> float:
@@ -67,8 +67,8 @@ class NoiseModel:
         """
         from scipy.signal import welch
 
-        dice, known = np.random.default_rng(seed), without_rounding(values, self.coarse)
-        true = [known + rounding_error(values, self.coarse, dice) for _ in range(realisations)]
+        dice, known = np.random.default_rng(seed), without_rounding(values, self.rounding_step)
+        true = [known + rounding_error(values, self.rounding_step, dice) for _ in range(realisations)]
         white = self.whiten(values[:, None] - np.transpose(true), np.ones(len(values), dtype=bool))
         _, power = welch(white, axis=0, nperseg=max(len(white) // 4, 2), detrend=False, return_onesided=False)
         return float(np.max(np.mean(power, axis=1)))

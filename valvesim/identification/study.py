@@ -114,10 +114,9 @@ class Study(PreparedSession):
 
     def expected_squares(self, record: Record, name: str) -> np.ndarray:
         """(rows,) mean square that noise alone leaves of each whitened row of a channel of a training record."""
-        noise, weights = self.noise[name, record.pace], self.weights.get((record.name, name))
-        squares = np.ones(len(record.time))[noise.kept(record.usable[name])][:: self.stride]
-        if (rounding := self._rounding_variances.get((record.name, name))) is not None:
-            squares /= 1.0 + rounding[noise.kept(record.usable[name])][:: self.stride]
+        key, weights = (record.name, name), self.weights.get((record.name, name))
+        count = len(record.time[self.noise[name, record.pace].kept(record.usable[name])][:: self.stride])
+        squares = np.full(count, 1.0 / (1.0 + self._rounding_variances.get(key, 0.0)))
         return squares if weights is None else squares * weights**2
 
     def noise_near(self, channel: str, rate: float) -> NoiseModel | None:
@@ -152,7 +151,8 @@ class Study(PreparedSession):
         known = [one[key] for one in (self.spread, self.discrepancy) if key in one]
         of_inputs = [self._input_variances[key]] if key in self._input_variances else []
         of_level = [grown(self.noise_growth[name], record.values[name]) ** 2 - 1.0] if name in self.noise_growth else []
-        of_rounding = [self._rounding_variances[key]] if key in self._rounding_variances else []
+        rounding = self._rounding_variances.get(key)
+        of_rounding = [np.full(len(record.time), rounding)] if rounding is not None else []
         return [(deviation / noise.innovation) ** 2 for deviation in known] + of_inputs + of_level + of_rounding
 
     @cached_property
@@ -171,15 +171,15 @@ class Study(PreparedSession):
         }
 
     @cached_property
-    def _rounding_variances(self) -> dict[tuple[str, str], np.ndarray]:
-        """(record, channel): variances (n,) of the innovation that the rounding of coarse channels comes to beside."""
+    def _rounding_variances(self) -> dict[tuple[str, str], float]:
+        """(record, channel): what the rounding of coarse channels comes to beside, in variances of the innovation."""
         found, realisations = {}, self.options.input_noise.realisations
         for record in (predictor.record for predictor in self.predictors):
             for name in record.outputs:
                 noise = self.noise[name, record.pace]
-                if noise.coarse:
+                if noise.rounding_step:
                     whole = noise.rounding_variance(record.values[name], self.session.seed, realisations)
-                    found[record.name, name] = np.full(len(record.time), max(whole - 1.0, 0.0))
+                    found[record.name, name] = max(whole - 1.0, 0.0)
         return found
 
     def with_weights(self, weights: Sequence[np.ndarray]) -> Study:
