@@ -114,6 +114,7 @@ def test_one_channel_is_apart_where_without_it_alone_nothing_is_wrong(monkeypatc
     record = SimpleNamespace(outputs=("a", "b", "c"))
     nominal = SimpleNamespace(study=SimpleNamespace(session=SimpleNamespace(training=[record])))
     scores = SimpleNamespace(z=lambda: np.array([shows]), level=lambda false_alarm: 4.0)
+    monkeypatch.setattr(own, "_may_be_apart", lambda n, names, options: names)
     monkeypatch.setattr(own, "_without_channel", lambda n, name, options: nominal if name in without else None)
     monkeypatch.setattr(own, "_with_channel", lambda n, name, whole: n)
     monkeypatch.setattr(own, "_response", lambda *_, **__: "")
@@ -121,6 +122,31 @@ def test_one_channel_is_apart_where_without_it_alone_nothing_is_wrong(monkeypatc
     assert (found and found.name) == told
     record.outputs = ("b",)
     assert channel_apart(nominal, scores, options=DEFAULT_DIAGNOSIS) is None
+
+
+def test_a_channel_may_be_apart_where_the_others_come_near_the_stated_valve(monkeypatch):
+    """One parameter is what the first channel misses but for noise, the second misses what it has not got."""
+    draws, p = np.random.default_rng(3), 1
+    residual = np.concatenate([5.0 + draws.normal(size=200), 20.0 * np.arange(200) + draws.normal(size=200)])
+    fit = SimpleNamespace(residual=residual, point=np.zeros(p))
+    J = np.concatenate([np.full((200, 1), 2.0), np.zeros((200, 1))])
+    record = SimpleNamespace(outputs=("a", "b"))
+    study = SimpleNamespace(predictors=[SimpleNamespace(record=record)], nominal=SimpleNamespace(
+        limits=np.array([[-9.0], [9.0]])), expected_squares=lambda record, name: np.ones(200))  # fmt: skip
+    nominal = SimpleNamespace(study=study, fit=fit)
+
+    def stuck(study, fit):
+        raise SolveError("no valve has these figures")
+
+    monkeypatch.setattr(own, "is_adequate", lambda fit, options: False)
+    monkeypatch.setattr(own, "evaluate_fit", lambda study, point, fitted: fit)
+    monkeypatch.setattr(own, "with_edges_searched", lambda study, fit: fit)
+    monkeypatch.setattr(own, "linearise_nominal", lambda study, fit: SimpleNamespace(J=J, fit=fit))
+    assert own._may_be_apart(nominal, ["a", "b", "c"], options=DEFAULT_DIAGNOSIS) == ["b"]
+    monkeypatch.setattr(own, "linearise_nominal", stuck)
+    assert own._may_be_apart(nominal, ["a", "b"], options=DEFAULT_DIAGNOSIS) == ["a", "b"]
+    monkeypatch.setattr(own, "is_adequate", lambda fit, options: True)
+    assert own._may_be_apart(nominal, ["a", "b"], options=DEFAULT_DIAGNOSIS) == ["a", "b"]
 
 
 def test_a_channel_that_no_record_or_not_every_record_can_use_is_left_out_of_the_others(monkeypatch):

@@ -595,6 +595,7 @@ def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_t
     monkeypatch.setattr(
         refits, "fit_from_prior", lambda nominal, start: Fit(np.zeros(1), tuple(start), 1.0, (), np.zeros(1), 1.0)
     )
+    monkeypatch.setattr(refits, "_within_reach", lambda nominal, starts, best, options: [(one, []) for one in starts])
     far = DIAGNOSIS.isolation.shifted + 1.0
     best, behind = stretched(100.0, 0.5, "spool_lap"), stretched(300.0, far, "entrained_air")
     again, anew = _from_best_point(stretched(900.0, far), [best, behind], best.fit, options=DIAGNOSIS)

@@ -174,8 +174,12 @@ def fitted(monkeypatch):
         left = ends.get(" + ".join(sorted(member.candidate.name for member in start)), np.inf)
         return replace(hypothesis(left).fit, fitted=start)
 
+    def stuck(study, fit):
+        raise SolveError("nothing is linearised here")
+
     monkeypatch.setattr(refits, "fit_starts", fits)
     monkeypatch.setattr(refits, "evaluate_fit", evaluated)
+    monkeypatch.setattr(refits, "linearise_fit", stuck)
     monkeypatch.setattr(second_cause, "fit_starts", fits)
     monkeypatch.setattr(second_cause, "refined_hypotheses", lambda nominal, found, options: list(found))
     monkeypatch.setattr(second_cause, "score_test", lambda nominal, fit, **_: scores({BIAS: 0.0}, fit))
@@ -296,6 +300,9 @@ def test_what_is_looked_for_at_several_shapes_is_fitted_at_each_in_the_place_of_
 
 
 def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatch):
+    begun = list[tuple[FittedCandidate, ...]]()
+    monkeypatch.setattr(refits, "is_adequate", lambda fit, options: False)
+    monkeypatch.setattr(refits, "fit_starts", lambda nominal, starts, point, **_: begun.extend(starts))
     nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(LAP, FRICTION)))
     own = FittedCandidate(FRICTION, 4.0)
     best = FittedHypothesis(replace(hypothesis(1000.0).fit, fitted=(own,)), options=DIAGNOSIS)
@@ -309,11 +316,46 @@ def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatc
 
     monkeypatch.setattr(refits, "evaluate_fit", evaluated)
     start = (beside, FittedCandidate(AIR, 4.0))
-    lap, other = refits._in_best_amount(nominal, start, best, options=DIAGNOSIS)
+    refits._fitted_in_place(nominal, [start], best, options=DIAGNOSIS)
+    lap, other = begun.pop()
     assert [lap.above_neutral, other.above_neutral] == pytest.approx([0.35 * LAP.typical, 0.35 * 4.0])
     best = FittedHypothesis(replace(best.fit, fitted=(beside, own)), options=DIAGNOSIS)
-    lap, other = refits._in_best_amount(nominal, start, best, options=DIAGNOSIS)
+    much = (FittedCandidate(AIR, 400.0),)
+    refits._fitted_in_place(nominal, [start, much], best, options=DIAGNOSIS)
+    assert begun.pop() is much  # that runs in no amount
+    lap, other = begun.pop()
     assert lap == beside and other.above_neutral == pytest.approx(0.35 * 4.0)  # what both have stays
+
+
+def test_what_no_nuisance_parameter_brings_near_is_not_fitted_from_the_best(monkeypatch):
+    """One parameter moves one row, by as much as it pleases; where the best does not come near, all are fitted."""
+    runs = {"spool_coulomb_friction": np.zeros(100), "spool_lap": np.zeros(100), "entrained_air": np.ones(100)}
+    runs["spool_lap"][0], sides = 1e3, []
+
+    def evaluated(study, point, start, near=()):
+        if not start:
+            raise SolveError("nothing runs")
+        sides.append(start[0].above_neutral)
+        left = runs[start[0].candidate.label] * 30.0
+        return Fit(np.zeros(1), tuple(start), float(left @ left), (), left, 100.0)
+
+    column = np.zeros((100, 1))
+    column[0] = 1e4
+    study = SimpleNamespace(nominal=SimpleNamespace(limits=np.array([[-1e3], [1e3]])), options=DIAGNOSIS.identification,
+                            stack=lambda columns: column)  # fmt: skip
+    nominal = SimpleNamespace(study=study, fit=SimpleNamespace(trajectories=()))
+    monkeypatch.setattr(refits, "evaluate_fit", evaluated)
+    monkeypatch.setattr(refits, "linearise_fit", lambda study, fit: ((), ()))
+    best = Fit(np.zeros(1), (FittedCandidate(FRICTION, 4.0),), 100.0, (), np.zeros(100), 100.0)
+    starts = [(FittedCandidate(LAP, 1.0),), (FittedCandidate(AIR, 1.0),)]
+    near = refits._within_reach(nominal, starts, best, options=DIAGNOSIS)
+    assert [start for start, _ in near] == starts[:1] and len(near[0][1]) == len(DIAGNOSIS.isolation.amounts)
+    assert sorted(sides[: len(DIAGNOSIS.isolation.amounts)]) == sorted(DIAGNOSIS.isolation.amounts)
+    far = replace(best, chi_square=1e4)
+    assert [start for start, _ in refits._within_reach(nominal, starts, far, options=DIAGNOSIS)] == starts
+    stuck = replace(best, fitted=())
+    assert [start for start, _ in refits._within_reach(nominal, starts, stuck, options=DIAGNOSIS)] == starts
+    assert refits._within_reach(nominal, [], best, options=DIAGNOSIS) == []
 
 
 def test_those_far_off_are_told_only_where_the_best_comes_near():

@@ -779,7 +779,7 @@ def test_what_is_left_at_peaks_alone_counts(monkeypatch, left, between, at_full_
     preliminary = fit_of(between, SimpleNamespace(noise={}, weights={"a": 1}))
     monkeypatch.setattr(nominal_fit, "rescored", lambda study, fit: fit)
     monkeypatch.setattr(nominal_fit, "linearise_nominal", lambda study, fit: fit_of(between, study))
-    monkeypatch.setattr(nominal_fit, "_with_edges_searched", lambda study, fit: fit)
+    monkeypatch.setattr(nominal_fit, "with_edges_searched", lambda study, fit: fit)
     monkeypatch.setattr(nominal_fit, "down_weight_peaks", lambda study, linearised: "weighted")
     monkeypatch.setattr(nominal_fit, "has_uncertain_inputs", lambda study: False)
     monkeypatch.setattr(nominal_fit, "replace", lambda study, weights: "weighted")

@@ -355,8 +355,9 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
     """A nominal fit and a fit of causes beside it, or both under another way of the commands by which this explains
     far more from within tolerance: linear answers do not tell where a fit has gone astray under a wrong one.
     """
-    ways = [nominal, *under_other_inputs(nominal)]
-    return _best_way([(way, fit.fitted) for way in ways], few, np.inf, _least_weights(ways)) or (nominal, fit)
+    others = under_other_inputs(nominal)
+    begun = [(nominal, fit), *_begun([(way, fit.fitted) for way in others], few)]
+    return _best_way(begun, np.inf, _least_weights([nominal, *others])) or (nominal, fit)
 
 
 def _way_beyond(
@@ -371,22 +372,27 @@ def _way_beyond(
     the nominal one does, and that fit; None where none does.
     """
     weights = _least_weights([nominal, *ways])
-    tried = [(way, start) for way in ways for start in starts]
-    least = _excess(nominal.study, than, weights)
-    return _best_way(tried, options.isolation.near_linearisations, least, weights)
+    begun = _begun([(way, start) for way in ways for start in starts], options.isolation.near_linearisations)
+    return _best_way(begun, _excess(nominal.study, than, weights), weights)
+
+
+def _begun(
+    ways: Sequence[tuple[NominalFit, tuple[FittedCandidate, ...]]], few: int
+) -> list[tuple[NominalFit, Fit]]:
+    """Ways of the commands with causes fitted a little under each from within tolerance, where they can be."""
+    return [(way, fit) for way, start in ways if (fit := fit_from_prior(way, start, few)) is not None]
 
 
 def _best_way(
-    ways: Sequence[tuple[NominalFit, tuple[FittedCandidate, ...]]], few: int, least: float, weights: Weights
+    begun: Sequence[tuple[NominalFit, Fit]], least: float, weights: Weights
 ) -> tuple[NominalFit, Fit] | None:
-    """The way of the commands by which causes, fitted a little from within tolerance, leave far less beyond the noise
-    at these weights than `least` and than by those before it; None where there is none. Fits that promise to be the
-    best are continued: a few steps from there may have stopped far short.
+    """The way of the commands by which causes, fitted a little, leave far less beyond the noise at these weights than
+    `least` and than by those before it; None where there is none. Fits that promise to be the best are continued: a few
+    steps may have stopped far short.
     """
-    fits = [(way, one) for way, fitted in ways if (one := fit_from_prior(way, fitted, few)) is not None]
-    begun = [(way, one, _excess(way.study, one, weights)) for way, one in fits]
-    reached, best = min([least, *(excess for _, _, excess in begun)]), None
-    for way, tried, excess in begun:
+    left = [_excess(way.study, fit, weights) for way, fit in begun]
+    reached, best = min([least, *left]), None
+    for (way, tried), excess in zip(begun, left, strict=True):
         options, promised = way.study.options.input, tried.predicted_reduction
         if promised > options.minimum_gain and excess - promised < reached:
             tried = continue_from(way, tried) or tried

@@ -22,11 +22,13 @@ from valvesim.diagnosis.options import ChannelApartOptions, DiagnosisOptions
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import evaluate_fit, is_adequate
+from valvesim.identification.least_squares import bounded_step
 from valvesim.identification.nominal_fit import (
     NominalFit,
     clipped_to_tolerance,
     fit_nominal_near,
     linearise_nominal,
+    with_edges_searched,
     with_inputs_reviewed,
 )
 from valvesim.identification.prior import measured_channels
@@ -55,7 +57,9 @@ def channel_apart(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisO
     """
     names, found = measured_channels(nominal.study.session), list[tuple[str, NominalFit]]()
     shows, level = float(np.max(scores.z(), initial=0.0)), scores.level(options.detection.false_alarm)
-    for name in names if len(names) > 1 and shows > options.channel_apart.least_score * level else ():
+    if len(names) < 2 or shows <= options.channel_apart.least_score * level:
+        return None
+    for name in _may_be_apart(nominal, names, options=options):
         without = _without_channel(nominal, name, options=options)
         if without is not None:
             found.append((name, without))
@@ -66,6 +70,30 @@ def channel_apart(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisO
     name, without = found[0]
     whole = _with_channel(without, name, nominal.study)
     return ChannelApart(name, _response(whole, name, options=options), whole)
+
+
+def _may_be_apart(nominal: NominalFit, names: Sequence[str], *, options: DiagnosisOptions) -> list[str]:
+    """The channels without which the equations linear at the stated valve come near the records; all of them where a
+    fit to all is adequate, or the stated valve cannot be run.
+    """
+    study, stated = nominal.study, np.zeros(len(nominal.fit.point))
+    if is_adequate(nominal.fit, options=options.identification):
+        return list(names)
+    try:
+        linear = linearise_nominal(study, with_edges_searched(study, evaluate_fit(study, stated, ())))
+    except (SolveError, InputError):
+        return list(names)
+    pairs = [(predictor.record, name) for predictor in study.predictors for name in predictor.record.outputs]
+    channels = np.concatenate([np.full(len(study.expected_squares(*pair)), pair[1]) for pair in pairs])
+
+    def left(others: np.ndarray) -> float:
+        J, residual = linear.J[others], linear.fit.residual[others]
+        limits = study.nominal.limits - linear.fit.point
+        step = bounded_step(J.T @ J + np.eye(len(stated)), J.T @ residual - linear.fit.point, limits)
+        return float(np.mean((residual - J @ step) ** 2))
+
+    several = [name for name in names if np.any(channels != name)]
+    return [name for name in several if left(channels != name) < options.channel_apart.most_left]
 
 
 def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOptions) -> NominalFit | None:

@@ -24,9 +24,10 @@ from valvesim.identification.bad_samples import (
 )
 from valvesim.identification.fit import Fit, is_adequate
 from valvesim.identification.input_errors import with_input_errors
+from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near, with_choice_of
 from valvesim.identification.session import Record
-from valvesim.identification.study import PreparedSession, restricted_session
+from valvesim.identification.study import PreparedSession, Study, restricted_session
 
 
 def fit_coarse_to_fine(
@@ -53,8 +54,10 @@ def fit_coarse_to_fine(
             nominal = fit_nominal_near(chosen, point, full_weight=not segments.study.weights)
             known = _taken_along(isolation, options=options)
             fits = [replace(one.fit, point=one.fit.point[:p]) for one in known if one.fit.fitted]
-            return _without_outliers(_without_bad_stretches(nominal)), fits
+            return _without_bad_samples(nominal), fits
     nominal = fit_nominal(prepared, lambda share: progress(stage, share))
+    if is_adequate(nominal.fit, options=prepared.options):
+        return _without_bad_samples(nominal), ()
     cleaned = without_bursts(without_beginnings(prepared, nominal.fit), nominal.fit, nominal.linearised)
     if cleaned is not prepared:
         prepared, nominal = cleaned, fit_nominal(cleaned, lambda share: progress(stage, share))
@@ -76,13 +79,15 @@ def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[Fit
     return [*isolation.answer_set, *(o for o in isolation.found if o.evidence < worst and o.label not in known)]
 
 
-def _without_bad_stretches(nominal: NominalFit) -> NominalFit:
-    """The nominal fit without bursts of noise and beginnings in motion, from where it is."""
+def _without_bad_samples(nominal: NominalFit) -> NominalFit:
+    """The nominal fit without bursts of noise, beginnings in motion and single readings far off it, from where it is;
+    an inadequate fit errs itself, and no single readings are left out.
+    """
     own = nominal.study.unweighted()
     cleaned = without_bursts(without_beginnings(own, nominal.fit), nominal.fit, nominal.linearised)
-    if cleaned is own:
-        return nominal
-    return fit_nominal_near(cleaned, nominal.fit.point, full_weight=not nominal.study.weights)
+    if is_adequate(nominal.fit, options=nominal.study.options):
+        cleaned = without_outliers(cleaned, own, nominal.fit, _of_records(nominal.linearised, cleaned))
+    return nominal if cleaned is own else _without_outliers(_fitted_near(cleaned, nominal))
 
 
 def _without_outliers(nominal: NominalFit) -> NominalFit:
@@ -91,9 +96,18 @@ def _without_outliers(nominal: NominalFit) -> NominalFit:
         return nominal
     own = nominal.study.unweighted()
     cleaned = without_outliers(own, own, nominal.fit, nominal.linearised)
-    if cleaned is own:
-        return nominal
-    return fit_nominal_near(cleaned, nominal.fit.point, full_weight=not nominal.study.weights)
+    return nominal if cleaned is own else _fitted_near(cleaned, nominal)
+
+
+def _of_records(linearised: Sequence[LinearisedRecord], study: Study) -> list[LinearisedRecord]:
+    """Linearised records with the samples usable that are so in a study of them."""
+    pairs = zip(linearised, study.predictors, strict=True)
+    return [replace(one, predictor=replace(one.predictor, record=other.record)) for one, other in pairs]
+
+
+def _fitted_near(study: Study, nominal: NominalFit) -> NominalFit:
+    """The nominal fit in a study of other samples, from where it is."""
+    return fit_nominal_near(study, nominal.fit.point, full_weight=not nominal.study.weights)
 
 
 def _isolate_in_segments(

@@ -146,6 +146,10 @@ class IsolationOptions:
         "times the same share of its typical amplitude in which another law of the best's is tried first",
         "friction of different laws: 0.8 of it leaves twenty times as much",
     )
+    reach: float = option(
+        5.0, "1", "times the largest adequate chi-square that another law may leave by the equations linear at the best",
+        "those that came near left up to 2.7; hysteresis and silting for strong friction 6 and 9",
+    )
     seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)
     second_share: float = option(0.8, "1", "share of the largest z from which they are", JUDGEMENT)
     unexplained_share: float = option(
@@ -341,6 +345,10 @@ class ChannelApartOptions:
     least_score: float = option(
         2.0, "1", "times the alarm level that z must reach before a channel may be apart",
         "less is hidden by leaving any channel out",
+    )
+    most_left: float = option(
+        10.0, "1", "mean square that the equations linear at the stated valve may leave of the other channels",
+        "1 and 4 with one that is apart; 18 and more with friction",
     )
     frequencies: tuple[float, ...] = option(
         (0.02, 0.08, 0.25), "1", "natural frequencies of a response of second order to begin with, per sample rate",

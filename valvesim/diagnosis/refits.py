@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 
@@ -13,7 +13,9 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, largest_adequate, with_shapes
+from valvesim.identification.fit_jacobian import linearise_fit
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
+from valvesim.identification.least_squares import predict_reduction
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
 from valvesim.identification.refinement import refined
 
@@ -90,6 +92,7 @@ def _from_best_point(
     if not largest_shift(least) < options.isolation.shifted < largest_shift(nominal.fit):
         return []
     shifted = [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted]
+    shifted = [start for start, _ in _within_reach(nominal, shifted, least, options=options)]
     more = fit_starts(nominal, shifted, least.point, others=found, options=options)
     anew = [fit_from_prior(nominal, fitted) for fitted in shifted if len(fitted) == 1]
     return [*more, *(FittedHypothesis(fit, options=options) for fit in anew if fit is not None)]
@@ -241,25 +244,50 @@ def _fitted_in_place(
     """Starts refitted from the best's figures, what is new in them in the amount that leaves least there: amounts of
     two laws of one thing do not compare.
     """
-    scaled = [_in_best_amount(nominal, start, best, options=options) for start in starts]
+    near = _within_reach(nominal, starts, best.fit, options=options)
+    scaled = [min(tried, key=lambda fit: fit.chi_square).fitted if tried else start for start, tried in near]
     return fit_starts(nominal, scaled, best.fit.point, options=options)
 
 
-def _in_best_amount(
-    nominal: NominalFit, start: tuple[FittedCandidate, ...], best: FittedHypothesis, *, options: DiagnosisOptions
-) -> tuple[FittedCandidate, ...]:
-    """A start, what the best does not have in the amount that leaves least at the best's figures."""
-    own = {candidate.label for candidate in best.candidates}
-    tried = []
+def _in_amounts(
+    nominal: NominalFit, start: tuple[FittedCandidate, ...], best: Fit, *, options: DiagnosisOptions
+) -> list[Fit]:
+    """A start at the figures of the best, not fitted, what the best does not have in several amounts."""
+    own = {member.candidate.label for member in best.fitted}
+    tried = list[Fit]()
     for times in options.isolation.amounts:
         scaled = tuple(
             one if one.candidate.label in own else replace(one, above_neutral=times * one.above_neutral)
             for one in start
         )
         with suppress(SolveError, InputError):
-            fit = evaluate_fit(nominal.study, best.fit.point, scaled, best.fit.trajectories)
-            tried.append((fit.chi_square, scaled))
-    return min(tried, key=lambda pair: pair[0], default=(0.0, start))[1]
+            tried.append(evaluate_fit(nominal.study, best.point, scaled, best.trajectories))
+    return tried
+
+
+def _within_reach(
+    nominal: NominalFit, starts: Sequence[tuple[FittedCandidate, ...]], best: Fit, *, options: DiagnosisOptions
+) -> list[tuple[tuple[FittedCandidate, ...], list[Fit]]]:
+    """The starts, each in several amounts at the figures of the best; where that comes near the records, those that
+    nuisance parameters bring near them from there, by the linearised equations.
+    """
+    tried = [(start, _in_amounts(nominal, start, best, options=options)) for start in starts]
+    if not tried or not is_adequate(best, options=options.identification):
+        return tried
+    study = nominal.study
+    try:
+        own = evaluate_fit(study, best.point, best.fitted, nominal.fit.trajectories)
+        _, columns = linearise_fit(study, own)
+    except (SolveError, InputError):
+        return tried
+    J = study.stack(columns)
+    H, most = J.T @ J + np.eye(J.shape[1]), options.isolation.reach * largest_adequate(best, options=study.options)
+
+    def left(fit: Fit) -> float:
+        gradient = J.T @ fit.residual - fit.point
+        return fit.chi_square - predict_reduction(H, gradient, study.nominal.limits - fit.point)
+
+    return [(start, fits) for start, fits in tried if not fits or min(map(left, fits)) < most]
 
 
 def _without(labels: Set[str], starts: Sequence[tuple[FittedCandidate, ...]]) -> list[tuple[FittedCandidate, ...]]:

@@ -114,13 +114,14 @@ class LinearisedRecord:
         return {name: moved[:, order] for name, moved in self.forced_response([*forced.values()], changed).items()}
 
     def diverging(self, moved: Mapping[str, np.ndarray]) -> list[int]:
-        """The columns of responses (n_samples, k) that are far larger than all that was measured: there the linearised
-        equations are unstable, and the valve is not. What overflows (`DIVERGED`) is zero already and not among them.
+        """The columns of responses (n_samples, k) that are far larger than all that was measured and is read (of a test
+        that is planned nothing is measured): there the linearised equations are unstable, and the valve is not. What
+        overflows (`DIVERGED`) is zero already and not among them.
         """
         record, within = self.predictor.record, []
         for name, columns in moved.items():
-            measured = record.values[name][record.usable[name]]
-            largest = max(np.ptp(measured), np.abs(measured).max()) if len(measured) else np.inf
+            seen = np.append(record.values[name][record.usable[name]], self.readings[name])
+            largest = max(np.ptp(seen), np.abs(seen).max())
             most = self.predictor.options.sensitivity.most_spans * largest
             within.append(np.max(np.abs(columns), axis=0, initial=0.0) <= most)
         return [int(k) for k in np.flatnonzero(~np.all(within, axis=0))]

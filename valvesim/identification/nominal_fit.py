@@ -251,7 +251,7 @@ def with_nuisance(study: Study, parameters: tuple[NuisanceParameter, ...]) -> St
     return study.with_nominal(replace(study.nominal, parameters=parameters))
 
 
-def _with_edges_searched(study: Study, fit: Fit) -> Fit:
+def with_edges_searched(study: Study, fit: Fit) -> Fit:
     """A fit without candidates, not fitted again, with edges elsewhere in their intervals where that leaves less."""
     if not any(isinstance(p.input, EdgeTime) for p in study.nominal.parameters):
         return fit
@@ -473,7 +473,7 @@ def fit_nominal_near(
     unless at `full_weight`. A fit that promises to leave more than `most_left` beyond the noise is given up.
     """
     study, fit = evaluated_under_own_noise(prepared, point)
-    nominal = _tuned(linearise_nominal(study, _with_edges_searched(study, fit)))
+    nominal = _tuned(linearise_nominal(study, with_edges_searched(study, fit)))
     for last in (False, True):
         weighted = nominal.study if full_weight else down_weight_peaks(nominal.study, nominal.linearised)
         ftol = study.options.fit.nominal_ftol
@@ -522,7 +522,7 @@ def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float
     microseconds that a peak takes. What is left at the peaks alone is told by nothing else.
     """
     study = study.with_noise(nominal.study.noise)
-    near = linearise_nominal(study, _with_edges_searched(study, rescored(study, nominal.fit)))
+    near = linearise_nominal(study, with_edges_searched(study, rescored(study, nominal.fit)))
     weighted = reweighted(down_weight_peaks(study, near.linearised), near)
     if has_uncertain_inputs(study):
         return _converge(weighted, study.options.fit.nominal_ftol, progress)
