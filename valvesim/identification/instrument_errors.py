@@ -309,7 +309,7 @@ BOTH_WAYS = (
     _bend("meter_linearity", "the meter's gain changes with what it reads", "a curve over the reading, alike both ways",
           lambda x: x * np.abs(x)),
     _bend("meter_cubic", "the meter's gain changes towards its ends", "a curve over the reading, alike both ways",
-          lambda x: x**3),
+          lambda x: x * np.square(x)),
     _bend("meter_symmetry", "the meter's gain differs by direction", "another gain above zero than below", np.abs),
 )  # fmt: skip
 
