@@ -84,24 +84,22 @@ def parameter_sensitivities(
     order = [*(perturbed.of_valve[k] for k in of_valve), *others]
     changes = linear.changes_of_valves(perturbed.valves, len(perturbed.of_valve))[of_valve] if of_valve else None
     moved = linear.small_difference([perturbed.others[name] for name in others], changes)
-    run, steps = dict[str, dict[str, np.ndarray]](), dict(perturbed.steps)
-    size = np.array([abs(steps[name]) for name in order])
-    for j in linear.diverging({name: each / size for name, each in moved.items()}):
+    run, size = dict[int, dict[str, np.ndarray]](), np.array([perturbed.steps[name] for name in order])
+    for j in linear.diverging({name: each / abs(size) for name, each in moved.items()}):
         p = free[order[j]]
-        steps[p.name] = _inward_step(p, linear.variant, linear.predictor.options.sensitivity.simulated_step)
-        run[p.name] = _run_or_nothing(linear, p.moved(linear.variant, steps[p.name]))
+        size[j] = _inward_step(p, linear.variant, linear.predictor.options.sensitivity.simulated_step)
+        run[j] = _run_or_nothing(linear, p.moved(linear.variant, size[j]))
+    places = {p.name: k for k, p in enumerate(nominal.parameters)}
+    sensors = [(p, p.sensor) for p in nominal.parameters if p.sensor is not None]
     out = {}
     for name, read in linear.readings.items():
-        answered = dict(zip(order, moved[name].T, strict=True))
-        columns = []
-        for p in nominal.parameters:
-            if p.name in held or (p.sensor is not None and not reads_channel(p.sensor, name, own)):
-                columns.append(np.zeros_like(read))
-            elif p.sensor is None:
-                columns.append((run[p.name][name] if p.name in run else answered[p.name]) / steps[p.name])
-            else:
-                columns.append(_sensor_slope(linear, p, name) * p.deviation)
-        out[name] = np.column_stack(columns)
+        for j, answer in run.items():
+            moved[name][:, j] = answer[name]
+        out[name] = np.zeros((len(read), len(places)))
+        out[name][:, [places[one] for one in order]] = moved[name] / size
+        for p, sensor in sensors:
+            if reads_channel(sensor, name, own):
+                out[name][:, places[p.name]] = _sensor_slope(linear, p, name) * p.deviation
     return out
 
 

@@ -72,9 +72,11 @@ class LinearisedRecord:
 
     def read_beside(self, error: ActiveEffect) -> np.ndarray:
         """The reading (n_samples,) of the channel that a further error of its sensor is of, with it."""
-        channel = str(error.effect.channel)
-        seen = Reading(self.predictor.fine_times, self.seen[channel], self.trajectory.oil)
-        return self.predictor.at_samples(apply_reading(active_in(error, self.predictor.record.name), seen))
+        own = active_in(error, self.predictor.record.name)
+        seen = Reading(self.predictor.fine_times, self.seen[str(error.effect.channel)], self.trajectory.oil)
+        if isinstance(error.effect, ToleratedTimeError):  # it reads between the samples
+            return self.predictor.at_samples(apply_reading(own, seen))
+        return apply_reading(own, Reading(*map(self.predictor.at_samples, seen)))
 
     def linear_difference(self, variants: Sequence[ModelVariant]) -> dict[str, np.ndarray]:
         """The same for several variants by the linearised equations, (n_samples, k): to first order in what they add
