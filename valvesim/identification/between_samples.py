@@ -330,11 +330,15 @@ def added_input(
     command: Command, end: float, deviations: Deviations, before: Deviations, times: np.ndarray
 ) -> np.ndarray:
     """What deviations of a measured input add to it beyond others `before`, at times (n,) of an even grid."""
-    added = np.zeros(len(times))
+    waves = dict[Wave, float]()
     for sign, those in ((1.0, deviations), (-1.0, before)):
         for one, amount in those:
             if isinstance(one, Wave):
-                added += sign * amount * one.on_grid(times)
+                waves[one] = waves.get(one, 0.0) + sign * amount
+    added = np.zeros(len(times))
+    for one, amount in waves.items():
+        if amount:
+            added += amount * one.on_grid(times)
     new, old = (tuple(each for each in those if not isinstance(each[0], Wave)) for those in (deviations, before))
     if new != old:
         samples = samples_of(command, end)
