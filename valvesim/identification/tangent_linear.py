@@ -351,30 +351,30 @@ def linearise_along(
     `partials` are the derivatives of its model along it.
     """
     scale = _state_scale(trajectory)
-    A = np.zeros((len(course.times), len(scale), len(scale)))
+    place = {int(k): row for row, k in enumerate(active)}
+    A = np.zeros((len(course.times), len(active), len(active)))
     for e in compiled.entries(compiled.states, compiled.states):
         i, j = compiled.targets[e], compiled.arguments[e]
-        A[:, i, j] = partials[e] * (scale[j] / scale[i])
-    A = np.ascontiguousarray(A[:, active][:, :, active])
-    slopes = _slopes(predictor, active, scale, compiled, partials)
+        if i in place and j in place:
+            A[:, place[i], place[j]] = partials[e] * (scale[j] / scale[i])
+    slopes = _slopes(predictor, place, scale, compiled, partials)
     return TangentLinear(active, scale[active], A, *propagators_of(A, course.steps), slopes, course.steps)
 
 
 def _slopes(
-    predictor: RecordPredictor, active: np.ndarray, scale: np.ndarray, compiled: CompiledDerivatives,
+    predictor: RecordPredictor, place: Mapping[int, int], scale: np.ndarray, compiled: CompiledDerivatives,
     partials: np.ndarray,
 ) -> dict[str, np.ndarray]:  # fmt: skip
-    """d(channel)/d(scaled state), (n, s)."""
-    n, s = partials.shape[1], compiled.states.stop
+    """d(channel)/d(scaled state), (n, s), of the states that have a `place` among the s."""
+    s, slopes = compiled.states.stop, {}
     own = [channel.name for channel in compiled.model.state_channels]
-    slopes = {}
     for name in predictor.record.outputs:
-        whole = np.zeros((n, s))
+        slopes[name] = np.zeros((partials.shape[1], len(place)))
         if name in own:
-            whole[:, own.index(name)] = scale[own.index(name)]
-        else:
-            at = s + compiled.signals.index(name)
-            for e in compiled.entries(slice(at, at + 1), compiled.states):
-                whole[:, compiled.arguments[e]] = partials[e] * scale[compiled.arguments[e]]
-        slopes[name] = np.ascontiguousarray(whole[:, active])
+            slopes[name][:, place[own.index(name)]] = scale[own.index(name)]
+            continue
+        at = s + compiled.signals.index(name)
+        for e in compiled.entries(slice(at, at + 1), compiled.states):
+            if (j := compiled.arguments[e]) in place:
+                slopes[name][:, place[j]] = partials[e] * scale[j]
     return slopes
