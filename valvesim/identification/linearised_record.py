@@ -18,7 +18,7 @@ from valvesim.identification.predictor import (
     apply_reading,
     coefficient_course,
 )
-from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError, active_in
+from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError, active_in, reads_between
 from valvesim.identification.tangent_linear import (
     ChangedCoefficients,
     Course,
@@ -74,7 +74,7 @@ class LinearisedRecord:
         """The reading (n_samples,) of the channel that a further error of its sensor is of, with it."""
         own = active_in(error, self.predictor.record.name)
         seen = Reading(self.predictor.fine_times, self.seen[str(error.effect.channel)], self.trajectory.oil)
-        if isinstance(error.effect, ToleratedTimeError):  # it reads between the samples
+        if reads_between(error.effect):
             return self.predictor.at_samples(apply_reading(own, seen))
         return apply_reading(own, Reading(*map(self.predictor.at_samples, seen)))
 

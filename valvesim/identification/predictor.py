@@ -23,7 +23,7 @@ from valvesim.identification.between_samples import (
 )
 from valvesim.identification.options import IdentificationOptions
 from valvesim.identification.record_scenario import record_scenario
-from valvesim.identification.sensor_errors import active_in, reads_channel
+from valvesim.identification.sensor_errors import active_in, reads_between, reads_channel
 from valvesim.identification.session import OUTPUTS, Record, Session
 from valvesim.inputs import Command, Constant, evaluate, merge
 from valvesim.simulation.driver import InitialValueProblem, integrate, integrate_parts
@@ -352,9 +352,16 @@ class RecordPredictor:
     def apply_sensors(
         self, values: dict[str, np.ndarray], trajectory: Trajectory, variant: ModelVariant
     ) -> dict[str, np.ndarray]:
-        """Channels on either grid, (n,) or columns (n, k), as their sensors give them at the samples."""
-        applied = {name: self.apply_sensor(name, column, trajectory, variant) for name, column in values.items()}
-        return {name: self.at_samples(column) for name, column in applied.items()}
+        """Channels on either grid, (n,) or columns (n, k), as their sensors give them at the samples: the errors after
+        the last that reads between these act on what is read at them.
+        """
+        found = {}
+        for name, column in values.items():
+            acting, seen = self._acting_on(name, variant), self._before_sensor(column, trajectory)
+            on_grid = max((k for k, active in enumerate(acting, 1) if reads_between(active.effect)), default=0)
+            seen = _read_through(acting[:on_grid], seen)
+            found[name] = _read_through(acting[on_grid:], Reading(*map(self.at_samples, seen))).values
+        return found
 
     def at_samples(self, column: np.ndarray) -> np.ndarray:
         """A column on either grid, (n,) or columns (n, k), at the samples."""
@@ -363,17 +370,19 @@ class RecordPredictor:
 
     def apply_sensor(self, name: str, column: np.ndarray, trajectory: Trajectory, variant: ModelVariant) -> np.ndarray:
         """A channel on either grid as its sensor gives it there."""
-        fine = len(column) == len(self.fine_times)
-        times, oil = (
-            (self.fine_times, trajectory.oil) if fine else (self.times, trajectory.oil[:: self.sensor_oversampling])
-        )
+        return _read_through(self._acting_on(name, variant), self._before_sensor(column, trajectory)).values
+
+    def _before_sensor(self, column: np.ndarray, trajectory: Trajectory) -> Reading:
+        """A channel on either grid as its sensor has it to read."""
+        if len(column) == len(self.fine_times):
+            return Reading(self.fine_times, column, trajectory.oil)
+        return Reading(self.times, column, trajectory.oil[:: self.sensor_oversampling])
+
+    def _acting_on(self, name: str, variant: ModelVariant) -> list[ActiveEffect]:
+        """What acts on the sensor of a channel, in its order."""
         readings = [a for a in variant.effects if a.effect.reading is not None]
-        acting = [a for a in readings if reads_channel(a.effect, name, self.record.name)]
-        if self.lags.get(name, 0.0) > 0.0:
-            acting.append(sensor_lag(name, self.lags[name]))
-        for active in acting:
-            column = apply_reading(active_in(active, self.record.name), Reading(times, column, oil))
-        return column
+        acting = [active_in(a, self.record.name) for a in readings if reads_channel(a.effect, name, self.record.name)]
+        return [*acting, sensor_lag(name, self.lags[name])] if self.lags.get(name, 0.0) > 0.0 else acting
 
     def curvatures(self, trajectory: Trajectory, variant: ModelVariant) -> dict[str, np.ndarray]:
         """By how much each reading, on the fine grid, bends next to a sample (n_samples,): half its second difference.
@@ -456,6 +465,13 @@ def coefficient_course(path: TemperaturePath, knots: np.ndarray, times: np.ndarr
     if len(path.times) == 1:
         return CoefficientCourse(knots, np.zeros(len(times), dtype=np.int64), np.zeros(len(times)))
     return CoefficientCourse(knots, *brackets(times, path.times))
+
+
+def _read_through(acting: Sequence[ActiveEffect], seen: Reading) -> Reading:
+    """What a sensor reads with effects that act one after the other."""
+    for active in acting:
+        seen = seen._replace(values=apply_reading(active, seen))
+    return seen
 
 
 def apply_reading(active: ActiveEffect, seen: Reading) -> np.ndarray:

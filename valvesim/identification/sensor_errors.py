@@ -26,6 +26,11 @@ def reads_channel(effect: Effect, channel: str, record: str) -> bool:
     return effect.channel == channel and (not own or record in dict(own))
 
 
+def reads_between(effect: Effect) -> bool:
+    """Whether what an effect reads may hang on what there was at other times: not an error of how much it reads."""
+    return not isinstance(effect, ToleratedSensorError) or isinstance(effect, ToleratedTimeError)
+
+
 def active_in(active: ActiveEffect, record: str) -> ActiveEffect:
     """An effect as it acts in a record that it is of."""
     effect = active.effect
