@@ -103,8 +103,9 @@ def tuned_waves(
         own = [at[p.name] for p in wave]
         others = np.delete(np.arange(len(parameters)), own)
         without = replace(fit, point=fit.point[others], residual=fit.residual + J[:, own] @ point[own])
-        detuned = [added_columns(study, linearised, model, _detuned(wave, by)) for by in (-step, 0.0, step)]
-        predicted = linear_reductions(J[:, others], without, np.column_stack([free, *detuned]))
+        detuned = [component for by in (-step, 0.0, step) for component in _detuned(wave, by)]
+        added = added_columns(study, linearised, model, detuned)
+        predicted = linear_reductions(J[:, others], without, np.column_stack([free, added]))
         first, size = free.shape[1], len(wave)
         places = (range(first + k * size, first + (k + 1) * size) for k in range(3))
         below, here, above = (predicted.reduction(each, range(first)) for each in places)
