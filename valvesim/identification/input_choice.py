@@ -265,10 +265,11 @@ def added_columns(
         own = [k for k, one in enumerate(inputs) if one.record == linear.predictor.record.name]
         here = linear.variant
         middle = replace(here, deviations=(*nominal.variant.deviations, *((one, 0.0) for one in inputs)))
-        moved = linear.linear_difference([middle, *(parameters[k].moved(middle, by) for k in own)]) if own else {}
         out = {name: np.zeros((len(read), len(parameters))) for name, read in linear.readings.items()}
-        for name, columns in moved.items():
-            out[name][:, own] = (columns[:, 1:] - columns[:, :1]) / by
+        if own:
+            moved = linear.input_difference([parameters[k].moved(middle, by) for k in own], middle)
+            for name, columns in moved.items():
+                out[name][:, own] = columns / by
         return out
 
     return study.stack([columns_of(linear) for linear in linearised])

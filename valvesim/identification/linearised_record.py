@@ -92,6 +92,21 @@ class LinearisedRecord:
         ]
         return {name: np.column_stack([part[name] for part in parts]) for name in self.readings}
 
+    def input_difference(self, variants: Sequence[ModelVariant], beside: ModelVariant) -> dict[str, np.ndarray]:
+        """The same less that of one `beside` them, of variants that differ from it by their command and pressures."""
+        states, coefficients, inputs = self.course.states, self._coefficients_of(beside), self.course.inputs
+        if (added := self.predictor.added_inputs(beside.deviations, self.variant.deviations)) is not None:
+            inputs = inputs + self.course.between(added)
+        own, forcings = self.compiled.values(states, inputs, coefficients), []
+        for variant in variants:
+            if (added := self.predictor.added_inputs(variant.deviations, beside.deviations)) is None:
+                added = np.zeros_like(self.predictor.inputs)
+            added = self.course.between(added)
+            rows = _moved_rows(added)
+            new = self.compiled.values(states[rows], inputs[rows] + added[rows], coefficients.at(rows))
+            forcings.append(self._forcing_of(new - own[:, rows], rows.start))
+        return self.forced_response(forcings)
+
     def small_difference(
         self, variants: Sequence[ModelVariant], of_valves: np.ndarray | None = None
     ) -> dict[str, np.ndarray]:
@@ -256,8 +271,7 @@ class LinearisedRecord:
             return None
         columns = np.flatnonzero(added.any(axis=0))
         added = self.course.between(added[:, columns])
-        moved = np.flatnonzero(added.any(axis=1))
-        rows = slice(moved[0], moved[-1] + 1) if len(moved) else slice(0, 0)
+        rows = _moved_rows(added)
         change = np.zeros((self.compiled.states.stop + len(self.compiled.signals), rows.stop - rows.start))
         for k, by in zip(columns, added[rows].T, strict=True):
             own = self.compiled.inputs.start + k
@@ -279,16 +293,11 @@ class LinearisedRecord:
         added = None if added is None else self.course.between(added)
         if more:
             return self._forcing_of_effects(variant, more, added)
-        rows, coefficients = slice(None), self.coefficients
-        if replace(variant, deviations=self.variant.deviations) == self.variant and self.predictor.same_temperatures(
-            variant, self.variant
-        ):
+        rows, coefficients = slice(None), self._coefficients_of(variant)
+        if coefficients is self.coefficients:
             if added is None:
                 return Forcing(0, np.zeros((0, len(self.tangent.active))), {})
-            moved = np.flatnonzero(added.any(axis=1))
-            rows = slice(moved[0], moved[-1] + 1) if len(moved) else slice(0, 0)
-        else:
-            coefficients = self._coefficients_of(variant)
+            rows = _moved_rows(added)
         inputs = self.course.inputs[rows] if added is None else (self.course.inputs + added)[rows]
         new = self.compiled.values(self.course.states[rows], inputs, coefficients.at(rows))
         return self._forcing_of(new - self.values[:, rows], rows.start or 0)
@@ -296,6 +305,8 @@ class LinearisedRecord:
     def _coefficients_of(self, variant: ModelVariant) -> CoefficientCourse:
         """The coefficients of a variant of the trajectory's model along it."""
         known = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
+        if known is not None and replace(variant, deviations=self.variant.deviations) == self.variant:
+            return self.coefficients
         path, knots = self.predictor.coefficients_at_knots(variant, self.trajectory.model, known)
         stacked = np.stack(np.broadcast_arrays(*knots, path.times)[:-1], axis=-1).astype(float)
         return coefficient_course(path, stacked, self.course.times)
@@ -386,6 +397,12 @@ class LinearisedRecord:
         a = rates(*(0.0,) * count)
         B = np.stack([a - rates(*unit) for unit in np.eye(count)], axis=-1)
         return list(memory_response(a, B, self.course.steps).T)
+
+
+def _moved_rows(added: np.ndarray) -> slice:
+    """The rows of what is added (n, k) from the first to the last in which there is something."""
+    moved = np.flatnonzero(added.any(axis=1))
+    return slice(moved[0], moved[-1] + 1) if len(moved) else slice(0, 0)
 
 
 def linearise_record(
