@@ -317,11 +317,17 @@ class LinearisedRecord:
         """`forcing` of a variant with effects that this one's model does not have."""
         model = self.model.with_effects((*self.model.effects, *(a.effect for a in more)))
         path = self.trajectory.path if self.predictor.same_temperatures(variant, self.variant) else None
-        along = self.predictor.coefficients_along(variant, model, path, self.course.times)
         inputs = tuple((self.course.inputs if added is None else self.course.inputs + added).T)
-        same_situation = variant.valve == self.variant.valve and path is not None and added is None
+        others = tuple(active for active in variant.effects if active not in more)
+        same_situation = replace(variant, effects=others, deviations=self.variant.deviations) == self.variant
+        same_situation &= path is not None and added is None
         same_situation &= all(active.effect.coefficients is None for active in more)
-        middle = self.middle_situation if same_situation else self._middle_situation(along)
+        if same_situation:
+            middle = self.middle_situation
+            along = (*self.coefficients_along, *(np.atleast_1d(n) for active in more for n in active.numbers))
+        else:
+            along = self.predictor.coefficients_along(variant, model, path, self.course.times)
+            middle = self._middle_situation(along)
         states = list(self.active_states)
         for active in more:
             states += self._memory_trajectories(active, middle)
