@@ -194,6 +194,7 @@ def choose_inputs(
     p, options = len(point), study.options.input
     known = [{name: each[:, :p] for name, each in own.items()} for own in columns]
     J = study.stack(known)
+    gram = J.T @ J
     best, least, reached, straight = now, np.inf, np.inf, np.inf
     delays, starts, near = are_delays(study.nominal), [point], [one.trajectory for one in linearised]
     if np.any(np.abs(point[delays]) > study.options.fit.tolerance_deviations):  # a hold is half a sample late
@@ -208,7 +209,8 @@ def choose_inputs(
             more = np.column_stack([more, added_columns(own, linearised, nominal, choice.parameters)])
         added = np.zeros(len(choice.parameters))
         tried = [_evaluated(own, np.append(start, added), fitted, near) for start in starts]
-        H, normalisation = more.T @ more + np.eye(more.shape[1]), own.log_determinant()
+        H = (gram if more is J else more.T @ more) + np.eye(more.shape[1])
+        normalisation = own.log_determinant()
         predicted = [
             (_predicted(fit, more, H, nominal) + normalisation, fit.rows, fit.chi_square + normalisation)
             for fit in tried
