@@ -40,7 +40,7 @@ class NoiseModel:
 
     def whiten(self, columns: np.ndarray, usable: np.ndarray) -> np.ndarray:
         """Columns (n, k) with the noise made white and of unit size, (rows, k); rows that touch unusable samples go."""
-        white = np.array(columns, dtype=float)
+        white = columns.astype(float) if self.lags else columns
         for k, lag in enumerate(self.lags, start=1):  # many columns at once: a filter of the library takes one by one
             white[k:] -= lag * columns[:-k]
         white = white[self.kept(usable)]
