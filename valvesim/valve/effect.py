@@ -203,8 +203,8 @@ class Effect(Shown):
                 )  # of Python alone: `read` has looked
             if has_unit(value):
                 value = numbers[name] = in_si(value, known[name].unit, f"effects.{self.name}.{name}")
-            low, high = known[name].bounds
-            if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
+            (low, high), values = known[name].bounds, np.asarray(value)
+            if not (low <= value <= high if isinstance(value, float) else np.all((values >= low) & (values <= high))):
                 unit = symbol(known[name].unit)
                 raise InputError(
                     f"{value} {unit} is outside [{low:g}, {high:g}] {unit} ({known[name].doc})",
