@@ -83,20 +83,20 @@ def parameter_sensitivities(
     free = {p.name: p for p in plant}
     order = [*(perturbed.of_valve[k] for k in of_valve), *others]
     changes = linear.changes_of_valves(perturbed.valves, len(perturbed.of_valve))[of_valve] if of_valve else None
-    moved = linear.small_difference([perturbed.others[name] for name in others], changes)
-    run, size = dict[int, dict[str, np.ndarray]](), np.array([perturbed.steps[name] for name in order])
-    for j in linear.diverging({name: each / abs(size) for name, each in moved.items()}):
+    slopes = linear.small_difference([perturbed.others[name] for name in others], changes)
+    for columns in slopes.values():
+        columns /= [perturbed.steps[one] for one in order]
+    for j in linear.diverging(slopes):
         p = free[order[j]]
-        size[j] = _inward_step(p, linear.variant, linear.predictor.options.sensitivity.simulated_step)
-        run[j] = _run_or_nothing(linear, p.moved(linear.variant, size[j]))
+        step = _inward_step(p, linear.variant, linear.predictor.options.sensitivity.simulated_step)
+        for name, answer in _run_or_nothing(linear, p.moved(linear.variant, step)).items():
+            slopes[name][:, j] = answer / step
     places = {p.name: k for k, p in enumerate(nominal.parameters)}
     sensors = [(p, p.sensor) for p in nominal.parameters if p.sensor is not None]
     out = {}
     for name, read in linear.readings.items():
-        for j, answer in run.items():
-            moved[name][:, j] = answer[name]
         out[name] = np.zeros((len(read), len(places)))
-        out[name][:, [places[one] for one in order]] = moved[name] / size
+        out[name][:, [places[one] for one in order]] = slopes[name]
         for p, sensor in sensors:
             if reads_channel(sensor, name, own):
                 out[name][:, places[p.name]] = _sensor_slope(linear, p, name) * p.deviation

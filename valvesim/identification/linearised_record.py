@@ -232,8 +232,10 @@ class LinearisedRecord:
     def _changes(self, variant: ModelVariant, along: TemperaturePath, count: int = 1) -> np.ndarray:
         """The coefficients of so many variants along temperatures less those of this one, (count, m, n_c)."""
         _, knots = self.predictor.coefficients_at_knots(variant, self.trajectory.model, along)
-        shape = count, len(along.times)
-        return np.stack([np.broadcast_to(column, shape) for column in knots], axis=-1) - self.trajectory.knots
+        changes = np.empty((count, len(along.times), len(knots)))
+        for k, column in enumerate(knots):
+            changes[..., k] = column
+        return changes - self.trajectory.knots
 
     def _is_of_oil(self, variant: ModelVariant) -> bool:
         """Whether of a variant the oil's temperature alone differs."""

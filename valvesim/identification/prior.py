@@ -75,7 +75,7 @@ class NuisanceParameter:
         if self.sensor is not None:
             return 0.0
         if self.input is not None:
-            return dict(variant.deviations).get(self.input, 0.0)
+            return next((amount for one, amount in reversed(variant.deviations) if one == self.input), 0.0)
         if self.of_network:
             assert variant.network is not None  # noqa: S101 - it is where its figures are fitted
             return float(getattr(variant.network, self.name.removeprefix(NETWORK)))
