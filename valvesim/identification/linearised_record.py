@@ -271,7 +271,7 @@ class LinearisedRecord:
         added = self.predictor.added_inputs(variant.deviations, self.variant.deviations)
         if added is None:
             return None
-        columns = np.flatnonzero(added.any(axis=0))
+        columns = [k for k, by in enumerate(added.T) if by.any()]
         added = self.course.between(added[:, columns])
         rows = _moved_rows(added)
         change = np.zeros((self.compiled.states.stop + len(self.compiled.signals), rows.stop - rows.start))

@@ -182,7 +182,10 @@ class TangentLinear:
         start = np.ascontiguousarray(np.moveaxis(self._at_rest(start).reshape(s, -1, LANES), 1, 0))
         at = np.cumsum([0, *(len(one.first) for one in reads.values())])
         out, largest = np.full((at[-1], len(start), LANES), np.nan), np.empty((len(start), LANES))
-        lags = np.array([np.transpose(lag_of_step(one.lag, self.steps)) for one in reads.values()])
+        lags = np.zeros((len(reads), n - 1, 2))
+        for k, read in enumerate(reads.values()):
+            if read.lag > 0.0:
+                lags[k] = np.transpose(lag_of_step(read.lag, self.steps))
         compile_response(s).read_responses(
             self.E, self.early, self.late, start, np.stack([self.slopes[name] for name in names]), blocks.changes,
             blocks.place, blocks.share, blocks.partials, blocks.entries, blocks.rows, blocks.columns, blocks.factors,
