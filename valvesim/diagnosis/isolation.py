@@ -315,6 +315,9 @@ def _isolated(
             nominal, scores, known, beside, lambda share: progress("refitting", 0.15 + 0.6 * share)
         )
         found = without_corrections_of_laws(nominal, found, options=options)
+        wider = with_model_discrepancy(nominal, _likely(found, options=options), options=options)
+        if wider is not None:
+            break
         best = distinct(found, options=options)[:1]
         under = with_inputs_of_cause(nominal, best[0].fit, options=options) if best and not known and again else None
         if under is not None:
@@ -325,7 +328,6 @@ def _isolated(
         if better is None:
             break
         nominal, scores = better, score_test(better, better.fit, options=options)
-    wider = with_model_discrepancy(nominal, distinct(found, options=options)[:1], options=options)
     if wider is None:
         found = _fitted_further(nominal, found, likeliest, left_out, options=options)
         wider = with_model_discrepancy(nominal, found, options=options)
@@ -348,6 +350,14 @@ def _isolated(
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
     return judged(Isolation(nominal, scores, final, found, [], "", alarm, level))
+
+
+def _likely(found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> list[FittedHypothesis]:
+    """The best of those found, and single causes that explain nearly as much as the best of these."""
+    single = [one for one in found if len(one.candidates) == 1]
+    least = min((one.fit.chi_square for one in single), default=0.0)
+    near = [one for one in single if one.fit.chi_square < options.isolation.nearly_as_much * least]
+    return [*distinct(found, options=options)[:1], *near]
 
 
 def _fitted_further(

@@ -146,6 +146,10 @@ class IsolationOptions:
         "times the same share of its typical amplitude in which another law of the best's is tried first",
         "friction of different laws: 0.8 of it leaves twenty times as much",
     )
+    nearly_as_much: float = option(
+        2.0, "1", "times the chi-square of the best single cause up to which one whose law may err is as likely",
+        "hysteresis of another law: 1.3 times what friction leaves of it",
+    )
     reach: float = option(
         5.0, "1", "times the largest adequate chi-square that another law may leave by the equations linear at the best",
         "those that came near left up to 2.7; hysteresis and silting for strong friction 6 and 9",

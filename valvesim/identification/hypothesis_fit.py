@@ -226,12 +226,15 @@ def unconverged(nominal: NominalFit, fit: Fit) -> float:
 
 
 def _ending(nominal: NominalFit) -> Callable[[Fit], float]:
-    """The reduction of the chi-square that ends a fit: of much that is explained a share tells no hypotheses apart."""
+    """The reduction of the chi-square that ends a fit: of much that is explained a share tells no hypotheses apart, nor
+    does one of what is left far from the records.
+    """
     options = nominal.study.options.fit
 
     def enough(fit: Fit) -> float:
         explained = min(nominal.fit.chi_square - fit.chi_square, options.most_explained * fit.rows)
-        return max(options.hypothesis_ftol, options.relative_ftol * explained)
+        far_off = options.negligible_share * (fit.chi_square - options.inadequate_ratio * fit.rows)
+        return max(options.hypothesis_ftol, options.relative_ftol * explained, far_off)
 
     return enough
 

@@ -49,7 +49,7 @@ class PreparedSession:
         """Reduction of the chi-square not worth a linearisation: a share of what a fit leaves beyond the noise."""
         fit = self.options.fit
         least = fit.relative_ftol * max(chi_square - rows, 0.0)
-        return max(least, fit.negligible_share * (chi_square - fit.inadequate_ratio * rows)) if self.is_long else least
+        return max(least, fit.negligible_share * (chi_square - fit.inadequate_ratio * rows))
 
     def with_nominal(self, nominal: NominalModel) -> Self:
         """The same with other nuisance parameters, or inputs that are told otherwise between their samples."""
