@@ -151,7 +151,7 @@ class IsolationOptions:
         "hysteresis of another law: 1.3 times what friction leaves of it",
     )
     reach: float = option(
-        5.0, "1", "times the largest adequate chi-square that another law may leave by the equations linear at the best",
+        5.0, "1", "times the largest adequate chi-square that another law may leave by equations linear at the best",
         "those that came near left up to 2.7; hysteresis and silting for strong friction 6 and 9",
     )
     seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)

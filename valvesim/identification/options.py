@@ -435,7 +435,7 @@ class FitOptions:
     negligible_share: float = option(
         0.02,
         "1",
-        "the same in a long session, beyond `inadequate_ratio`",
+        "the same of what is beyond `inadequate_ratio`",
         JUDGEMENT,
     )
     inadequate_ratio: float = option(
