@@ -27,7 +27,7 @@ from valvesim.identification.input_errors import with_input_errors
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_near, with_choice_of
 from valvesim.identification.session import Record
-from valvesim.identification.study import PreparedSession, Study, restricted_session
+from valvesim.identification.study import PreparedSession, restricted_session
 
 
 def fit_coarse_to_fine(
@@ -99,15 +99,15 @@ def _without_outliers(nominal: NominalFit) -> NominalFit:
     return nominal if cleaned is own else _fitted_near(cleaned, nominal)
 
 
-def _of_records(linearised: Sequence[LinearisedRecord], study: Study) -> list[LinearisedRecord]:
-    """Linearised records with the samples usable that are so in a study of them."""
-    pairs = zip(linearised, study.predictors, strict=True)
+def _of_records(linearised: Sequence[LinearisedRecord], session: PreparedSession) -> list[LinearisedRecord]:
+    """Linearised records with the samples usable that are so in a session of them."""
+    pairs = zip(linearised, session.predictors, strict=True)
     return [replace(one, predictor=replace(one.predictor, record=other.record)) for one, other in pairs]
 
 
-def _fitted_near(study: Study, nominal: NominalFit) -> NominalFit:
-    """The nominal fit in a study of other samples, from where it is."""
-    return fit_nominal_near(study, nominal.fit.point, full_weight=not nominal.study.weights)
+def _fitted_near(session: PreparedSession, nominal: NominalFit) -> NominalFit:
+    """The nominal fit to a session of other samples, from where it is."""
+    return fit_nominal_near(session, nominal.fit.point, full_weight=not nominal.study.weights)
 
 
 def _isolate_in_segments(
