@@ -149,15 +149,13 @@ def test_where_beginnings_cannot_be_fitted_the_whole_is_searched(session, monkey
         assert nominal.study is left and known == () and fits == expected
 
 
-def test_what_hardly_helps_is_left_and_more_so_in_a_long_session(session):
+def test_what_hardly_helps_is_left_and_more_so_far_from_the_records(session):
     whole = prepare_session(session)
-    assert whole.negligible_reduction(1e6, 1e3) == pytest.approx(OPTIONS.fit.relative_ftol * (1e6 - 1e3))
-    assert whole.negligible_reduction(0.9e3, 1e3) == 0.0
-    long_session = replace(whole, is_long=True)
-    assert long_session.negligible_reduction(1e6, 1e3) == pytest.approx(
+    assert whole.negligible_reduction(1.4e3, 1e3) == pytest.approx(OPTIONS.fit.relative_ftol * 400.0)
+    assert whole.negligible_reduction(1e6, 1e3) == pytest.approx(
         OPTIONS.fit.negligible_share * (1e6 - OPTIONS.fit.inadequate_ratio * 1e3)
     )
-    assert long_session.negligible_reduction(1e3, 1e3) == 0.0
+    assert whole.negligible_reduction(1e3, 1e3) == whole.negligible_reduction(0.9e3, 1e3) == 0.0
 
 
 @pytest.mark.parametrize("in_set, taken", [(["a"], ["a", "b", "c"]), (["a", "b"], ["a", "b", "c"]), ([], ["a", "b"])])
