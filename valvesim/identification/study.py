@@ -46,8 +46,8 @@ class PreparedSession:
         return Study(**{f.name: getattr(self, f.name) for f in fields(PreparedSession)}, noise=noise)
 
     def negligible_reduction(self, chi_square: float, rows: float) -> float:
-        """Reduction of the chi-square not worth a linearisation: a share of what a fit leaves beyond the noise, a larger
-        one of what it leaves beyond adequate.
+        """Reduction of the chi-square not worth a linearisation: a share of what a fit leaves beyond the noise, a
+        larger one of what it leaves beyond adequate.
         """
         fit = self.options.fit
         least = fit.relative_ftol * max(chi_square - rows, 0.0)
