@@ -492,7 +492,7 @@ def test_a_way_of_the_commands_that_promises_to_be_the_best_is_fitted_further(
         "_excess": lambda study, fit, weights: fit.chi_square - fit.rows,
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
-    at, _ = bench_faults._best_way(bench_faults._begun([(way, ()) for way in ways], 2), np.inf, {})
+    at, _ = bench_faults._best_way(bench_faults._preliminary_fits([(way, ()) for way in ways], 2), np.inf, {})
     assert at.way == best and continued == [k for k in range(2) if ended[k] is not None]
 
 

@@ -356,7 +356,7 @@ def _best_inputs(nominal: NominalFit, fit: Fit, few: int) -> tuple[NominalFit, F
     far more from within tolerance: linear answers do not tell where a fit has gone astray under a wrong one.
     """
     others = under_other_inputs(nominal)
-    begun = [(nominal, fit), *_begun([(way, fit.fitted) for way in others], few)]
+    begun = [(nominal, fit), *_preliminary_fits([(way, fit.fitted) for way in others], few)]
     return _best_way(begun, np.inf, _least_weights([nominal, *others])) or (nominal, fit)
 
 
@@ -372,11 +372,11 @@ def _way_beyond(
     the nominal one does, and that fit; None where none does.
     """
     weights = _least_weights([nominal, *ways])
-    begun = _begun([(way, start) for way in ways for start in starts], options.isolation.near_linearisations)
+    begun = _preliminary_fits([(way, start) for way in ways for start in starts], options.isolation.near_linearisations)
     return _best_way(begun, _excess(nominal.study, than, weights), weights)
 
 
-def _begun(
+def _preliminary_fits(
     ways: Sequence[tuple[NominalFit, tuple[FittedCandidate, ...]]], few: int
 ) -> list[tuple[NominalFit, Fit]]:
     """Ways of the commands with causes fitted a little under each from within tolerance, where they can be."""

@@ -93,7 +93,7 @@ def _may_be_apart(nominal: NominalFit, names: Sequence[str], *, options: Diagnos
         return float(np.mean((residual - J @ step) ** 2))
 
     several = [name for name in names if np.any(channels != name)]
-    return [name for name in several if left(channels != name) < options.channel_apart.most_left]
+    return [name for name in several if left(channels != name) < options.channel_apart.largest_mean_square]
 
 
 def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOptions) -> NominalFit | None:

@@ -350,7 +350,7 @@ class ChannelApartOptions:
         2.0, "1", "times the alarm level that z must reach before a channel may be apart",
         "less is hidden by leaving any channel out",
     )
-    most_left: float = option(
+    largest_mean_square: float = option(
         10.0, "1", "mean square that the equations linear at the stated valve may leave of the other channels",
         "1 and 4 with one that is apart; 18 and more with friction",
     )

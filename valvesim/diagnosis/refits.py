@@ -92,7 +92,8 @@ def _from_best_point(
     if not largest_shift(least) < options.isolation.shifted < largest_shift(nominal.fit):
         return []
     shifted = [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted]
-    shifted = [start for start, _ in _within_reach(nominal, shifted, least, options=options)]
+    if is_adequate(least, options=options.identification):
+        shifted = [start for start, _ in _within_reach(nominal, shifted, least, options=options)]
     more = fit_starts(nominal, shifted, least.point, others=found, options=options)
     anew = [fit_from_prior(nominal, fitted) for fitted in shifted if len(fitted) == 1]
     return [*more, *(FittedHypothesis(fit, options=options) for fit in anew if fit is not None)]
