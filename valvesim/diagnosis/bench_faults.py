@@ -140,29 +140,36 @@ def with_assumed_inputs(
     return nominal, scores
 
 
-def with_faults_beside_cause(
+def likeliest_cause(
     nominal: NominalFit, scores: ScoreTest, known: Sequence[Fit], *, options: DiagnosisOptions
-) -> tuple[NominalFit, ScoreTest, Fit | None]:
-    """The same by what the likeliest cause leaves, fitted a little: what the nominal valve leaves is all of the cause
-    where it is inadequate. Last the fit of that cause beside what the bench did, if there was anything to be fitted.
-    The likeliest is the best of those `known` from elsewhere, where there are any, continued.
+) -> Fit | None:
+    """The likeliest cause, fitted a little beside an inadequate nominal fit; the best of those `known` from elsewhere,
+    where there are any, continued. None where none can be fitted.
 
     Its fit begins from within tolerance: the cause may have carried figures of the nominal fit away.
     """
-    few, at, tried = options.isolation.near_linearisations, nominal, False
-    if is_adequate(nominal.fit, options=options.identification):
-        return nominal, scores, None
     fit = continue_fit(nominal, known[0]) if known else None
     for start in likeliest_starts(nominal, scores) if not known else ():
         if fit is not None and _tells_as_much(fit, start, options=options):
             continue
-        other = fit_from_prior(nominal, start, few)
+        other = fit_from_prior(nominal, start, options.isolation.near_linearisations)
         if other is not None and (fit is None or _explains_more(other, fit, options=options)):
             fit = other
         if fit is not None and (
-            leaves_noise(fit, at.study, options=options) or _explains_nearly_all(fit, at.fit, options=options)
+            leaves_noise(fit, nominal.study, options=options) or _explains_nearly_all(fit, nominal.fit, options=options)
         ):
             break
+    return fit
+
+
+def with_faults_beside_cause(
+    nominal: NominalFit, scores: ScoreTest, cause: Fit | None, known: bool, *, options: DiagnosisOptions
+) -> tuple[NominalFit, ScoreTest, Fit | None]:
+    """The same by what the likeliest `cause` leaves: what the nominal valve leaves is all of that where it is
+    inadequate. Last the fit of the cause beside what the bench did, if there was anything to be fitted. How the
+    commands go is not asked where the cause is `known` from elsewhere.
+    """
+    few, at, fit, tried = options.isolation.near_linearisations, nominal, cause, False
     for _ in range(options.bench.most_faults):
         fit = _continued_if_other_valve(fit, at, nominal, options=options)
         if fit is None or is_other_valve(nominal, fit, options=options):

@@ -193,9 +193,8 @@ def term_explains_more(
     nominal: NominalFit, recovered: RecoveredTerm, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> bool:
     """Whether a term that nobody has listed explains more than the likeliest cause, and than its law may be off."""
-    best = _least_left(found)
-    law_error = best.law_error * (nominal.fit.chi_square - best.fit.chi_square)
-    return gain_of_term(recovered, found) > max(options.selection.answer_ratio, law_error)
+    may_err = _least_left(found).law_may_leave(nominal.fit)
+    return gain_of_term(recovered, found) > max(options.selection.answer_ratio, may_err)
 
 
 def gain_of_term(recovered: RecoveredTerm, found: Sequence[FittedHypothesis]) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from valvesim.diagnosis.bench_faults import (
     JointErrors,
     joint_instrument_errors,
+    likeliest_cause,
     told_faults,
     with_assumed_inputs,
     with_bench_faults,
@@ -263,7 +264,11 @@ def _with_bench(
     if reviewed is not nominal:
         nominal, scores = reviewed, score_test(reviewed, reviewed.fit, options=options)
     if not is_adequate(nominal.fit, options=options.identification):
-        nominal, scores, fit = with_faults_beside_cause(nominal, scores, known, options=options)
+        cause = likeliest_cause(nominal, scores, known, options=options)
+        likeliest = [FittedHypothesis(cause, options=options)] if cause is not None and not known else []
+        if (wider := with_model_discrepancy(nominal, likeliest, options=options)) is not None:
+            return _with_bench(wider, score_test(wider, wider.fit, options=options), known, options=options)
+        nominal, scores, fit = with_faults_beside_cause(nominal, scores, cause, bool(known), options=options)
         beside = [fit] if fit is not None else []
     if beside and is_other_valve(nominal, beside[0], options=options):
         return nominal, scores, beside
@@ -394,7 +399,7 @@ def judged(isolation: Isolation) -> Isolation:
         plainest = unexplained_share(nominal, final)
     isolation = replace(isolation, final=final, found=found, second_level=second)
     if left > bearable:  # where even the best leaves so much, none of them is the answer
-        return isolation
+        return _or_one_within_law_error(isolation)
     whole = plainest <= options.isolation.unexplained_share
     answer_set = answer_set_of(nominal, found, whole, second, options=options)
     reason = unknown_reason_of(answer_set[0], min(left, plainest))
@@ -403,6 +408,23 @@ def judged(isolation: Isolation) -> Isolation:
         rivals = [f"the {term.label}" for term in rival_terms(nominal, own)[:2]]
         reason = f"a plain term does as well, {' or '.join(rivals)}" if rivals else ""
     return replace(isolation, answer_set=answer_set, unknown_reason=reason)
+
+
+def _or_one_within_law_error(isolation: Isolation) -> Isolation:
+    """The isolation whose answer, an unknown cause beside it, is the likeliest of those found whose law may err by what
+    it leaves, and by what the best explains more: where there is none, as it was.
+    """
+    nominal, found, options = isolation.nominal, isolation.found, isolation.scores.options
+    for one in found[1:]:
+        behind = one.least_chi_square - found[0].least_chi_square
+        if one.law_error <= options.detection.doubtful_share or behind > one.law_may_leave(nominal.fit):
+            continue
+        final = score_test(nominal, one.fit, options=options)
+        if (left := unexplained_share(nominal, final)) <= one.law_error:
+            others = [other for other in found if other is not one]
+            reason = unknown_reason_of(one, left)
+            return replace(isolation, final=final, found=[one, *others], answer_set=[one], unknown_reason=reason)
+    return isolation
 
 
 def _verified(
@@ -422,6 +444,9 @@ def _verified(
         found, final = with_second_cause(nominal, own, found)
         found, final, tried = effects_for_parameters(nominal, scores, found, final)
         found, final = with_other_pairs(nominal, found, final)
+        kept = without_corrections_of_laws(nominal, found, options=scores.options)
+        final = final if kept[0] is found[0] else score_test(nominal, kept[0].fit, options=scores.options)
+        found = kept
         if nominal.study.weights and not is_adequate(nominal.fit, options=scores.options.identification):
             full, found, final = at_full_weight(nominal, found, final)
             if full is not nominal:  # what is told of scores, limits and terms is of the fit that stands

@@ -81,6 +81,10 @@ class FittedHypothesis:
         together = len(self.candidates) > len(self._independent) == 1
         return max(own, self.options.selection.filter_law_error) if together else own
 
+    def law_may_leave(self, nominal: Fit) -> float:
+        """The chi-square that another law of the same effect may explain more, of what a nominal fit leaves."""
+        return self.law_error * (nominal.chi_square - self.fit.chi_square)
+
     @property
     def label(self) -> str:
         """The candidates' labels."""

@@ -14,7 +14,13 @@ from valvesim.errors import InputError, SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit, is_adequate, largest_adequate, with_shapes
 from valvesim.identification.fit_jacobian import linearise_fit
-from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, unconverged
+from valvesim.identification.hypothesis_fit import (
+    continue_fit,
+    fit_from_prior,
+    fit_hypothesis,
+    reductions_from_prior,
+    unconverged,
+)
 from valvesim.identification.least_squares import predict_reduction
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance
 from valvesim.identification.refinement import refined
@@ -95,7 +101,8 @@ def _from_best_point(
     if is_adequate(least, options=options.identification):
         shifted = [start for start, _ in _within_reach(nominal, shifted, least, options=options)]
     more = fit_starts(nominal, shifted, least.point, others=found, options=options)
-    anew = [fit_from_prior(nominal, fitted) for fitted in shifted if len(fitted) == 1]
+    worthwhile = _worthwhile(nominal, found, options=options)
+    anew = [fit_from_prior(nominal, fitted, worthwhile=worthwhile) for fitted in shifted if len(fitted) == 1]
     return [*more, *(FittedHypothesis(fit, options=options) for fit in anew if fit is not None)]
 
 
@@ -140,8 +147,7 @@ def fit_starts(
     found = list[FittedHypothesis]()
     for k, start in enumerate(starts):
         progress(k / len(starts))
-        near = any(is_adequate(one.fit, options=options.identification) for one in (*others, *found))
-        worthwhile = largest_adequate(nominal.fit, options=options.identification) if near else None
+        worthwhile = _worthwhile(nominal, [*others, *found], options=options)
         fits = [fit := fit_hypothesis(nominal, start, point, worthwhile=worthwhile)]
         if fit is None:
             continue
@@ -150,6 +156,14 @@ def fit_starts(
             fits.append(fit_hypothesis(nominal, more, fit.point, worthwhile=worthwhile))
         found += [FittedHypothesis(one, options=options) for one in fits if one is not None]
     return found
+
+
+def _worthwhile(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> float | None:
+    """The chi-square above which a fit beside those found does not come near the records, where one of them does."""
+    near = any(is_adequate(one.fit, options=options.identification) for one in found)
+    return largest_adequate(nominal.fit, options=options.identification) if near else None
 
 
 def _without_negligible(fit: Fit, share: float) -> tuple[FittedCandidate, ...]:
@@ -231,8 +245,16 @@ def hypotheses_at_other_shapes(
             and candidate.key not in begun
             and candidate.name not in others
         ]
-    fits = [fit_from_prior(nominal, start) for start in _without(left_out, starts)]
-    return [FittedHypothesis(fit, options=options) for fit in fits if fit is not None]
+    starts = _without(left_out, starts)
+    reductions, found_near, more = reductions_from_prior(nominal, starts), set[str](), list[FittedHypothesis]()
+    for k in np.argsort(-reductions):
+        name = " + ".join(member.candidate.name for member in starts[k])
+        if name in found_near and reductions[k] < -nominal.fit.chi_square:  # it begins beyond where no cause does
+            continue
+        if (fit := fit_from_prior(nominal, starts[k])) is not None:
+            more.append(FittedHypothesis(fit, options=options))
+            found_near |= {name} if is_adequate(fit, options=options.identification) else set()
+    return more
 
 
 def _fitted_in_place(
@@ -247,7 +269,7 @@ def _fitted_in_place(
     """
     near = _within_reach(nominal, starts, best.fit, options=options)
     scaled = [min(tried, key=lambda fit: fit.chi_square).fitted if tried else start for start, tried in near]
-    return fit_starts(nominal, scaled, best.fit.point, options=options)
+    return fit_starts(nominal, scaled, best.fit.point, others=[best], options=options)
 
 
 def _in_amounts(

@@ -42,7 +42,7 @@ def with_second_cause(
         best = found[0]
         least = max(least_gain_of_second(nominal, best, level), bearable_beside_bench(final))
         if beyond_noise(final.fit, nominal.study, options=final.options) > 0.0:  # another law of it may do better
-            least = max(least, best.law_error * (nominal.fit.chi_square - best.fit.chi_square))
+            least = max(least, best.law_may_leave(nominal.fit))
         if z.max(initial=0.0) ** 2 < least:
             break
         promised = z**2 - [rarity_penalty(candidate, options=final.options) for candidate in final.candidates]
@@ -71,9 +71,8 @@ def without_corrections_of_laws(
     """
 
     def corrects(one: FittedHypothesis, alone: FittedHypothesis) -> bool:
-        may_err = alone.law_error * (nominal.fit.chi_square - alone.fit.chi_square)
         fuller = len(alone.candidates) < len(one.candidates) and alone.is_within(one)
-        return fuller and alone.fit.chi_square - one.fit.chi_square < may_err
+        return fuller and alone.fit.chi_square - one.fit.chi_square < alone.law_may_leave(nominal.fit)
 
     return [
         one

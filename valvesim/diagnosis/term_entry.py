@@ -27,8 +27,10 @@ def as_catalogue_entry(isolation: Isolation, recovered: RecoveredTerm) -> Isolat
     most = recovered.chi_square + max(options.selection.answer_ratio, options.selection.answer_share * gained)
     if isolation.answer_set:
         likeliest = isolation.answer_set[0]
-        may_err = likeliest.law_error * (nominal.fit.chi_square - likeliest.fit.chi_square)
+        may_err = likeliest.law_may_leave(nominal.fit)
         most = min(most, likeliest.fit.chi_square - may_err) if may_err > 0.0 else most
+    if most < recovered.chi_square:  # the term itself explains less
+        return isolation
     near = max(most, largest_adequate(nominal.fit, options=options.identification))
     fits = [
         fit_hypothesis(nominal, start, np.clip(recovered.point, *nominal.study.nominal.limits), worthwhile=near)

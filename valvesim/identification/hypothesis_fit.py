@@ -103,10 +103,13 @@ def _fit_from_start(
 
 
 def fit_from_prior(
-    nominal: NominalFit, start: Sequence[FittedCandidate], linearisations: int | None = None
+    nominal: NominalFit,
+    start: Sequence[FittedCandidate],
+    linearisations: int | None = None,
+    worthwhile: float | None = None,
 ) -> Fit | None:
     """The same restarted from the prior: no nuisance parameter beyond its tolerance, nothing kept of the nominal
-    fit.
+    fit. A fit above the chi-square `worthwhile`, if it is given, is given up after few linearisations.
 
     Where that has moved parameters to where no valve runs, or none that has the cause besides, there is no way back
     from there.
@@ -116,6 +119,7 @@ def fit_from_prior(
             nominal,
             evaluate_fit(nominal.study, clipped_to_tolerance(nominal), tuple(start), nominal.fit.trajectories),
             nominal.study.options.fit.most_linearisations if linearisations is None else linearisations,
+            worthwhile,
         )
     except (SolveError, InputError):
         return None
