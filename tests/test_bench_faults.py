@@ -216,7 +216,8 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
         "_best_inputs": lambda at, fit, few: (at, fit),
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
-    at, scores, fit = bench_faults.with_faults_beside_cause(base, "scores", known, options=DIAGNOSIS)
+    cause = bench_faults.likeliest_cause(base, "scores", known, options=DIAGNOSIS)
+    at, scores, fit = bench_faults.with_faults_beside_cause(base, "scores", cause, bool(known), options=DIAGNOSIS)
     assert (at, scores, asked) == (base, "scores", fitted)
     assert fit.chi_square == min(left[: len(asked)]) + rows
 
@@ -235,11 +236,8 @@ def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run
     fit = SimpleNamespace(chi_square=2e4, rows=1e4, point=None, fitted=())
     for name, stub in {
         "has_implausible_delays": lambda study, point: next(delays),
-        "is_adequate": lambda fit, *, options: False,
         "is_other_valve": lambda nominal, fit, *, options: False,
         "leaves_noise": lambda fit, study, *, options: True,
-        "likeliest_starts": lambda nominal, scores: iter([("a",)]),
-        "fit_from_prior": lambda nominal, start, few: fit,
         "score_test": lambda *_, **__: SimpleNamespace(linearised=(), columns=()),
         "assembled": lambda *_: None,
         "_tuned_beside": lambda *_: None,
@@ -248,7 +246,7 @@ def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run
         "_best_inputs": lambda at, fit, few: tried.append("run") or (at, fit),
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
-    bench_faults.with_faults_beside_cause(base, "scores", (), options=DIAGNOSIS)
+    bench_faults.with_faults_beside_cause(base, "scores", fit, False, options=DIAGNOSIS)
     assert tried == asked
 
 
@@ -269,11 +267,8 @@ def test_another_way_is_taken_where_the_cause_leaves_no_more_under_it(monkeypatc
     )  # fmt: skip
     for name, stub in {
         "has_implausible_delays": lambda study, point: False,
-        "is_adequate": lambda fit, *, options: False,
         "is_other_valve": lambda nominal, fit, *, options: False,
         "leaves_noise": lambda fit, study, *, options: True,
-        "likeliest_starts": lambda nominal, scores: iter([("a",)]),
-        "fit_from_prior": lambda nominal, start, few: fit,
         "fit_hypothesis": lambda nominal, start, point, linearisations: under if nominal is other else fit,
         "point_under": lambda other, nominal, point: point,
         "score_test": lambda *_, **__: SimpleNamespace(linearised=(), columns=()),
@@ -284,7 +279,7 @@ def test_another_way_is_taken_where_the_cause_leaves_no_more_under_it(monkeypatc
         "_fitted_under": lambda nominal, at: at,
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
-    at, _, found = bench_faults.with_faults_beside_cause(base, "scores", (), options=DIAGNOSIS)
+    at, _, found = bench_faults.with_faults_beside_cause(base, "scores", fit, False, options=DIAGNOSIS)
     assert (at, found) == ((other, under) if taken else (base, fit))
 
 
@@ -315,11 +310,8 @@ def test_a_cause_is_fitted_to_its_end_before_records_are_those_of_another_valve(
     ended = None if ends is None else SimpleNamespace(chi_square=ends, rows=rows, point=None, fitted=())
     looked = []
     for name, stub in {
-        "is_adequate": lambda fit, *, options: False,
         "is_other_valve": lambda nominal, fit, *, options: fit.chi_square > 1e6,
         "leaves_noise": lambda fit, study, *, options: True,
-        "likeliest_starts": lambda nominal, scores: iter([("a",)]),
-        "fit_from_prior": lambda nominal, start, few: started,
         "continue_from": lambda nominal, fit, worthwhile: ended if worthwhile == np.inf else None,
         "has_implausible_delays": lambda study, point: False,
         "score_test": lambda *_, **__: looked.append(1) or SimpleNamespace(linearised=(), columns=()),
@@ -329,7 +321,7 @@ def test_a_cause_is_fitted_to_its_end_before_records_are_those_of_another_valve(
         "with_inputs_beside": lambda at, beside: at,
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
-    _, _, fit = bench_faults.with_faults_beside_cause(base, "scores", (), options=DIAGNOSIS)
+    _, _, fit = bench_faults.with_faults_beside_cause(base, "scores", started, False, options=DIAGNOSIS)
     assert bool(looked) is not told and fit is (ended or started)
 
 

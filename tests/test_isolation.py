@@ -87,7 +87,7 @@ def score_test_that_shows(z):
     return score_test
 
 
-def beside_none(nominal, scores, known, *, options):
+def beside_none(nominal, scores, cause, known, *, options):
     return nominal, scores, None
 
 
@@ -102,6 +102,7 @@ def test_what_is_little_beside_what_the_bench_explains_is_the_bench(monkeypatch,
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
     monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
+    monkeypatch.setattr(isolation, "likeliest_cause", lambda nominal, scores, known, options: None)
     monkeypatch.setattr(isolation, "with_faults_beside_cause", beside_none)
     monkeypatch.setattr(isolation, "channel_apart", lambda nominal, scores, options: None)
     monkeypatch.setattr(isolation, "told_faults", lambda scores, options: ("a ripple",))
@@ -163,6 +164,7 @@ def test_edges_are_tried_where_an_adequate_fit_leaves_more_than_noise(monkeypatc
     monkeypatch.setattr(isolation, "detect", lambda scores: (False, 4.0))
     monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
     monkeypatch.setattr(isolation, "with_edges_tried", lambda nominal: tried if jumps else nominal)
+    monkeypatch.setattr(isolation, "likeliest_cause", lambda nominal, scores, known, options: None)
     monkeypatch.setattr(isolation, "with_faults_beside_cause", beside_none)
     ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
     assert ended is (tried if taken else base) and scores.fit is ended.fit
@@ -294,8 +296,12 @@ def test_what_another_law_of_an_effect_does_better_is_no_second_cause(monkeypatc
     near = hypothesis(6000.0, "magnetic_hysteresis")
     whole = hypothesis(5000.0, *pair)  # leaves no more than noise
     assert second_cause.without_corrections_of_laws(base, [whole, near], options=DIAGNOSIS) == [whole, near]
+    starts = [(*near.fit.fitted, *other.fit.fitted[:1]), other.fit.fitted]
+    assert second_cause.without_corrections_begun(base, starts, [near]) == starts
     base.study.discrepancy = {("record_1", "load_flow"): np.ones(1)}  # what the law errs by is noise there
     assert second_cause.without_corrections_of_laws(base, [whole, near], options=DIAGNOSIS) == [near]
+    assert second_cause.without_corrections_begun(base, starts, [near, other]) == starts[1:]
+    assert second_cause.without_corrections_begun(base, starts, [single, other]) == starts  # it leaves more than that
 
 
 def test_what_is_far_behind_the_best_is_not_refined(monkeypatch):
@@ -628,3 +634,51 @@ def test_a_channel_that_is_far_off_is_fitted_beside_the_figures_of_the_others(mo
         assert begun == [] and ended.channel is channel
     else:
         assert begun == ([others] if answer else [others, base]) and ended.nominal is begun[-1]
+
+
+@pytest.mark.parametrize(
+    "left, behind, named",
+    [
+        (0.1, 10_000.0, ["magnetic_hysteresis"]),  # of 80 000 that it explains its law may err by 16 000
+        (0.25, 10_000.0, []),  # it leaves more than that itself
+        (0.1, 20_000.0, []),  # the best explains more than that besides
+    ],
+)
+def test_where_the_best_leaves_too_much_a_cause_stands_whose_law_may_err_by_it(monkeypatch, left, behind, named):
+    base, best = nominal(110_000.0), hypothesis(20_000.0, "spool_silting")
+    erring, lag = hypothesis(20_000.0 + behind, "magnetic_hysteresis"), hypothesis(21_000.0, "eddy_current_lag")
+    shares = {id(best.fit): 0.03, id(erring.fit): left, id(lag.fit): 0.04}
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: shares[id(final.fit)])
+    scores, final = (score_test_of(base, one) for one in (base.fit, best.fit))
+    found = [best, lag, erring]
+    judged = isolation.judged(isolation.Isolation(base, scores, final, found, [], "", True, 4.0))
+    assert [one.label for one in judged.answer_set] == named
+    assert judged.found == ([erring, best, lag] if named else found)
+    if named:
+        assert judged.final.fit is erring.fit and "none of them explains" in judged.unknown_reason
+
+
+def test_a_cause_whose_law_may_err_has_that_counted_before_the_bench_is_sought_beside_it(monkeypatch):
+    base, wider, looked = nominal(900_000.0), nominal(50_000.0), []
+    cause = hypothesis(60_000.0, "magnetic_hysteresis").fit
+
+    def discrepancy(nominal, found, *, options):
+        looked.append((nominal, [one.fit for one in found]))
+        return wider if nominal is base else None
+
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "detect", lambda scores: (False, 4.0))
+    monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
+    monkeypatch.setattr(isolation, "is_other_valve", lambda nominal, fit, options: False)
+    monkeypatch.setattr(isolation, "likeliest_cause", lambda nominal, scores, known, options: cause)
+    monkeypatch.setattr(isolation, "with_model_discrepancy", discrepancy)
+    monkeypatch.setattr(
+        isolation, "with_faults_beside_cause", lambda nominal, scores, cause, known, options: (nominal, scores, cause)
+    )
+    ended, scores, beside = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
+    assert looked == [(base, [cause]), (wider, [cause])]
+    assert ended is wider and scores.fit is wider.fit and beside == [cause]
+    looked.clear()
+    isolation._with_bench(base, score_test_of(base, base.fit), (cause,), options=DIAGNOSIS)
+    assert looked[0] == (base, [])  # of what is known from elsewhere that was counted there

@@ -413,7 +413,8 @@ def test_entries_of_the_catalogue_that_act_where_a_term_does_are_fitted_from_whe
     assert len(begun) == len(set(begun)) and {"spool_coulomb_friction", "spool_silting"} <= set(begun)
     through_the_flow_force = {"supply pressure, in every balance", "load pressure, in every balance"}
     assert {acts[name] for name in begun} <= {"spool force balance"} | through_the_flow_force
-    erring = SimpleNamespace(law_error=0.2, fit=replace(nominal.fit, chi_square=found.chi_square + 1.0))
+    near = replace(nominal.fit, chi_square=found.chi_square + 1.0)
+    erring = SimpleNamespace(fit=near, law_may_leave=lambda fit: 0.2 * (fit.chi_square - near.chi_square))
     explained = nominal.fit.chi_square - found.chi_square
     assert explained > 10.0  # so that a fifth of it is more than the one by which the entry leaves less
     assert term_entry.as_catalogue_entry(replace(before, answer_set=[erring]), found).found == []

@@ -299,6 +299,32 @@ def test_what_is_looked_for_at_several_shapes_is_fitted_at_each_in_the_place_of_
     assert [dict(one.shapes)["free_clearance"] for one in begun] == [3e-6]  # not where the other one has gone
 
 
+@pytest.mark.parametrize(
+    "ends, promised, begun",
+    [
+        (1000.0, -1e4, [3e-6]),  # one is near, and the other begins further off than the valve without a cause
+        (1000.0, -1e3, [3e-6, 5e-6]),
+        (9e5, -1e4, [3e-6, 5e-6]),  # the first does not come near
+    ],
+)
+def test_a_shape_that_begins_far_off_is_not_fitted_where_another_comes_near(monkeypatch, ends, promised, begun):
+    tried = []
+
+    def from_prior(nominal, start):
+        tried.append(dict(start[0].candidate.fixed)["free_clearance"])
+        return replace(hypothesis(ends).fit, fitted=start)
+
+    monkeypatch.setattr(refits, "fit_from_prior", from_prior)
+    monkeypatch.setattr(refits, "reductions_from_prior", lambda nominal, starts: np.array([promised, 50.0]))
+    candidates = [
+        Candidate("spool_thermal_pinch", CATALOGUE["spool_thermal_pinch"], (("free_clearance", at),))
+        for at in (5e-6, 3e-6)
+    ]
+    starts = [(FittedCandidate(one, one.typical),) for one in candidates]
+    found = refits._fitted_from_prior(NOMINAL, starts, options=DIAGNOSIS)
+    assert tried == begun and [len(one.candidates) for one in found] == [1] * len(begun)
+
+
 def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatch):
     begun = list[tuple[FittedCandidate, ...]]()
     monkeypatch.setattr(refits, "is_adequate", lambda fit, options: False)

@@ -163,18 +163,18 @@ def likeliest_cause(
 
 
 def with_faults_beside_cause(
-    nominal: NominalFit, scores: ScoreTest, cause: Fit | None, known: bool, *, options: DiagnosisOptions
+    nominal: NominalFit, scores: ScoreTest, cause: Fit | None, is_known: bool, *, options: DiagnosisOptions
 ) -> tuple[NominalFit, ScoreTest, Fit | None]:
     """The same by what the likeliest `cause` leaves: what the nominal valve leaves is all of that where it is
     inadequate. Last the fit of the cause beside what the bench did, if there was anything to be fitted. How the
-    commands go is not asked where the cause is `known` from elsewhere.
+    commands go is not asked where the cause `is_known` from elsewhere.
     """
     few, at, fit, tried = options.isolation.near_linearisations, nominal, cause, False
     for _ in range(options.bench.most_faults):
         fit = _continued_if_other_valve(fit, at, nominal, options=options)
         if fit is None or is_other_valve(nominal, fit, options=options):
             break
-        if not known and not tried and has_implausible_delays(at.study, fit.point):  # far off for linear answers
+        if not is_known and not tried and has_implausible_delays(at.study, fit.point):  # far off for linear answers
             (at, fit), tried = _best_inputs(at, fit, few), True
             continue
         beside = score_test(at, fit, options=options)
@@ -188,7 +188,7 @@ def with_faults_beside_cause(
             at, more = _widened(at, likeliest.parameters), np.zeros(len(likeliest.parameters))
             fit = fit_hypothesis(at, fit.fitted, np.append(fit.point, more), few)
             continue
-        if known:  # how the commands go has been asked elsewhere
+        if is_known:  # how the commands go has been asked elsewhere
             break
         better = with_inputs_beside(at, assembled(at.study, fit, beside.linearised, beside.columns))
         if better is not at:

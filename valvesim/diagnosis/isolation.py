@@ -68,6 +68,7 @@ from valvesim.diagnosis.second_cause import (
     with_other_pairs,
     with_second_cause,
     with_singles_from_prior,
+    without_corrections_begun,
     without_corrections_of_laws,
 )
 from valvesim.diagnosis.starts import is_of_one_effect, start_points
@@ -398,8 +399,8 @@ def judged(isolation: Isolation) -> Isolation:
         final = score_test(nominal, found[0].fit, options=options)
         plainest = unexplained_share(nominal, final)
     isolation = replace(isolation, final=final, found=found, second_level=second)
-    if left > bearable:  # where even the best leaves so much, none of them is the answer
-        return _or_one_within_law_error(isolation)
+    if left > bearable:  # where even the best leaves so much, it is not the answer
+        return _with_one_within_law_error(isolation)
     whole = plainest <= options.isolation.unexplained_share
     answer_set = answer_set_of(nominal, found, whole, second, options=options)
     reason = unknown_reason_of(answer_set[0], min(left, plainest))
@@ -410,21 +411,33 @@ def judged(isolation: Isolation) -> Isolation:
     return replace(isolation, answer_set=answer_set, unknown_reason=reason)
 
 
-def _or_one_within_law_error(isolation: Isolation) -> Isolation:
-    """The isolation whose answer, an unknown cause beside it, is the likeliest of those found whose law may err by what
-    it leaves, and by what the best explains more: where there is none, as it was.
+def _one_within_law_error(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> ScoreTest | None:
+    """The score test of the likeliest of those found, but for the best, whose law may err by what it leaves and by what
+    the best explains more; None where there is none.
     """
-    nominal, found, options = isolation.nominal, isolation.found, isolation.scores.options
     for one in found[1:]:
         behind = one.least_chi_square - found[0].least_chi_square
         if one.law_error <= options.detection.doubtful_share or behind > one.law_may_leave(nominal.fit):
             continue
         final = score_test(nominal, one.fit, options=options)
-        if (left := unexplained_share(nominal, final)) <= one.law_error:
-            others = [other for other in found if other is not one]
-            reason = unknown_reason_of(one, left)
-            return replace(isolation, final=final, found=[one, *others], answer_set=[one], unknown_reason=reason)
-    return isolation
+        if unexplained_share(nominal, final) <= one.law_error:
+            return final
+    return None
+
+
+def _with_one_within_law_error(isolation: Isolation) -> Isolation:
+    """The isolation whose best is no answer, with the one instead whose law may err by as much, an unknown cause beside
+    it; as it was where there is none.
+    """
+    nominal, found = isolation.nominal, isolation.found
+    final = _one_within_law_error(nominal, found, options=isolation.scores.options)
+    if final is None:
+        return isolation
+    found = sorted(found, key=lambda one: one.fit is not final.fit)
+    reason = unknown_reason_of(found[0], unexplained_share(nominal, final))
+    return replace(isolation, final=final, found=found, answer_set=found[:1], unknown_reason=reason)
 
 
 def _verified(
@@ -453,8 +466,10 @@ def _verified(
                 nominal, scores = full, score_test(full, full.fit, options=scores.options)
                 tried = frozenset()
     bearable = max(scores.options.detection.doubtful_share, found[0].law_error if found else 0.0)
-    if largest_shift(nominal.fit) > scores.options.isolation.shifted and (
-        not found or unexplained_share(nominal, final) > bearable
+    if (
+        largest_shift(nominal.fit) > scores.options.isolation.shifted
+        and (not found or unexplained_share(nominal, final) > bearable)
+        and _one_within_law_error(nominal, found, options=scores.options) is None
     ):
         found, final = with_singles_from_prior(nominal, scores, level, found, final, tried)
     return nominal, scores, found, final
@@ -510,6 +525,7 @@ def _first_hypotheses(
         ]  # fmt: skip
         found = [*begun, *fit_starts(nominal, alone, point, progress, others=begun, options=scores.options)]
         if not any(_explains_all(one.fit, nominal, options=scores.options) for one in found):
+            pairs = without_corrections_begun(nominal, pairs, found)
             found += fit_starts(nominal, pairs, point, progress, others=found, options=scores.options)
         if first.plainest in laws or any(likeliest == c.label for one in found for c in one.candidates):
             break

@@ -245,16 +245,28 @@ def hypotheses_at_other_shapes(
             and candidate.key not in begun
             and candidate.name not in others
         ]
-    starts = _without(left_out, starts)
-    reductions, found_near, more = reductions_from_prior(nominal, starts), set[str](), list[FittedHypothesis]()
-    for k in np.argsort(-reductions):
-        name = " + ".join(member.candidate.name for member in starts[k])
-        if name in found_near and reductions[k] < -nominal.fit.chi_square:  # it begins beyond where no cause does
+    return _fitted_from_prior(nominal, _without(left_out, starts), options=options)
+
+
+def _fitted_from_prior(
+    nominal: NominalFit, starts: Sequence[tuple[FittedCandidate, ...]], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The hypotheses of starts that can be run, each fitted from the prior, first the one that promises most. Where one
+    comes near the records, those of the same effects at other shapes are not fitted that begin further off than without
+    a cause.
+    """
+    promised = reductions_from_prior(nominal, starts) if len(starts) > 1 else np.zeros(len(starts))
+    found, near = list[FittedHypothesis](), set[tuple[str, ...]]()
+    for k in np.argsort(-promised, kind="stable"):
+        names = tuple(member.candidate.name for member in starts[k])
+        if names in near and promised[k] < -nominal.fit.chi_square:
             continue
-        if (fit := fit_from_prior(nominal, starts[k])) is not None:
-            more.append(FittedHypothesis(fit, options=options))
-            found_near |= {name} if is_adequate(fit, options=options.identification) else set()
-    return more
+        if (fit := fit_from_prior(nominal, starts[k])) is None:
+            continue
+        found.append(FittedHypothesis(fit, options=options))
+        if is_adequate(fit, options=options.identification):
+            near.add(names)
+    return found
 
 
 def _fitted_in_place(

@@ -82,6 +82,22 @@ def without_corrections_of_laws(
     ]
 
 
+def without_corrections_begun(
+    nominal: NominalFit, starts: Sequence[tuple[FittedCandidate, ...]], found: Sequence[FittedHypothesis]
+) -> list[tuple[FittedCandidate, ...]]:
+    """The starts of pairs without those that are left out by `without_corrections_of_laws` wherever they end: beside
+    one that was found alone, the law of which may err by more than it leaves.
+    """
+    corrected = {
+        one.label
+        for one in found
+        if nominal.study.discrepancy
+        and len(one.candidates) == 1
+        and one.fit.chi_square < one.law_may_leave(nominal.fit)
+    }
+    return [start for start in starts if not any(member.candidate.label in corrected for member in start)]
+
+
 def with_other_pairs(
     nominal: NominalFit, found: list[FittedHypothesis], final: ScoreTest
 ) -> tuple[list[FittedHypothesis], ScoreTest]:
