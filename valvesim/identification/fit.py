@@ -107,15 +107,17 @@ def _run(
     study: PreparedSession, variant: ModelVariant, near: Sequence[Trajectory] = ()
 ) -> list[tuple[Trajectory, dict[str, np.ndarray]]]:
     """The trajectory of each training record and what its sensors would read; `near` are trajectories of another
-    variant of all records, or none.
+    variant of all records, or none: what one of them is the very run of is not run again.
     """
+    known: Sequence[Trajectory | None] = near or [None] * len(study.predictors)
 
-    def run(posed: PosedRun, initial: np.ndarray) -> tuple[Trajectory, dict[str, np.ndarray]]:
-        trajectory = posed.trajectory(initial)
+    def run(posed: PosedRun, initial: np.ndarray, one: Trajectory | None) -> tuple[Trajectory, dict[str, np.ndarray]]:
+        ran = None if one is None or not posed.is_run_of(one) else posed.predictor.on_grid(one)
+        trajectory = ran or posed.trajectory(initial)
         return trajectory, posed.predictor.readings(trajectory, variant)
 
-    posed = study.each(lambda predictor: predictor.posed(variant), study.predictors)
-    return study.each(run, posed, at_rest_together(posed, near))
+    posed = study.each(lambda predictor, one: predictor.posed(variant, one), study.predictors, known)
+    return study.each(run, posed, at_rest_together(posed, near), known)
 
 
 def is_adequate(fit: Fit, *, options: IdentificationOptions) -> bool:

@@ -123,13 +123,12 @@ class RecordPredictor:
         own = tuple(each for each in acting if each[0].column != "oil_temperature")
         if own == self.deviations:
             return self
-        columns = {one.column for one, _ in (*own, *self.deviations)}
-        changed = {
-            k: self._deviating(column, command, own)
-            for k, (column, command) in enumerate(self._commands())
-            if column in columns
-        }
-        commands = [changed.get(k, command) for k, (_, command) in enumerate(self._commands())]
+        commands, changed = list[Command](), dict[int, Command]()
+        for k, (column, command) in enumerate(self._commands()):
+            mine, before = (acting_on(some, self.record.name, column) for some in (own, self.deviations))
+            commands.append(deviating_command(command, self.scenario.duration, mine) if mine else command)
+            if mine != before:
+                changed[k] = commands[k]
         starts, intervals = merge(commands, self.scenario.duration)
         fine = _with_inputs(self.fine_inputs, changed, self.fine_times)
         coarse = fine if self.sensor_oversampling == 1 else _with_inputs(self.inputs, changed, self.times)
@@ -172,8 +171,7 @@ class RecordPredictor:
         return self.record.outputs == other.record.outputs and all(map(np.array_equal, mine, others))
 
     def _inputs_of_run(self) -> tuple[np.ndarray, ...]:
-        path = (self.path.times, *(np.asarray(value) for _, value in _parts(self.path)))
-        return self.times, self.fine_times, self.fine_inputs, self.starts, self.rows, *path
+        return self.times, self.fine_times, self.fine_inputs, self.starts, self.rows, *_values_of(self.path)
 
     def model(self, effects: Sequence[ActiveEffect]) -> Model:
         """The equations with the one effect that has a balance; for several those with the universe, if they are in it.
@@ -190,18 +188,21 @@ class RecordPredictor:
         """The trajectory of a variant from rest, from where one `near` it rests if that is known. Raises InputError for
         impossible dimensions, SolveError where it fails.
         """
-        posed = self.posed(variant)
+        posed = self.posed(variant, near)
         return posed.trajectory(posed.at_rest() if near is None else posed.at_rest_near(near))
 
-    def posed(self, variant: ModelVariant) -> PosedRun:
-        """The run of a variant, posed. Raises InputError for impossible dimensions."""
+    def posed(self, variant: ModelVariant, near: Trajectory | None = None) -> PosedRun:
+        """The run of a variant, posed; inputs that a trajectory `near` it has too are taken from there. Raises
+        InputError for impossible dimensions.
+        """
         model = self.model(variant.effects)
         path, knots = self.coefficients_at_knots(variant, model)
         stacked = np.stack(np.broadcast_arrays(*knots), axis=-1).astype(float)
         flat = np.array(np.broadcast_to(stacked, (len(path.times), stacked.shape[-1])))
         compiled = compile_model(model, absent_coefficients(model, flat))
         off = self.switched_off(model, variant.effects)
-        return PosedRun(self, self.under(variant.deviations), compiled, path, flat, off)
+        under = self.under(variant.deviations) if near is None else self.under_inputs_of(near, variant.deviations)
+        return PosedRun(self, under, compiled, path, flat, off)
 
     def oil_along(self, path: TemperaturePath) -> np.ndarray:
         """The oil's temperature (n_f,) of a path on the fine grid."""
@@ -426,6 +427,12 @@ class PosedRun:
         same_states = trajectory.model.state_channels == model.state_channels
         return same_states and bool(self.off[model.memory_states].all())
 
+    def is_run_of(self, trajectory: Trajectory) -> bool:
+        """Whether a trajectory is this very run."""
+        same = trajectory.model == self.compiled.model and np.array_equal(trajectory.knots, self.knots)
+        same = same and all(map(np.array_equal, _values_of(trajectory.path), _values_of(self.path)))
+        return same and (self.under is trajectory.under or self.under.runs_as(trajectory.under))
+
     def at_rest_near(self, trajectory: Trajectory) -> np.ndarray:
         """The same states, by Newton's method from those that a trajectory near it starts from, where that ends."""
         if self.rests_near(trajectory):
@@ -579,8 +586,8 @@ def _with_neutral(model: ValveModel, active: Sequence[ActiveEffect]) -> list[Act
     return [*in_model, *(a for a in active if a.effect.balance is None)]
 
 
-def _parts(path: TemperaturePath) -> list[tuple[str, np.ndarray]]:
-    return [(name, getattr(path.parts, name)) for name in path.parts.__dataclass_fields__]
+def _values_of(path: TemperaturePath) -> tuple[np.ndarray, ...]:
+    return path.times, *(np.asarray(getattr(path.parts, name)) for name in path.parts.__dataclass_fields__)
 
 
 def _column(value: np.ndarray, path: TemperaturePath) -> np.ndarray:
