@@ -40,12 +40,14 @@ class NoiseModel:
 
     def whiten(self, columns: np.ndarray, usable: np.ndarray) -> np.ndarray:
         """Columns (n, k) with the noise made white and of unit size, (rows, k); rows that touch unusable samples go."""
-        white = columns.astype(float) if self.lags else columns
+        return self.filtered(columns, usable) / self.innovation
+
+    def filtered(self, columns: np.ndarray, usable: np.ndarray) -> np.ndarray:
+        """The same of the innovation's size; columns that need nothing of it are given back as they are."""
+        white, kept = columns.astype(float) if self.lags else columns, self.kept(usable)
         for k, lag in enumerate(self.lags, start=1):  # many columns at once: a filter of the library takes one by one
             white[k:] -= lag * columns[:-k]
-        white = white[self.kept(usable)]
-        white /= self.innovation
-        return white
+        return white if kept.all() else white[kept]
 
     def largest_variance(self, errors: np.ndarray, width: int, lags: int) -> np.ndarray:
         """(n,) variance of independent errors, in units of the innovation's, to which correlated ones come at most once

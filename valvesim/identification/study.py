@@ -95,18 +95,20 @@ class Study(PreparedSession):
 
     def whiten(self, predictor: RecordPredictor, columns: dict[str, np.ndarray]) -> list[np.ndarray]:
         """Whitened columns (n, k) of a record, channel by channel."""
-        record = predictor.record
-        white = []
+        return [rows * scale for rows, scale in self._filtered(predictor, columns)]
+
+    def _filtered(
+        self, predictor: RecordPredictor, columns: dict[str, np.ndarray]
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The same not yet scaled, and what their rows are to be multiplied by, (n, 1) or (1, 1)."""
+        record, found = predictor.record, []
         for name in record.outputs:
-            noise = self.noise[name, record.pace]
-            rows = noise.whiten(columns[name], record.usable[name])[:: self.stride]
+            noise, usable = self.noise[name, record.pace], record.usable[name]
+            scale = self.weights.get((record.name, name), 1.0) / noise.innovation
             if wider := self._variances(record, name):
-                beside = np.sum(wider, axis=0)[noise.kept(record.usable[name])][:: self.stride]
-                rows /= np.sqrt(1.0 + beside)[:, None]
-            if (weights := self.weights.get((record.name, name))) is not None:
-                rows *= weights[:, None]
-            white.append(rows)
-        return white
+                scale = scale / np.sqrt(1.0 + np.sum(wider, axis=0)[noise.kept(usable)][:: self.stride])
+            found.append((noise.filtered(columns[name], usable)[:: self.stride], np.reshape(scale, (-1, 1))))
+        return found
 
     @cached_property
     def expected_rows(self) -> float:
@@ -191,13 +193,13 @@ class Study(PreparedSession):
 
     def stack(self, columns: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
         """Whitened columns of all training records, (rows, k)."""
-        return np.concatenate(
-            [
-                one
-                for predictor, each in zip(self.predictors, columns, strict=True)
-                for one in self.whiten(predictor, each)
-            ]
-        )
+        pairs = zip(self.predictors, columns, strict=True)
+        parts = [part for predictor, each in pairs for part in self._filtered(predictor, each)]
+        at = np.cumsum([0, *(len(rows) for rows, _ in parts)])
+        white = np.empty((at[-1], parts[0][0].shape[1]))
+        for k, (rows, scale) in enumerate(parts):
+            np.multiply(rows, scale, out=white[at[k] : at[k + 1]])
+        return white
 
 
 Prepared = TypeVar("Prepared", bound=PreparedSession)
