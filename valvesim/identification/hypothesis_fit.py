@@ -256,14 +256,14 @@ def _iterate(
     """Levenberg-Marquardt with the Jacobian taken anew where it no longer holds; with the Occam factor in the end."""
     for iteration in range(1, linearisations + 1):
         enough = ending(fit)
-        new, jacobian = levenberg_marquardt(study, fit, jacobian, enough)
+        new, updated = levenberg_marquardt(study, fit, jacobian, enough)
         stuck, fit = iteration > 1 and new.chi_square > fit.chi_square - enough, new
         hoped = study.options.fit.predicted_reductions if iteration < study.options.fit.linearisations else 0.0
         hopeless = iteration > 1 and fit.chi_square - hoped * fit.predicted_reduction > good
         if fit.predicted_reduction < enough or stuck or hopeless or iteration == linearisations:
             break
         jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
-    H, _ = normal_equations(fit, jacobian, options=study.options)
+    H, _ = normal_equations(fit, updated, options=study.options)
     return replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
 
 

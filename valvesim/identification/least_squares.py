@@ -10,10 +10,9 @@ Numerical Optimization, ch. 10 (least squares) and 16 (active set). The Occam fa
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.blas import dger
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from valvesim.errors import InputError, SolveError
@@ -24,7 +23,41 @@ from valvesim.identification.study import Study
 SINGULAR = 1e-6  # of a Cholesky factor of scaled normal equations: below, some direction may not be seen
 
 
-def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: float) -> tuple[Fit, np.ndarray]:
+@dataclass(frozen=True, eq=False)
+class SecantJacobian:
+    """A Jacobian (rows, n) with Broyden's updates: the `first` one, to which `left` (k, rows) times `along` (k, n) add;
+    and its `gram` J'J. A Jacobian of tens of megabytes is read at each step, and not written.
+    """
+
+    first: np.ndarray
+    left: np.ndarray
+    along: np.ndarray
+    gram: np.ndarray
+
+    @staticmethod
+    def of(jacobian: np.ndarray) -> SecantJacobian:
+        """A Jacobian not updated yet."""
+        rows, n = jacobian.shape
+        return SecantJacobian(jacobian, np.empty((0, rows)), np.empty((0, n)), jacobian.T @ jacobian)
+
+    def times(self, step: np.ndarray) -> np.ndarray:
+        """J times a step (n,)."""
+        return self.first @ step + (self.along @ step) @ self.left
+
+    def transposed_times(self, residual: np.ndarray) -> np.ndarray:
+        """J' times a residual (rows,)."""
+        return self.first.T @ residual + (self.left @ residual) @ self.along
+
+    def updated(self, moved: np.ndarray, changed: np.ndarray, metric: np.ndarray) -> SecantJacobian:
+        """The same after a step `moved` (n,) that has `changed` the residual (rows,) (Broyden 1965)."""
+        along = metric * moved
+        left = (changed - self.times(moved)) / float(moved @ along)
+        crossed = np.outer(self.transposed_times(left), along)
+        gram = self.gram + crossed + crossed.T + float(left @ left) * np.outer(along, along)
+        return SecantJacobian(self.first, np.vstack([self.left, left]), np.vstack([self.along, along]), gram)
+
+
+def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: float) -> tuple[Fit, SecantJacobian]:
     """The fit after damped Gauss-Newton steps, damped in the metric of the priors (Marquardt 1963), and its
     Jacobian.
 
@@ -36,11 +69,11 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
     narrow valleys, and what the records tell far better than the priors, damping in their metric does not shorten.
     """
     options, metric = study.options.fit, _metric_of(fit)
-    jacobian, gram = jacobian.copy(), jacobian.T @ jacobian
+    J = SecantJacobian.of(jacobian)
     damping, failures, start, best = 0.0, 0, fit, fit  # away from its best a fit is on its one step uphill
     first, accelerated, has_accelerated = np.zeros(len(metric)), None, False
     for _ in range(options.steps):
-        H, gradient = normal_equations(fit, jacobian, gram, options=study.options)
+        H, gradient = normal_equations(fit, J, options=study.options)
         limits = step_limits(fit, study.nominal, options=study.options)
         if fit is best:
             known = replace(fit, predicted_reduction=predict_reduction(H, gradient, limits))
@@ -65,14 +98,12 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
         moved, changed = new.vector - fit.vector, fit.residual - new.residual
         gained = best.chi_square - new.chi_square
         if gained <= 0.0 and fit is best and failures == 0:
-            accelerated = _accelerated_step(
-                fit, jacobian, damped, moved, changed, limits, metric, options=study.options
-            )
+            accelerated = _accelerated_step(fit, J, damped, moved, changed, limits, metric, options=study.options)
             if accelerated is not None:
                 failures = 1
                 continue
         if moved.any() and float(changed @ changed) > options.update_threshold:
-            jacobian, gram = _updated(jacobian, gram, moved, changed, metric)
+            J = J.updated(moved, changed, metric)
         if gained > 0.0:
             has_accelerated = accelerated is not None
             failures = 0 if gained > 0.5 * best.predicted_reduction else failures + 1
@@ -83,20 +114,7 @@ def levenberg_marquardt(study: Study, fit: Fit, jacobian: np.ndarray, enough: fl
         else:
             fit, damping, failures = best, max(10.0 * damping, 0.1), failures + 1
         accelerated = None
-    return best, jacobian
-
-
-def _updated(
-    jacobian: np.ndarray, gram: np.ndarray, moved: np.ndarray, changed: np.ndarray, metric: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """A Jacobian (rows, n), overwritten, and its J'J after a step `moved` (n,) that has `changed` the residual (rows,)
-    (Broyden 1965).
-    """
-    along = metric * moved
-    left = (changed - jacobian @ moved) / float(moved @ along)
-    crossed = np.outer(jacobian.T @ left, along)
-    gram = gram + crossed + crossed.T + float(left @ left) * np.outer(along, along)
-    return dger(1.0, along, left, a=jacobian.T, overwrite_a=True).T, gram
+    return best, J
 
 
 def _metric_of(fit: Fit) -> np.ndarray:
@@ -124,7 +142,7 @@ def _moved_by(study: Study, fit: Fit, step: np.ndarray) -> Fit:
 
 def _accelerated_step(
     fit: Fit,
-    jacobian: np.ndarray,
+    jacobian: SecantJacobian,
     damped: np.ndarray,
     moved: np.ndarray,
     changed: np.ndarray,
@@ -138,12 +156,12 @@ def _accelerated_step(
 
     None where the acceleration is more than a given share of the step: the equations are of second order no longer.
     """
-    straight, p = jacobian @ moved, len(fit.point)
+    straight, p = jacobian.times(moved), len(fit.point)
     curvature = changed - straight
-    acceleration = -solve_normal(damped, jacobian.T @ curvature)
+    acceleration = -solve_normal(damped, jacobian.transposed_times(curvature))
     if acceleration @ (metric * acceleration) > options.fit.acceleration_ratio**2 * (moved @ (metric * moved)):
         return None
-    square = curvature + jacobian @ acceleration
+    square = curvature + jacobian.times(acceleration)
 
     def left(share: float) -> float:
         residual = fit.residual - share * straight - share**2 * square
@@ -214,15 +232,12 @@ def solve_normal(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
 
 
 def normal_equations(
-    fit: Fit, jacobian: np.ndarray, gram: np.ndarray | None = None, *, options: IdentificationOptions
+    fit: Fit, jacobian: np.ndarray | SecantJacobian, *, options: IdentificationOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(H, gradient) of the nuisance parameters, then of the fitted candidates, with their priors; `gram` is J'J, where
-    it is known.
-    """
-    p = len(fit.point)
-    H = jacobian.T @ jacobian if gram is None else gram.copy()
+    """(H, gradient) of the nuisance parameters, then of the fitted candidates, with their priors."""
+    p, J = len(fit.point), jacobian if isinstance(jacobian, SecantJacobian) else SecantJacobian.of(jacobian)
+    H, gradient = J.gram.copy(), J.transposed_times(fit.residual)
     prior = np.array([1.0] * p + [0.0 if not shape else options.fit.shape_deviation**-2 for _, shape in fit.layout])
-    gradient = jacobian.T @ fit.residual
     gradient[:p] -= fit.point
     for at, (member, shape) in enumerate(fit.layout):
         if shape:

@@ -28,8 +28,8 @@ def refined(study: Study, fit: Fit) -> Fit:
         except (SolveError, InputError):
             return fit
         before = fit.chi_square
-        fit, jacobian = levenberg_marquardt(study, fit, jacobian, enough)
-        H, _ = normal_equations(fit, jacobian, options=study.options)
+        fit, updated = levenberg_marquardt(study, fit, jacobian, enough)
+        H, _ = normal_equations(fit, updated, options=study.options)
         fit = replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
         if before - fit.chi_square < study.options.fit.refined_gain:
             break
