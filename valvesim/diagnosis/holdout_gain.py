@@ -88,10 +88,14 @@ def _read_with_inputs(
     own = NominalModel(variant, inputs, options=study.options)
     point = np.zeros(len(inputs)) if near is None else near
 
-    def left(point: np.ndarray) -> tuple[Trajectory, dict[str, np.ndarray], np.ndarray, float]:
-        """The trajectory at a point, its readings, their whitened residual (rows,), and the penalised chi-square."""
+    def left(
+        point: np.ndarray, beside: Trajectory | None = None
+    ) -> tuple[Trajectory, dict[str, np.ndarray], np.ndarray, float]:
+        """The trajectory at a point, run `beside` another one, its readings, their whitened residual (rows,), and the
+        penalised chi-square.
+        """
         at = own.at(point)
-        trajectory = predictor.run(at)
+        trajectory = predictor.run(at, beside)
         readings = predictor.readings(trajectory, at)
         r = study.whiten_other(record, residual_of(record, readings))[:, 0]
         return trajectory, readings, r, float(r @ r + point @ point)
@@ -103,7 +107,7 @@ def _read_with_inputs(
         J = study.whiten_other(record, parameter_sensitivities(linear, own, perturbed_variants(own, now)))
         step = bounded_step(J.T @ J + np.eye(len(point)), J.T @ r - point, own.limits - point)
         for share in (1.0, 0.5, 0.25):  # peaks that move are far from linear
-            tried = left(point + share * step)
+            tried = left(point + share * step, trajectory)
             if tried[-1] < chi_square:
                 point, (trajectory, readings, r, chi_square) = point + share * step, tried
                 break
