@@ -17,6 +17,7 @@ from valvesim.identification.predictor import (
     Trajectory,
     apply_reading,
     coefficient_course,
+    side_by_side,
 )
 from valvesim.identification.sensor_errors import ToleratedSensorError, ToleratedTimeError, active_in, reads_between
 from valvesim.identification.tangent_linear import (
@@ -207,9 +208,9 @@ class LinearisedRecord:
         return self._changes(replace(self.variant, valve=valves), self.trajectory.path, count)
 
     def _changes_by_temperature(self, variants: Sequence[ModelVariant]) -> dict[int, np.ndarray]:
-        """The same of those variants, by their places, in which temperatures alone are others: their networks together,
-        one by one those with another oil temperature, and those beside an effect on the temperatures: on its knots,
-        less this one's there, for while knots were sought it acted on straight lines between others.
+        """The same of those variants, by their places, in which temperatures alone are others: together, but one by one
+        those beside an effect on the temperatures: on its knots, less this one's there, for while knots were sought it
+        acted on straight lines between others.
         """
         own, knots = self.variant, self.trajectory.path.times
         of_network = [k for k, one in enumerate(variants) if replace(one, network=own.network) == own != one]
@@ -222,12 +223,14 @@ class LinearisedRecord:
                              for one in (own, *(variants[k] for k in beside)))  # fmt: skip
             return {k: each - plain for k, each in zip(beside, moved, strict=True)}
         of_oil = [k for k in of_oil if not self.predictor.has_own_knots(variants[k])]
-        found = {k: self._changes(own, self.predictor.temperatures(variants[k]))[0] for k in of_oil}
+        paths = [self.predictor.temperatures(variants[k]) for k in of_oil]
         networks = [variants[k].network or self.predictor.scenario.thermal.network for k in of_network]
-        if networks and None not in networks:
-            together = self.predictor.temperatures_of(own, [one for one in networks if one])
-            found |= dict(zip(of_network, self._changes(own, together, len(networks)), strict=True))
-        return found
+        if None in networks:
+            of_network = []
+        if of_network:
+            paths.append(self.predictor.temperatures_of(own, [one for one in networks if one]))
+        places = [*of_oil, *of_network]
+        return dict(zip(places, self._changes(own, side_by_side(paths), len(places)), strict=True)) if places else {}
 
     def _changes(self, variant: ModelVariant, along: TemperaturePath, count: int = 1) -> np.ndarray:
         """The coefficients of so many variants along temperatures less those of this one, (count, m, n_c)."""

@@ -586,6 +586,14 @@ def _with_neutral(model: ValveModel, active: Sequence[ActiveEffect]) -> list[Act
     return [*in_model, *(a for a in active if a.effect.balance is None)]
 
 
+def side_by_side(paths: Sequence[TemperaturePath]) -> TemperaturePath:
+    """Temperature paths on the same knots (m,) as one, whose parts are (k, m): one may hold several already."""
+    names, like = tuple(paths[0].parts.__dataclass_fields__), paths[0].times
+    rows = [np.broadcast_arrays(np.zeros((1, len(like))), *(getattr(one.parts, n) for n in names))[1:] for one in paths]
+    parts = {name: np.concatenate(one) for name, one in zip(names, zip(*rows, strict=True), strict=True)}
+    return replace(paths[0], parts=replace(paths[0].parts, **parts))
+
+
 def _values_of(path: TemperaturePath) -> tuple[np.ndarray, ...]:
     return path.times, *(np.asarray(getattr(path.parts, name)) for name in path.parts.__dataclass_fields__)
 
