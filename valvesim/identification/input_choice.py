@@ -204,15 +204,14 @@ def choose_inputs(
         nominal = study.nominal.extended(choice.parameters, choice.deviations)
         own = study.with_nominal(nominal)
         own = replace(own, spread=undersampling_spread(own))
-        more = own.stack(known) if own.spread else J
-        if choice.parameters:
-            more = np.column_stack([more, added_columns(own, linearised, nominal, choice.parameters)])
+        first = own.stack(known) if own.spread else J
+        blocks = [first, added_columns(own, linearised, nominal, choice.parameters)] if choice.parameters else [first]
+        H = _gram(blocks, gram if first is J else first.T @ first) + np.eye(len(nominal.parameters))
         added = np.zeros(len(choice.parameters))
         tried = [_evaluated(own, np.append(start, added), fitted, near) for start in starts]
-        H = (gram if more is J else more.T @ more) + np.eye(more.shape[1])
         normalisation = own.log_determinant()
         predicted = [
-            (_predicted(fit, more, H, nominal) + normalisation, fit.rows, fit.chi_square + normalisation)
+            (_predicted(fit, blocks, H, nominal) + normalisation, fit.rows, fit.chi_square + normalisation)
             for fit in tried
             if fit is not None
         ]
@@ -244,11 +243,16 @@ def _evaluated(
         return None
 
 
-def _predicted(fit: Fit, J: np.ndarray, H: np.ndarray, nominal: NominalModel) -> float:
-    """The chi-square that the linearised equations predict of a fit's next step, within the parameters' bounds; `H` is
-    J'J with the precision of the priors.
+def _gram(blocks: Sequence[np.ndarray], first: np.ndarray) -> np.ndarray:
+    """J'J (n, n) of blocks of columns side by side, where that of the first block is known."""
+    return np.block([[first if i == j == 0 else a.T @ b for j, b in enumerate(blocks)] for i, a in enumerate(blocks)])
+
+
+def _predicted(fit: Fit, blocks: Sequence[np.ndarray], H: np.ndarray, nominal: NominalModel) -> float:
+    """The chi-square that the linearised equations predict of a fit's next step, within the parameters' bounds; J is in
+    blocks of columns, `H` is J'J with the precision of the priors.
     """
-    gradient = J.T @ fit.residual - fit.point
+    gradient = np.concatenate([block.T @ fit.residual for block in blocks]) - fit.point
     step = bounded_step(H, gradient, nominal.limits - fit.point)
     return float(fit.chi_square - (2.0 * gradient - H @ step) @ step)
 
