@@ -84,7 +84,7 @@ def _under_better_choice(
     if better.name == choice.name:
         return choice, nominal
     again = with_input_choice(prepared, better)
-    return better, _with_own_noise(_robustly_fitted(again, _point_by_name(nominal), ahead), ahead)
+    return better, _with_own_noise(_robustly_fitted(_at_nominal(again, _point_by_name(nominal)), ahead), ahead)
 
 
 def _robust_with_inputs(
@@ -102,20 +102,21 @@ def _robust_with_inputs(
         prepared = with_parameters(prepared, instrument_errors(prepared.session, options=prepared.options))
         start = _at_nominal(with_input_choice(prepared, choice, start.study), near)
     better = _choice_at_start(start)
-    known, choice = start.study if better.name == choice.name else None, better
-    nominal = _robustly_fitted(with_input_choice(prepared, choice, known), near, ahead)
+    if better.name != choice.name:
+        choice, start = better, _at_nominal(with_input_choice(prepared, better), near)
+    nominal = _robustly_fitted(start, ahead)
     for _ in range(prepared.options.wave.most):
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
             break
         prepared = with_parameters(prepared, wave)
         again = with_input_choice(prepared, choice, nominal.study)
-        nominal = _robustly_fitted(again, _point_by_name(nominal), ahead)
+        nominal = _robustly_fitted(_at_nominal(again, _point_by_name(nominal)), ahead)
         weighted = replace(nominal, study=down_weight_peaks(nominal.study, nominal.linearised))
         _, _, better = _reviewed_choice(weighted)
         if better.name != choice.name:
             again = with_input_choice(prepared, better)
-            choice, nominal = better, _robustly_fitted(again, _point_by_name(nominal), ahead)
+            choice, nominal = better, _robustly_fitted(_at_nominal(again, _point_by_name(nominal)), ahead)
     return prepared, choice, nominal
 
 
@@ -162,7 +163,7 @@ def _with_waves(
     near = dict[str, float]()
     for _ in range(prepared.options.wave.most):
         prepared = with_parameters(prepared, wave)
-        nominal = _robustly_fitted(with_input_choice(prepared, choice, known), near, ahead)
+        nominal = _robustly_fitted(_at_nominal(with_input_choice(prepared, choice, known), near), ahead)
         near = _point_by_name(nominal)
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
@@ -184,19 +185,17 @@ def _named_point(model: NominalModel, near: Mapping[str, float]) -> np.ndarray:
     return np.array([near.get(p.name, 0.0) for p in model.parameters])
 
 
-def _robustly_fitted(
-    prepared: PreparedSession, near: Mapping[str, float], ahead: Callable[[float], None]
-) -> NominalFit:
-    """A robust start at the samples alone under the noise of repeats or a first guess, from a point (prior deviations
-    by name; what is left out is nominal).
+def _robustly_fitted(start: NominalFit, ahead: Callable[[float], None]) -> NominalFit:
+    """A robust start at the samples alone under the noise of repeats or a first guess, from where a fit is, see
+    `_at_nominal`.
     """
-    study = prepared.without_oversampling().with_noise(initial_noise(prepared))
-    fit = evaluate_fit(study, _named_point(study.nominal, near), ())
+    study, readings = start.study, start.fit.readings
     labels = [predictor.record.repeats for predictor in study.predictors if predictor.record.repeats]
-    noise = identify_noise(study, fit.readings) if len(labels) > len(set(labels)) else {}
+    noise = identify_noise(study, readings) if len(labels) > len(set(labels)) else {}
     if noise and all(one.verified for one in noise.values()):
         study = study.with_noise(noise)
-    return assembled(study, *robust_start(study, rescored(study, fit), ahead))
+    known = start.linearised, start.columns
+    return assembled(study, *robust_start(study, rescored(study, start.fit), ahead, known))
 
 
 def _with_own_noise(nominal: NominalFit, ahead: Callable[[float], None]) -> NominalFit:
