@@ -593,7 +593,9 @@ def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_t
         refits, "fit_hypothesis", lambda nominal, start, point, **_: Fit(point, tuple(start), 1.0, (), np.zeros(1), 1.0)
     )
     monkeypatch.setattr(
-        refits, "fit_from_prior", lambda nominal, start: Fit(np.zeros(1), tuple(start), 1.0, (), np.zeros(1), 1.0)
+        refits,
+        "fit_from_prior",
+        lambda nominal, start, *, worthwhile: Fit(np.zeros(1), tuple(start), 1.0, (), np.zeros(1), 1.0),
     )
     monkeypatch.setattr(refits, "_within_reach", lambda nominal, starts, best, options: [(one, []) for one in starts])
     far = DIAGNOSIS.isolation.shifted + 1.0
@@ -604,7 +606,7 @@ def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_t
     pair = stretched(300.0, far, "entrained_air", "spool_silting")
     (again,) = _from_best_point(stretched(900.0, far), [best, pair], best.fit, options=DIAGNOSIS)
     assert again.fit.point == best.fit.point  # of a pair that would be another search
-    monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, start: None)  # no valve runs there
+    monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, start, *, worthwhile: None)  # no valve runs there
     assert len(_from_best_point(stretched(900.0, far), [best, behind], best.fit, options=DIAGNOSIS)) == 1
     assert (
         _from_best_point(
