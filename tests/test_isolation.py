@@ -647,14 +647,15 @@ def test_a_channel_that_is_far_off_is_fitted_beside_the_figures_of_the_others(mo
 def test_where_the_best_leaves_too_much_a_cause_stands_whose_law_may_err_by_it(monkeypatch, left, behind, named):
     base, best = nominal(110_000.0), hypothesis(20_000.0, "spool_silting")
     erring, lag = hypothesis(20_000.0 + behind, "magnetic_hysteresis"), hypothesis(21_000.0, "eddy_current_lag")
+    worse = hypothesis(90_000.0, "entrained_air")
     shares = {id(best.fit): 0.03, id(erring.fit): left, id(lag.fit): 0.04}
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: shares[id(final.fit)])
     scores, final = (score_test_of(base, one) for one in (base.fit, best.fit))
-    found = [best, lag, erring]
+    found = [best, lag, erring, worse]
     judged = isolation.judged(isolation.Isolation(base, scores, final, found, [], "", True, 4.0))
     assert [one.label for one in judged.answer_set] == named
-    assert judged.found == ([erring, best, lag] if named else found)
+    assert judged.found == ([erring, worse] if named else found)  # of the others none stands
     if named:
         assert judged.final.fit is erring.fit and "none of them explains" in judged.unknown_reason
 

@@ -353,6 +353,23 @@ def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatc
     assert lap == beside and other.above_neutral == pytest.approx(0.35 * 4.0)  # what both have stays
 
 
+@pytest.mark.parametrize("amount, most", [(0.02, 0.1), (1.5, 3.0), (52.0, 120.0)])
+def test_another_law_is_tried_in_ever_larger_or_smaller_amounts_while_they_leave_less(monkeypatch, amount, most):
+    def evaluated(study, point, start, near=()):
+        (one,) = start
+        if one.above_neutral > most:
+            raise SolveError("the spool stands still")
+        return Fit(point, tuple(start), 100.0 + 1e4 * np.log(one.above_neutral / amount) ** 2, (), point, 100.0)
+
+    monkeypatch.setattr(refits, "evaluate_fit", evaluated)
+    tried = refits._in_amounts(
+        SimpleNamespace(study=None), (FittedCandidate(LAP, 1.0),), NOMINAL.fit, options=DIAGNOSIS
+    )
+    best = min(tried, key=lambda fit: fit.chi_square)
+    assert best.fitted[0].above_neutral == pytest.approx(amount, rel=0.4)
+    assert len(tried) <= len(DIAGNOSIS.isolation.amounts) + 8
+
+
 def test_what_no_nuisance_parameter_brings_near_is_not_fitted_from_the_best(monkeypatch):
     """One parameter moves one row, by as much as it pleases; where the best does not come near, all are fitted."""
     runs = {"spool_coulomb_friction": np.zeros(100), "spool_lap": np.zeros(100), "entrained_air": np.ones(100)}

@@ -429,13 +429,13 @@ def _one_within_law_error(
 
 def _with_one_within_law_error(isolation: Isolation) -> Isolation:
     """The isolation whose best is no answer, with the one instead whose law may err by as much, an unknown cause beside
-    it; as it was where there is none.
+    it, and without what explains more and leaves too much; as it was where there is none.
     """
     nominal, found = isolation.nominal, isolation.found
     final = _one_within_law_error(nominal, found, options=isolation.scores.options)
     if final is None:
         return isolation
-    found = sorted(found, key=lambda one: one.fit is not final.fit)
+    found = found[next(k for k, one in enumerate(found) if one.fit is final.fit) :]
     reason = unknown_reason_of(found[0], unexplained_share(nominal, final))
     return replace(isolation, final=final, found=found, answer_set=found[:1], unknown_reason=reason)
 

@@ -287,16 +287,30 @@ def _fitted_in_place(
 def _in_amounts(
     nominal: NominalFit, start: tuple[FittedCandidate, ...], best: Fit, *, options: DiagnosisOptions
 ) -> list[Fit]:
-    """A start at the figures of the best, not fitted, what the best does not have in several amounts."""
-    own = {member.candidate.label for member in best.fitted}
+    """A start at the figures of the best, not fitted, what the best does not have in several amounts; where the largest
+    or the smallest of these leaves least, in more beyond it while they leave ever less.
+    """
+    own, amounts = {member.candidate.label for member in best.fitted}, sorted(options.isolation.amounts)
     tried = list[Fit]()
-    for times in options.isolation.amounts:
+
+    def chi_square_in(times: float) -> float:
         scaled = tuple(
             one if one.candidate.label in own else replace(one, above_neutral=times * one.above_neutral)
             for one in start
         )
         with suppress(SolveError, InputError):
             tried.append(evaluate_fit(nominal.study, best.point, scaled, best.trajectories))
+            return tried[-1].chi_square
+        return np.inf
+
+    left = {times: chi_square_in(times) for times in options.isolation.amounts}
+    for end, ratio in ((amounts[0], amounts[0] / amounts[1]), (amounts[-1], amounts[-1] / amounts[-2])):
+        times = end
+        while min(left, key=left.__getitem__) == times:
+            left[times * ratio] = chi_square_in(times * ratio)
+            if not left[times * ratio] < 0.99 * left[times]:
+                break
+            times *= ratio
     return tried
 
 
