@@ -165,9 +165,9 @@ def likeliest_cause(
 def with_faults_beside_cause(
     nominal: NominalFit, scores: ScoreTest, cause: Fit | None, is_known: bool, *, options: DiagnosisOptions
 ) -> tuple[NominalFit, ScoreTest, Fit | None]:
-    """The same by what the likeliest `cause` leaves: what the nominal valve leaves is all of that where it is
-    inadequate. Last the fit of the cause beside what the bench did, if there was anything to be fitted. How the
-    commands go is not asked where the cause `is_known` from elsewhere.
+    """`with_bench_faults` by what the likeliest `cause` leaves: what an inadequate nominal fit leaves is all of that.
+    Last the fit of the cause beside what the bench did, if there was anything to be fitted. How the commands go is not
+    asked where the cause `is_known` from elsewhere.
     """
     few, at, fit, tried = options.isolation.near_linearisations, nominal, cause, False
     for _ in range(options.bench.most_faults):

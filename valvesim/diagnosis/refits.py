@@ -101,7 +101,7 @@ def _from_best_point(
     if is_adequate(least, options=options.identification):
         shifted = [start for start, _ in _within_reach(nominal, shifted, least, options=options)]
     more = fit_starts(nominal, shifted, least.point, others=found, options=options)
-    worthwhile = _worthwhile(nominal, found, options=options)
+    worthwhile = _largest_adequate_beside(nominal, found, options=options)
     anew = [fit_from_prior(nominal, fitted, worthwhile=worthwhile) for fitted in shifted if len(fitted) == 1]
     return [*more, *(FittedHypothesis(fit, options=options) for fit in anew if fit is not None)]
 
@@ -147,7 +147,7 @@ def fit_starts(
     found = list[FittedHypothesis]()
     for k, start in enumerate(starts):
         progress(k / len(starts))
-        worthwhile = _worthwhile(nominal, [*others, *found], options=options)
+        worthwhile = _largest_adequate_beside(nominal, [*others, *found], options=options)
         fits = [fit := fit_hypothesis(nominal, start, point, worthwhile=worthwhile)]
         if fit is None:
             continue
@@ -158,10 +158,10 @@ def fit_starts(
     return found
 
 
-def _worthwhile(
+def _largest_adequate_beside(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> float | None:
-    """The chi-square above which a fit beside those found does not come near the records, where one of them does."""
+    """The largest chi-square of a fit that comes near the records, where one of those found does; None else."""
     near = any(is_adequate(one.fit, options=options.identification) for one in found)
     return largest_adequate(nominal.fit, options=options.identification) if near else None
 

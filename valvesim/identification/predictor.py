@@ -123,12 +123,12 @@ class RecordPredictor:
         own = tuple(each for each in acting if each[0].column != "oil_temperature")
         if own == self.deviations:
             return self
-        commands, changed = list[Command](), dict[int, Command]()
-        for k, (column, command) in enumerate(self._commands()):
-            mine, before = (acting_on(some, self.record.name, column) for some in (own, self.deviations))
-            commands.append(deviating_command(command, self.scenario.duration, mine) if mine else command)
-            if mine != before:
-                changed[k] = commands[k]
+        commands = [self._deviating(column, command, own) for column, command in self._commands()]
+        changed = {
+            k: commands[k]
+            for k, (column, _) in enumerate(self._commands())
+            if acting_on(own, self.record.name, column) != acting_on(self.deviations, self.record.name, column)
+        }
         starts, intervals = merge(commands, self.scenario.duration)
         fine = _with_inputs(self.fine_inputs, changed, self.fine_times)
         coarse = fine if self.sensor_oversampling == 1 else _with_inputs(self.inputs, changed, self.times)
