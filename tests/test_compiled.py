@@ -268,11 +268,11 @@ def test_compiled_run_is_the_plain_run(before, amplitude):
     functions = step_functions(6, printed["rates"], printed["linearise"], printed["prepare"])
     same = {"rtol": 1e9, "breaks": np.linspace(0.0, 2e-3, 40, endpoint=False)}  # the same steps
     fast, _ = run(machine.run, **same)
-    plain, _ = run(rosenbrock.integrate, *functions, equations.coefficients, **same)
+    plain, _ = run(rosenbrock.integrate, *functions, equations.coefficients, True, **same)
     assert fast == pytest.approx(plain, abs=1e-9)  # in scaled states
     own = {"rtol": 1e-5, "breaks": np.zeros(1)}  # steps of its own, which rounding has a say in
     fast, fast_count = run(machine.run, **own)
-    plain, plain_count = run(rosenbrock.integrate, *functions, equations.coefficients, **own)
+    plain, plain_count = run(rosenbrock.integrate, *functions, equations.coefficients, True, **own)
     assert fast == pytest.approx(plain, abs=1e-4)
     assert np.abs(fast_count - plain_count).max() <= 1
 
@@ -353,14 +353,22 @@ def test_code_is_kept_in_the_named_folder_and_found_again(tmp_path, monkeypatch,
     monkeypatch.setenv("VALVESIM_CACHE_DIR", str(folder))
     first = compiled._load(NOMINAL)
     kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    monkeypatch.setattr(compiled.machine_code, "object_code", None)  # nothing is compiled again
     again = compiled._load(Model())
-    assert first.__name__ == again.__name__ and len(entries(folder)) == 1
-    assert first.run.stats.cache_misses and again.run.stats.cache_hits and not again.run.stats.cache_misses
+    assert first.layout == again.layout and first.addresses.keys() == again.addresses.keys()
+    assert len(entries(folder)) == 1
     assert kept == {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     assert not list(temporary.iterdir())
     monkeypatch.setattr(compiled.cache, "_package_text", lambda: b"an edit of an effect that this model does not have")
-    traced = compiled._load(NOMINAL)
-    assert traced.run.stats.cache_hits and not traced.run.stats.cache_misses and len(entries(folder)) == 1
+    assert compiled._load(NOMINAL).layout == first.layout and len(entries(folder)) == 1
+
+
+def test_loops_are_kept_and_found_again(tmp_path, monkeypatch, temporary):
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("VALVESIM_CACHE_DIR", str(folder))
+    first, again = (compiled._load_loops.__wrapped__(1) for _ in range(2))
+    assert first.__name__ == again.__name__ and len(entries(folder)) == 1
+    assert first.run.stats.cache_misses and again.run.stats.cache_hits and not again.run.stats.cache_misses
 
 
 @pytest.mark.parametrize("below", [pytest.param("", marks=pytest.mark.slow), "below"])
@@ -369,18 +377,19 @@ def test_folder_that_cannot_be_written_falls_back_to_memory(tmp_path, monkeypatc
     file.write_text("not a folder")
     monkeypatch.setenv("VALVESIM_CACHE_DIR", str(file / below))
     with pytest.warns(ValidityWarning, match="not kept"):
-        module = compiled._load(NOMINAL)
+        code = compiled._load(NOMINAL)
     assert file.read_text() == "not a folder" and not list(temporary.iterdir())
-    assert callable(module.run) and callable(module.derivative)
+    assert all(code.of(compiled.CALLED_IN_A_STEP))
 
 
 def test_models_that_differ_have_files_of_their_own(tmp_path, monkeypatch, temporary):
     monkeypatch.setenv("VALVESIM_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(compiled, "_call_once", lambda module, model, lanes: None)  # nothing is compiled
+    monkeypatch.setattr(compiled.machine_code, "object_code", lambda printed: b"")  # nothing is compiled
+    monkeypatch.setattr(compiled.machine_code, "load_object_code", lambda printed, code: printed)
     models = [NOMINAL, Model(drive=VoltageDrive()), *(Model(effects=(e,)) for e in ACTING[:3])]
     models += [Model(effects=(user_effect(1.0),)), Model(effects=(user_effect(2.0),))]
     models += [Model(effects=(user_effect(3.0, name="entrained_air"),))]  # not the one of the catalogue
-    assert len({compiled._load(model).__name__ for model in models}) == len(models)
+    assert len({compiled._load(model) for model in models}) == len(models) == len(entries(tmp_path / "cache"))
 
 
 def test_source_is_the_same_text_for_the_same_model():

@@ -40,7 +40,7 @@ class Run:
         knot_times, coefficients = knots
         for stop in (*slices, end):
             self.status = rosenbrock.integrate(
-                *functions, coefficients.shape[1], states, self.clock, stop, starts, rows, knot_times,
+                *functions, coefficients.shape[1], True, states, self.clock, stop, starts, rows, knot_times,
                 coefficients[:, :, None], self.t_out, out, rtol, np.full(len(self.y), atol), np.zeros(states.shape),
                 max_steps, self.count,
             )  # fmt: skip

@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -129,7 +130,7 @@ def test_compiled_and_plain_march_are_the_same():
 def test_compiled_and_plain_propagators_are_the_same(A):
     matrices = np.random.default_rng(6).uniform(0.5, 1.5, (11, 1, 1)) * A
     plain, steps = [np.empty((10, 3, 3)) for _ in range(3)], STEP * np.random.default_rng(7).uniform(0.1, 1.0, 10)
-    linear_response.propagators(matrices, steps, *plain)
+    linear_response.propagators(linear_response.product, matrices, steps, *plain)
     for own, expected in zip(propagators_of(matrices, steps), plain, strict=True):
         assert own == pytest.approx(expected, rel=1e-9, abs=1e-12 * np.abs(expected).max())
 
@@ -176,7 +177,9 @@ def test_compiled_and_plain_responses_are_the_same(monkeypatch):
     forcings = [Forcing(5, rng.normal(size=(9, 6)), {"load_flow": rng.normal(size=9)})]
     scaled = ScaledForcing(Forcing(0, rng.normal(size=(n, 6)), {}), rng.normal(size=(n, 3)))
     found = tangent.read_responses(reads, forcings, changed, scaled)
-    monkeypatch.setattr(tangent_linear, "compile_response", lambda states: linear_response)
+    functions = [getattr(linear_response, name) for name in linear_response.CALLED_IN_A_BLOCK]
+    in_python = SimpleNamespace(read_responses=functools.partial(linear_response.read_responses, *functions))
+    monkeypatch.setattr(tangent_linear, "compile_response", lambda states: in_python)
     for name, plain in tangent.read_responses(reads, forcings, changed, scaled).items():
         assert found[name] == pytest.approx(plain, rel=1e-9, abs=1e-9 * np.abs(plain).max()), name
         assert plain.any(axis=0).sum() > 8  # some coefficients are of another drive

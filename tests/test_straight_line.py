@@ -5,7 +5,8 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from valvesim.solver.straight_line import FUNCTIONS, as_python, intrinsics
+from valvesim.solver import machine_code
+from valvesim.solver.straight_line import FUNCTIONS, as_python
 
 LANES = 8
 ONE = ("sqrt", "exp", "log", "tanh", "sin", "cos", "fabs", "sign", "logical_not", "inverse_fourth_root")
@@ -28,15 +29,20 @@ COLUMNS = {"out": 2, "room": 2}
 
 
 def compiled(lines, lanes):
-    made = intrinsics("\n".join(lines), lanes=lanes, columns=COLUMNS, shared=("u",))
-    functions, outer = made["functions"], made["outer"]
+    printed = machine_code.text(lines, lanes=lanes, columns=COLUMNS, shared=("u",), numbers=("h",))
+    code = machine_code.load_object_code(printed, machine_code.object_code(printed))
+    functions, outer = code.of(["functions", "outer"])
+    call = machine_code.caller()
 
     @njit
-    def run(a, b, h, u, table, out, room):
-        functions(a, b, table)
-        outer(a, h, u, out, room)
+    def run(functions, outer, a, b, h, u, table, out, room):
+        call(functions, a, b, table)
+        call(outer, a, h, u, out, room)
 
-    return run
+    def of_code(*arguments, code=code):  # which must not go before its addresses
+        run(functions, outer, *arguments)
+
+    return of_code
 
 
 def arguments(lanes):
@@ -84,5 +90,5 @@ def test_a_number_that_is_none_stays_so():
 
 def test_arrays_must_be_contiguous():
     run, (_, *rest) = compiled(LINES, 1), arguments(1)
-    with pytest.raises(TypingError, match="functions takes contiguous arrays"):
+    with pytest.raises(TypingError, match="printed functions take contiguous arrays"):
         run(np.zeros((2, 2))[:, ::2], *rest)

@@ -1,9 +1,9 @@
 """Compiled code kept between processes: found again in half a second, made anew where it does not fit.
 
-An entry is a folder of the user's cache directory: the printed source, numba's machine code of it, and a list of all
-of them with their hashes. It is filled beside its place and moved there whole, so that processes that start at once
-each see all of it or nothing. Before a byte of it is run, every file must have its hash, belong to the user and be
-writable by nobody else. Where no such folder can be kept, the code is compiled in memory.
+An entry is a folder of the user's cache directory: the printed source, the machine code of it, numba's or an object
+file, and a list of all of them with their hashes. It is filled beside its place and moved there whole, so that
+processes that start at once each see all of it or nothing. Before a byte of it is run, every file must have its hash,
+belong to the user and be writable by nobody else. Where no such folder can be kept, the code is compiled in memory.
 
 An entry is named by the hash of its source and of what the source calls. So that a warm start need not trace a model
 again, a short name, such as the names of its effects, leads to that hash for as long as the package's text is the same:
@@ -22,13 +22,14 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 from valvesim.errors import warn_once
 from valvesim.io import UnsafeFile, check_own, reason
 from valvesim.temporary_files import temporary_folder, temporary_path
 
 SOURCE = "model.py"
+OBJECT = "model.o"
 MACHINE_CODE = "__pycache__"  # where numba keeps what it compiles of a file
 HASH_LIST = "hashes.json"
 NEW = ".new-"  # begins the name of an entry that is being filled
@@ -47,20 +48,63 @@ def load(
     compiled functions with arguments of the types to come. `short_name` tells apart all sources that this package can
     print (None: nothing does, as with a user's functions, so it is printed every time).
     """
+
+    def compiled_in(entry: Path, name: str) -> ModuleType:
+        return _import(entry, name, call_once)
+
+    return _found(short_name, printed, called, compiled_in, lambda text: _in_memory(text, call_once))
+
+
+def load_object(
+    short_name: Sequence[str] | None,
+    printed: Callable[[], str],
+    called: Iterable[Callable],
+    compiled: Callable[[str], bytes],
+) -> tuple[str, bytes]:
+    """(a printed source, the object file that `compiled` makes of it), kept or new; the others as in `load`."""
+
+    def compiled_in(entry: Path, name: str) -> tuple[str, bytes]:
+        text = _read(entry / SOURCE).decode()
+        if not (entry / OBJECT).exists():
+            _write(entry / OBJECT, compiled(text))
+        return text, _read(entry / OBJECT)
+
+    return _found(short_name, printed, called, compiled_in, lambda text: (text, compiled(text)))
+
+
+T = TypeVar("T")
+
+
+def _found(
+    short_name: Sequence[str] | None,
+    printed: Callable[[], str],
+    called: Iterable[Callable],
+    compiled_in: Callable[[Path, str], T],
+    in_memory: Callable[[str], T],
+) -> T:
+    """What is compiled of a source: `compiled_in(entry, name)`, which adds to an entry what it lacks, or where none can
+    be kept `in_memory(source)`.
+    """
     try:
         folder = _own_folder()
-        return _kept(folder, short_name, printed, _surroundings(called), call_once)
+        return _kept(folder, short_name, printed, _surroundings(called), compiled_in)
     except (OSError, UnsafeFile) as error:
         warn_once(
             f"compiled equations are not kept, so that each start takes seconds longer: {reason(error)}; "
             "VALVESIM_CACHE_DIR names another folder",
             about="compiled equations are not kept",
         )
-        return _in_memory(printed(), call_once)
+        return in_memory(printed())
 
 
-def _kept(folder: Path, short_name, printed, surroundings: bytes, call_once) -> ModuleType:
-    """The module of the entry in `folder`, filled first where there is none that fits."""
+def _kept(
+    folder: Path,
+    short_name: Sequence[str] | None,
+    printed: Callable[[], str],
+    surroundings: bytes,
+    compiled_in: Callable[[Path, str], T],
+) -> T:
+    """What the entry in `folder` holds, filled first where there is none that fits."""
     pointer = None
     if short_name is not None:
         short = _hash("\n".join(short_name).encode(), _package_text(), surroundings)
@@ -68,36 +112,33 @@ def _kept(folder: Path, short_name, printed, surroundings: bytes, call_once) -> 
         with contextlib.suppress(FileNotFoundError, UnicodeDecodeError):
             name = _read(pointer).decode()
             if re.fullmatch("[0-9a-f]{64}", name) and _fits(folder / name):
-                return _import(folder / name, name, call_once)
+                return compiled_in(folder / name, name)
     text = printed()
     name = _hash(text.encode(), surroundings)
-    if _fits(folder / name):
-        module = _import(folder / name, name, call_once)
-    else:
-        module = _fill(folder, name, text, call_once)
+    fits = _fits(folder / name)
+    found = compiled_in(folder / name, name) if fits else _fill(folder, name, text, compiled_in)
     if pointer is not None:
         _write(pointer, name.encode())
-    return module
+    return found
 
 
 def _fits(entry: Path) -> bool:
     """Whether an entry is whole. UnsafeFile where somebody else can write to it."""
     try:
         listed = json.loads(_read(entry / HASH_LIST))
-        check_own(entry)
-        check_own(entry / MACHINE_CODE)
+        for place in (entry, *(path for path in entry.rglob("*") if path.is_dir())):
+            check_own(place)
         present = {str(path.relative_to(entry)) for path in entry.rglob("*") if path.is_file()} - {HASH_LIST}
         return present == set(listed) and all(_hash(_read(entry / name)) == listed[name] for name in present)
     except (FileNotFoundError, NotADirectoryError, ValueError, TypeError):
         return False
 
 
-def _fill(folder: Path, name: str, text: str, call_once) -> ModuleType:
+def _fill(folder: Path, name: str, text: str, compiled_in: Callable[[Path, str], T]) -> T:
     """Compile a source into a new entry, in place of one that does not fit."""
     with temporary_folder(folder, NEW, abandoned=LONGEST_FILL) as new:
-        (new / MACHINE_CODE).mkdir(mode=0o700)
         _write(new / SOURCE, text.encode())
-        module = _import(new, name, call_once)
+        found = compiled_in(new, name)
         hashes = {}
         for path in sorted(path for path in new.rglob("*") if path.is_file()):
             path.chmod(0o600)
@@ -107,7 +148,7 @@ def _fill(folder: Path, name: str, text: str, call_once) -> ModuleType:
             _remove(folder / name)
         with contextlib.suppress(OSError):  # another process was first: the same code
             os.rename(new, folder / name)
-        return module
+        return found
 
 
 def _remove(entry: Path) -> None:
@@ -121,6 +162,7 @@ def _import(entry: Path, name: str, call_once) -> ModuleType:
     path = entry / SOURCE
     module = _module(name, _read(path).decode(), str(path))
     functions = [f for f in vars(module).values() if hasattr(f, "enable_caching")]
+    (entry / MACHINE_CODE).mkdir(mode=0o700, exist_ok=True)
     with _numba_keeps_beside_the_source():
         for function in functions:
             function.enable_caching()

@@ -1,9 +1,9 @@
 """The model as machine code: traced once by CasADi, with exact derivatives, printed line by line and compiled.
 
 `Model.rhs` runs on symbols; what comes out is a straight line of arithmetic. It is rewritten so that a step computes
-as little as it can (`linear_forms`), CasADi takes its derivatives, and `straight_line` makes instructions of the lines.
-The integrator around them is compiled by numba, and `cache` keeps all of it for the next process. States in the
-compiled functions are scaled by the channels' scales.
+as little as it can (`linear_forms`), CasADi takes its derivatives, and `machine_code` compiles the lines. The
+integrator around them is the same for every model: numba compiles it once, and it calls the lines by their addresses.
+`cache` keeps all of it for the next process. States in the compiled functions are scaled by the channels' scales.
 """
 
 from __future__ import annotations
@@ -21,26 +21,36 @@ import numpy as np
 
 from valvesim import inputs
 from valvesim.channels import INPUT_CHANNELS
-from valvesim.solver import cache, rodas5p, straight_line
+from valvesim.solver import cache, machine_code, rodas5p
 from valvesim.solver.elimination import print_elimination
 from valvesim.solver.linear_forms import ONE, Expressions
+from valvesim.solver.machine_code import MachineCode
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.equations import CurrentDrive, Model, VoltageDrive
 
 
 @dataclass(frozen=True)
 class CompiledModel:
-    """A model ready to integrate: `run` is `rodas5p.integrate` with the model's own functions built in."""
+    """A model ready to integrate: `run` is `rodas5p.integrate` with the model's own functions.
+
+    `rates` and `jacobians` fill what they say along a course: of scaled states y (n, states), inputs u (n, inputs) and
+    flat coefficients c (n or 1, coefficients) -> (n, states) and (n, states, states).
+    """
 
     model: Model
     absent: frozenset[str]
     scale: np.ndarray
     run: Any
-    derivative: Any
+    rates: Any
     jacobians: Any
+    code: MachineCode
+
+    def derivative(self, y: np.ndarray, u: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+        """The rates (n,) at scaled states y (n,), inputs u and flat coefficients c, into `out`."""
+        self.rates(y[None], u[None], c[None], out[None])
 
     def jacobian(self, y: np.ndarray, u: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
-        """The Jacobian (n, n) at scaled states y (n,), inputs u and flat coefficients c, into `out`."""
+        """The Jacobian (n, n) at the same, into `out`."""
         self.jacobians(y[None], u[None], c[None], out[None])
 
 
@@ -102,7 +112,7 @@ ONE_AT_A_TIME = threading.Lock()
 
 
 def compile_model(model: Model, absent: frozenset[str] = frozenset()) -> CompiledModel:
-    """The compiled model; a few seconds the first time on a machine, well under one second after that.
+    """The compiled model; some tenths of a second the first time on a machine, and a hundredth after that.
 
     With the terms of `absent` coefficients left out (see `absent_coefficients`) it is for runs in which they are zero.
     """
@@ -112,9 +122,13 @@ def compile_model(model: Model, absent: frozenset[str] = frozenset()) -> Compile
 
 @functools.lru_cache(maxsize=64)
 def _compile(model: Model, absent: frozenset[str]) -> CompiledModel:
-    module = _load(model, absent)
-    scale = np.array([channel.scale for channel in model.state_channels])
-    return CompiledModel(model, absent, scale, module.run, module.derivative, module.jacobians)
+    code, loops = _load(model, absent), _load_loops(1)
+    n_c = code.layout["coefficients"]
+    return CompiledModel(
+        model, absent, np.array([channel.scale for channel in model.state_channels]), _integrator(code, loops),
+        functools.partial(loops.fill_rates, *code.of(("prepare", "rates")), n_c),
+        functools.partial(loops.fill_jacobians, *code.of(("prepare", "linearise")), n_c), code,
+    )  # fmt: skip
 
 
 LANES = 8  # valves that take their steps together: two or one of a processor's vectors, which also hides waiting
@@ -123,26 +137,39 @@ LANES = 8  # valves that take their steps together: two or one of a processor's 
 def compile_lanes(compiled: CompiledModel) -> Any:
     """`run` of a compiled model for `LANES` valves together; as long to compile as the model itself."""
     with ONE_AT_A_TIME:
-        return _compile_lanes(compiled.model, compiled.absent)
+        return _compile_lanes(compiled.model, compiled.absent)[0]
 
 
 @functools.lru_cache(maxsize=64)
-def _compile_lanes(model: Model, absent: frozenset[str]) -> Any:
-    return _load(model, absent, LANES).run
+def _compile_lanes(model: Model, absent: frozenset[str]) -> tuple[Any, MachineCode]:
+    code = _load(model, absent, LANES)
+    return _integrator(code, _load_loops(LANES)), code
 
 
-def _load(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -> ModuleType:
-    """The printed module of a model, its functions compiled or found compiled."""
+CALLED_IN_A_STEP = ("prepare", "linearise", "factor", "step", "error", "bend", "within")
+"""The printed functions that `rodas5p.integrate` calls, as it takes them."""
+
+
+def _integrator(code: MachineCode, loops: ModuleType) -> Any:
+    return functools.partial(loops.run, *code.of(CALLED_IN_A_STEP), code.layout["coefficients"], code.layout["rated"])
+
+
+def _load(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -> MachineCode:
+    """The printed functions of a model, compiled or found compiled."""
+    return machine_code.load_machine_code(short_name(model, absent, str(lanes)), lambda: source(model, absent, lanes))
+
+
+@functools.cache
+def _load_loops(lanes: int) -> ModuleType:
+    """The integrator's loops for so many lanes, compiled or found compiled: seconds the first time on a machine."""
     from numba.extending import register_jitable
 
     for function in _CALLED:
         register_jitable(forceinline=True)(function)  # an array that is handed on is some ten numbers
     return cache.load(
-        short_name(model, absent, str(lanes)),
-        lambda: source(model, absent, lanes),
-        (*_CALLED, straight_line.intrinsics),
-        lambda module: _call_once(module, model, lanes),
-    )
+        ["integrator", str(lanes)], lambda: loops_source(lanes), (*_CALLED, machine_code.caller),
+        lambda module: _call_once(module, lanes),
+    )  # fmt: skip
 
 
 def short_name(model: Model, absent: frozenset[str], what: str) -> list[str] | None:
@@ -170,31 +197,31 @@ def second_level() -> Iterator[None]:
         config.OPT = kept
 
 
-def _call_once(module: ModuleType, model: Model, lanes: int) -> None:
-    """Each function called to nowhere, so that it is compiled here and not in somebody's first run."""
+def _call_once(module: ModuleType, lanes: int) -> None:
+    """Each function called for no time or no points, so that it is compiled here and not in somebody's first run."""
+    n, n_u, n_c = 6, len(INPUT_CHANNELS), 1
     with second_level():
-        _call(module, model, lanes)
-
-
-def _call(module: ModuleType, model: Model, lanes: int) -> None:
-    n, n_u, n_c = len(model.state_channels), len(INPUT_CHANNELS), len(model.coefficient_names)
-    module.run(
-        np.zeros((n, lanes)), np.zeros(3), 0.0, np.zeros(1), np.zeros((1, n_u - 1, 3)), np.zeros(1),
-        np.ones((1, n_c, lanes)), np.zeros(0), np.zeros((0, n, lanes)), 1e-3, np.full(n, 1e-5),
-        np.zeros((n, lanes)), 1, np.zeros(2, dtype=np.int64),
-    )  # fmt: skip
-    if lanes > 1:
-        return
-    module.derivative(np.zeros(n), np.zeros(n_u), np.ones(n_c), np.zeros(n))
-    module.jacobians(np.zeros((0, n)), np.zeros((0, n_u)), np.ones((1, n_c)), np.zeros((0, n, n)))
+        module.run(
+            *(0 for _ in CALLED_IN_A_STEP), n_c, True, np.zeros((n, lanes)), np.zeros(3), 0.0, np.zeros(1),
+            np.zeros((1, n_u - 1, 3)), np.zeros(1), np.ones((1, n_c, lanes)), np.zeros(0), np.zeros((0, n, lanes)),
+            1e-3, np.full(n, 1e-5), np.zeros((n, lanes)), 1, np.zeros(2, dtype=np.int64),
+        )  # fmt: skip
+        if lanes > 1:
+            return
+        y, u, c = np.zeros((0, n)), np.zeros((0, n_u)), np.ones((1, n_c))
+        module.fill_rates(0, 0, n_c, y, u, c, np.zeros((0, n)))
+        module.fill_jacobians(0, 0, n_c, y, u, c, np.zeros((0, n, n)))
 
 
 SHARED = ("u", "u_t", "atol")
 """What all lanes have in common, in the printed functions."""
 
+NUMBERS = ("h", "diagonal", "share", "rtol")
+"""Their arguments that are no arrays."""
+
 
 def source(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -> str:
-    """The Python source of a model in scaled states: `run`, and for one lane `derivative` and `jacobians`."""
+    """The printed functions of a model in scaled states: what `rodas5p.integrate` calls, and `rates`."""
     equations = print_equations(model, absent)
     n, n_u, n_c = len(model.state_channels), len(INPUT_CHANNELS), equations.coefficients
     factor, solve = print_elimination(n, equations.entries)
@@ -202,20 +229,22 @@ def source(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -
     lines = [*equations.lines, *factor, *rodas5p.print_step(n, solve)]
     columns = dict.fromkeys(("J", "W", "K", "bent"), n) | {"u": n_u, "c": n_c}
     rated = any("u[1]" in line for line in equations.lines)
-    functions = [_integrator_source(n, lanes, n_c, rated)]
-    if lanes == 1:
-        functions += [text.format(n_c=n_c) for text in (_DERIVATIVE, _JACOBIANS)]
+    return machine_code.text(
+        lines, lanes=lanes, columns=columns, shared=SHARED, numbers=NUMBERS, coefficients=n_c, rated=rated
+    )
+
+
+def loops_source(lanes: int) -> str:
+    """The Python source of the loops for so many lanes: `run`, and for one lane `fill_rates` and `fill_jacobians`."""
+    functions = [_integrator_source(lanes), *([_RATES, _JACOBIANS] if lanes == 1 else [])]
     return "\n".join(
         [
-            f'"""Printed by valvesim.solver.codegen from {model.state_channels[-1].name} and others."""',
+            f'"""Printed by valvesim.solver.codegen for {lanes} lanes."""',
             "import numpy as np",
             "from numba import njit",
+            "from valvesim.solver.machine_code import caller",
             "from valvesim.solver.rodas5p import *",
-            "from valvesim.solver.straight_line import intrinsics",
-            'LINES = """',
-            *lines,
-            '"""',
-            f"globals().update(intrinsics(LINES, lanes={lanes}, columns={columns}, shared={SHARED}))",
+            "call = caller()",
             *(f"@njit(nogil=True, error_model='numpy')\n{function}" for function in functions),
         ]
     )
@@ -301,25 +330,24 @@ def symbolic_outputs(lines: Sequence[str], **arguments: Any) -> list[Any]:
     return [out[k] for k in range(len(out))]
 
 
-_DERIVATIVE = """def derivative(y, u, c, out):
-    prepared = np.empty({n_c})
-    prepare(c, prepared)
-    rates(y, u, prepared, out)
-"""
-
-_JACOBIANS = """def jacobians(y, u, c, out):
-    prepared, still, f, f_t = np.empty({n_c}), np.empty({n_c} + u.shape[1]), np.empty(y.shape[1]), np.empty(y.shape[1])
-    for k in range(still.shape[0]):
-        still[k] = 0.0
+_RATES = """def fill_rates(prepare, rates, n_c, y, u, c, out):
+    prepared = np.empty(n_c)
     for at in range(y.shape[0]):
         if at < c.shape[0]:
-            prepare(c[at], prepared)
+            call(prepare, c[at], prepared)
+        call(rates, y[at], u[at], prepared, out[at])
+"""
+
+_JACOBIANS = """def fill_jacobians(prepare, linearise, n_c, y, u, c, out):
+    prepared, still, f, f_t = np.empty(n_c), np.zeros(n_c + u.shape[1]), np.empty(y.shape[1]), np.empty(y.shape[1])
+    for at in range(y.shape[0]):
+        if at < c.shape[0]:
+            call(prepare, c[at], prepared)
         for i in range(out.shape[1]):
             for j in range(out.shape[2]):
                 out[at, i, j] = 0.0
-        linearise(y[at], u[at], still, prepared, still, f, out[at], f_t)
+        call(linearise, y[at], u[at], still, prepared, still, f, out[at], f_t)
 """
-"""The Jacobian along a course: y (n, states), u (n, inputs), c (n or 1, coefficients) -> out (n, states, states)."""
 
 
 _CALLED = (
@@ -329,18 +357,13 @@ _CALLED = (
 """The plain functions that `integrate` calls."""
 
 
-def _integrator_source(n: int, lanes: int, n_c: int, rated: bool) -> str:
-    """`rodas5p.integrate` as `run`, which finds the model's functions in its own module, and has its sizes in figures.
+def _integrator_source(lanes: int) -> str:
+    """`rodas5p.integrate` as `run`, with its lanes in figures, so that loops over them are unrolled.
 
-    Printed rather than called with them as arguments: numba keeps no compiled code of a function that takes functions,
-    and loops of a known length are unrolled.
+    Printed rather than compiled where it stands, where `call` is Python's.
     """
     return with_replaced(
-        rodas5p.integrate,
-        ("def integrate(", "def run("),
-        ("prepare, linearise, factor, step, error, bend, within, n_c, ", ""),
-        ("n, lanes = y.shape", f"n, lanes, n_c = {n}, {lanes}, {n_c}"),
-        ("rated = True", f"rated = {rated}"),
+        rodas5p.integrate, ("def integrate(", "def run("), ("n, lanes = y.shape", f"n, lanes = y.shape[0], {lanes}")
     )
 
 

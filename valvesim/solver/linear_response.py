@@ -1,7 +1,7 @@
-"""The linear response to many changes along a course, compiled for a number of states: the loops of `TangentLinear`.
+"""The linear response to many changes along a course: the loops of `TangentLinear`, compiled.
 
-Changes go side by side, `LANES` to a block. What is done to a block in a step is printed for so many states
-(`straight_line`); the loops around it are plain Python that numba compiles.
+Changes go side by side, `LANES` to a block. What is done to a block in a step is printed for a number of states
+(`machine_code`); the loops around it, which call that, are plain Python that numba compiles once.
 
 Symbols
     d scaled states (s of them), A(t) Jacobian, g(t) forcing, h a step of the course (n points):  d' = A d + g
@@ -14,23 +14,26 @@ Symbols
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import inspect
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from valvesim.solver import cache, straight_line
+from valvesim.solver import cache, machine_code
 from valvesim.solver.codegen import LANES, ONE_AT_A_TIME, second_level, with_replaced
+from valvesim.solver.machine_code import MachineCode
+from valvesim.solver.rodas5p import call
 
 FACTORIALS = (1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0)
 LARGEST_NORM = 0.25  # of a matrix whose series is taken
 OVERFLOW = 1e300  # of a number of use
 
 
-def product(X, Y, out, diagonal):
-    """Fill out = X Y + diagonal I of matrices (s, s, lanes)."""
-    out[:] = np.einsum("ikl,kjl->ijl", X, Y) + diagonal * np.eye(len(X))[:, :, None]
+def product(X, Y, Z, out, share, weight, diagonal):
+    """Fill out = share (X Y + weight Z) + diagonal I of matrices (s, s, lanes)."""
+    out[:] = share * (np.einsum("ikl,kjl->ijl", X, Y) + weight * Z) + diagonal * np.eye(len(X))[:, :, None]
 
 
 def advance(E, early, late, d, before, g, out):
@@ -44,9 +47,9 @@ def channel(slope, d, direct, out):
     out[0] = direct + slope @ d
 
 
-def accumulate(slope, change, g):
-    """Add slope times a row of changes (lanes,) to a row g (lanes,)."""
-    g[:] = g + slope * change
+def accumulate(factor, change, g):
+    """Add a factor times a row of changes (lanes,) to a row g (lanes,)."""
+    g[:] = g + factor * change
 
 
 def extend(d, largest):
@@ -57,24 +60,25 @@ def extend(d, largest):
 def printed(s: int) -> list[str]:
     """The lines of `product`, `advance`, `channel`, `accumulate` and `extend` for s states."""
     every = range(s)
-    lines = ["def product(X, Y, out, diagonal):"]
+    lines = ["def product(X, Y, Z, out, share, weight, diagonal):"]
     for i in every:
         for j in every:
             terms = " + ".join(f"X[{i}, {k}] * Y[{k}, {j}]" for k in every)
-            lines.append(f"    out[{i}, {j}] = {'diagonal + ' if i == j else ''}{terms}")
+            rest = " + diagonal" if i == j else ""
+            lines.append(f"    out[{i}, {j}] = share * ({terms} + weight * Z[{i}, {j}]){rest}")
     lines.append("def advance(E, early, late, d, before, g, out):")
     for i in every:
         steps = (f"E[{i}, {j}] * d[{j}] + early[{i}, {j}] * before[{j}] + late[{i}, {j}] * g[{j}]" for j in every)
         lines.append(f"    out[{i}] = {' + '.join(steps)}")
     lines.append("def channel(slope, d, direct, out):")
     lines.append(f"    out[0] = direct[0] + {' + '.join(f'slope[{i}] * d[{i}]' for i in every)}")
-    lines += ["def accumulate(slope, change, g):", "    g[0] = g[0] + slope * change[0]"]
+    lines += ["def accumulate(factor, change, g):", "    g[0] = g[0] + factor * change[0]"]
     lines.append("def extend(d, largest):")
     lines += [f"    largest[0] = maximum(fabs(d[{i}]), largest[0])" for i in every]
     return lines
 
 
-def propagators(A, h, E, early, late):
+def propagators(product, A, h, E, early, late):
     """Fill E, early and late (n-1, s, s) of the steps h (n-1,) between the matrices A (n, s, s).
 
     Some steps at a time, side by side in the last place: what the one of largest norm needs, all of them get.
@@ -104,22 +108,16 @@ def propagators(A, h, E, early, late):
                     S[i, j, side] *= shrink
                     late_phi[i, j, side] = 1.0 / FACTORIALS[7] if i == j else 0.0
         for power in range(6, 1, -1):  # Horner's scheme of phi2 = sum S^k/(k+2)!
-            product(S, late_phi, T, 1.0 / FACTORIALS[power])
+            call(product, S, late_phi, S, T, 1.0, 0.0, 1.0 / FACTORIALS[power])
             late_phi, T = T, late_phi
-        product(S, late_phi, phi, 1.0)
-        product(S, phi, P, 1.0)
+        call(product, S, late_phi, S, phi, 1.0, 0.0, 1.0)
+        call(product, S, phi, S, P, 1.0, 0.0, 1.0)
         for _ in range(halvings):  # doubling: no inverse is taken, so that a memory which rests does no harm
-            product(phi, phi, T, 0.0)
-            for i in range(s):
-                for j in range(s):
-                    for side in range(lanes):
-                        late_phi[i, j, side] = 0.25 * (T[i, j, side] + 2.0 * late_phi[i, j, side])
-            product(P, phi, T, 0.0)
-            for i in range(s):
-                for j in range(s):
-                    for side in range(lanes):
-                        phi[i, j, side] = 0.5 * (T[i, j, side] + phi[i, j, side])
-            product(P, P, T, 0.0)
+            call(product, phi, phi, late_phi, T, 0.25, 2.0, 0.0)
+            late_phi, T = T, late_phi
+            call(product, P, phi, phi, T, 0.5, 1.0, 0.0)
+            phi, T = T, phi
+            call(product, P, P, P, T, 1.0, 0.0, 0.0)
             P, T = T, P
         for side in range(min(lanes, n - 1 - first)):
             k = first + side
@@ -133,12 +131,18 @@ def propagators(A, h, E, early, late):
 def propagate(E, early, late, g, d):
     """Fill d (n, s, k) from forcings g (n, s, k), starting at rest: d_0 = -A^-1 g_0 is given in d[0]."""
     for k in range(E.shape[0]):
-        d[k + 1] = E[k] @ d[k] + early[k] @ g[k] + late[k] @ g[k + 1]
+        for i in range(d.shape[1]):
+            for v in range(d.shape[2]):
+                value = 0.0
+                for j in range(d.shape[1]):
+                    value += E[k, i, j] * d[k, j, v] + early[k, i, j] * g[k, j, v] + late[k, i, j] * g[k + 1, j, v]
+                d[k + 1, i, v] = value
 
 
 def read_responses(
-    E, early, late, start, slopes, changes, place, share, partials, entries, rows, columns, factors, entries_at,
-    responses, forced, forced_from, forced_at, scaled, shares, lags, first, weights, reads, out, largest,
+    advance, channel, accumulate, extend, E, early, late, start, slopes, changes, place, share, partials, entries,
+    rows, columns, factors, entries_at, responses, forced, forced_from, forced_at, scaled, shares, lags, first,
+    weights, reads, out, largest,
 ):  # fmt: skip
     """Fill out (r, blocks, lanes), the responses of channels as they are read, to changes of coefficients, then to
     forcings, at last to one forcing times shares of it, along a course of n points; and `largest` (blocks, lanes), how
@@ -171,8 +175,8 @@ def read_responses(
         g[:] = 0.0
         for b in range(entries_at.shape[0] - 1):
             for e in range(entries_at[b], entries_at[b + 1]):
-                slope, i, q = factors[e] * partials[entries[e], at], rows[e], columns[e]
-                accumulate(slope, change[q], g[b, i])
+                factor, i, q = factors[e] * partials[entries[e], at], rows[e], columns[e]
+                call(accumulate, factor, change[q], g[b, i])
         for j in range(forced_from.shape[0]):
             row = forced_at[j] + at - forced_from[j]
             if forced_at[j] <= row < forced_at[j + 1]:
@@ -182,17 +186,17 @@ def read_responses(
         for b in range(shares.shape[0]):
             for i in range(s + channels):
                 if scaled[at, i] != 0.0:
-                    accumulate(scaled[at, i], shares[b, at], g[first_scaled + b, i])
+                    call(accumulate, scaled[at, i], shares[b, at], g[first_scaled + b, i])
         if at > 0:
             for b in range(blocks):
-                advance(E[at - 1], early[at - 1], late[at - 1], d[b], before[b], g[b], moved[b])
+                call(advance, E[at - 1], early[at - 1], late[at - 1], d[b], before[b], g[b], moved[b])
             d, moved = moved, d
         for b in range(blocks):
-            extend(d[b], largest[b])
+            call(extend, d[b], largest[b])
         before, g = g, before
         for j in range(channels):
             for b in range(blocks):
-                channel(slopes[j, at], d[b], before[b, s + j], recent[j, at % 4, b])
+                call(channel, slopes[j, at], d[b], before[b, s + j], recent[j, at % 4, b])
                 if lags[j, 0, 1] != 0.0:
                     for v in range(lanes):
                         new = recent[j, at % 4, b, 0, v]
@@ -219,65 +223,80 @@ def read_responses(
                     largest[b, v] = np.inf
 
 
-LOOPS: Sequence[Any] = (propagators, propagate, read_responses)
 OPTIONS = "nogil=True, error_model='numpy', fastmath={'contract'}"  # a product may be added without rounding
 
 
-def compile_response(states: int) -> ModuleType:
-    """The module with `LOOPS` compiled for a number of states; some seconds the first time on a machine."""
+@dataclass(frozen=True, eq=False)
+class CompiledResponse:
+    """`propagators`, `propagate` and `read_responses` with the functions of a number of states."""
+
+    propagators: Any
+    propagate: Any
+    read_responses: Any
+    code: MachineCode
+
+
+def compile_response(states: int) -> CompiledResponse:
+    """The loops with the functions of a number of states; a few seconds the first time on a machine."""
     with ONE_AT_A_TIME:
         return _compile(states)
 
 
+CALLED_IN_A_BLOCK = ("advance", "channel", "accumulate", "extend")
+"""The printed functions that `read_responses` calls, as it takes them."""
+
+
 @functools.lru_cache(maxsize=64)
-def _compile(states: int) -> ModuleType:
-    return cache.load(
-        ["linear response", str(states)],
-        lambda: response_source(states),
-        (straight_line.intrinsics, propagators),
-        lambda module: _call_once(module, states),
-    )
+def _compile(states: int) -> CompiledResponse:
+    code = machine_code.load_machine_code(["linear response", str(states)], lambda: block_source(states))
+    loops = _load_loops()
+    return CompiledResponse(
+        functools.partial(loops.propagators, *code.of(["product"])), loops.propagate,
+        functools.partial(loops.read_responses, *code.of(CALLED_IN_A_BLOCK)), code,
+    )  # fmt: skip
 
 
-def response_source(states: int) -> str:
-    """The Python source of the loops for a number of states."""
-    columns = dict.fromkeys(("X", "Y", "out", "E", "early", "late"), states)
+def block_source(states: int) -> str:
+    """The printed functions for a number of states."""
+    columns = dict.fromkeys(("X", "Y", "Z", "out", "E", "early", "late"), states)
+    return machine_code.text(
+        printed(states), lanes=LANES, columns=columns, shared=("E", "early", "late", "slope"),
+        numbers=("share", "weight", "diagonal", "factor"),
+    )  # fmt: skip
+
+
+@functools.cache
+def _load_loops() -> ModuleType:
+    return cache.load(["linear response"], _loops_source, (machine_code.caller, propagators), _call_once)
+
+
+def _loops_source() -> str:
+    """The Python source of the loops, with their lanes in figures, so that loops over them are unrolled."""
+    lanes = ("LANES", str(LANES))
+    functions = with_replaced(propagators, lanes), inspect.getsource(propagate), with_replaced(read_responses, lanes)
     return "\n".join(
         [
-            f'"""Printed by valvesim.solver.linear_response for {states} states."""',
+            '"""Printed by valvesim.solver.linear_response."""',
             "import numpy as np",
             "from numba import njit",
             "from valvesim.solver.linear_response import FACTORIALS, OVERFLOW, LARGEST_NORM",
-            "from valvesim.solver.straight_line import intrinsics",
-            'LINES = """',
-            *printed(states),
-            '"""',
-            f"globals().update(intrinsics(LINES, lanes={LANES}, columns={columns}, "
-            "shared=('E', 'early', 'late', 'slope')))",
-            *(f"@njit({OPTIONS})\n{_with_sizes(function, states)}" for function in LOOPS),
+            "from valvesim.solver.machine_code import caller",
+            "call = caller()",
+            *(f"@njit({OPTIONS})\n{function}" for function in functions),
         ]
     )
 
 
-def _with_sizes(function: Any, states: int) -> str:
-    """A function's source with its sizes in figures, so that loops over states and lanes are unrolled."""
-    sizes: dict[Any, tuple[tuple[str, str], ...]] = {
-        propagators: (("s, lanes = A.shape[1], LANES", f"s, lanes = {states}, {LANES}"),),
-        read_responses: (("s, lanes = slopes.shape[2], LANES", f"s, lanes = {states}, {LANES}"),),
-    }
-    return with_replaced(function, *sizes.get(function, ()))
-
-
-def _call_once(module: ModuleType, s: int) -> None:
-    """Each function called on next to nothing, so that it is compiled here and not in somebody's first run."""
-    E, no, nothing = np.zeros((1, s, s)), np.zeros(0, dtype=np.int64), np.zeros(0)
+def _call_once(module: ModuleType) -> None:
+    """Each function called on nothing, so that it is compiled here and not in somebody's first run."""
+    E, no, nothing = np.zeros((0, 1, 1)), np.zeros(0, dtype=np.int64), np.zeros(0)
     at = np.zeros(1, dtype=np.int64)
     with second_level():
-        module.propagators(np.zeros((2, s, s)), np.ones(1), E, E.copy(), E.copy())
-        module.propagate(E, E, E, np.zeros((2, s, 1)), np.zeros((2, s, 1)))
+        module.propagators(0, np.zeros((1, 1, 1)), np.ones(0), E, E, E)
+        module.propagate(E, E, E, np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))
         module.read_responses(
-            E, E, E, np.zeros((0, s, LANES)), np.zeros((0, 2, s)), np.zeros((1, 0, LANES)),
-            np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros((0, 2)), no, no, no, nothing, at,
-            0, np.zeros((0, s)), no, at, np.zeros((2, s)), np.zeros((0, 2, LANES)), np.zeros((0, 1, 2)), no,
+            *(0 for _ in CALLED_IN_A_BLOCK), E, E, E, np.zeros((0, 1, LANES)), np.zeros((0, 0, 1)),
+            np.zeros((1, 0, LANES)), no, nothing, np.zeros((0, 0)), no, no, no, nothing, at,
+            0, np.zeros((0, 1)), no, at, np.zeros((0, 1)), np.zeros((0, 0, LANES)), np.zeros((0, 1, 2)), no,
             np.zeros((0, 4)), at, np.zeros((0, 0, LANES)), np.zeros((0, LANES)),
         )  # fmt: skip

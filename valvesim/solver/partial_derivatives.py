@@ -1,7 +1,7 @@
 """Values and partial derivatives of a model's rates and signals along a course, compiled: many points at a time.
 
-The equations are those of `codegen.trace`, CasADi takes their derivatives, and `straight_line` makes instructions of
-the printed lines. The lanes are points of the course.
+The equations are those of `codegen.trace`, CasADi takes their derivatives, and `machine_code` compiles the printed
+lines. The loop around them is numba's. The lanes are points of the course.
 
 Symbols
     x states, u inputs, c flat coefficients (SI units); targets: the rates of the states, then signals
@@ -10,6 +10,7 @@ Symbols
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from valvesim.channels import INPUT_CHANNELS
-from valvesim.solver import cache, straight_line
+from valvesim.solver import cache, machine_code
 from valvesim.solver.codegen import (
     LANES,
     ONE_AT_A_TIME,
@@ -29,6 +30,8 @@ from valvesim.solver.codegen import (
     trace_signals,
 )
 from valvesim.solver.linear_forms import Expressions
+from valvesim.solver.machine_code import MachineCode
+from valvesim.solver.rodas5p import call
 from valvesim.valve.equations import Model
 
 
@@ -58,7 +61,8 @@ class CompiledDerivatives:
     signals: tuple[str, ...]
     targets: np.ndarray
     arguments: np.ndarray
-    _module: ModuleType
+    _code: MachineCode
+    _fill: Any
 
     def entries(self, targets: slice, arguments: slice) -> np.ndarray:
         """The places among the derivatives of those of some targets by some arguments."""
@@ -84,20 +88,19 @@ class CompiledDerivatives:
 
     def values(self, x: np.ndarray, u: np.ndarray, course: CoefficientCourse) -> np.ndarray:
         """Rates and signals (targets, n) at states x (n, n_x) and inputs u (n, n_u)."""
-        out = np.empty((len(self.model.state_channels) + len(self.signals), len(x)))
-        self._module.fill_values(np.ascontiguousarray(x), np.ascontiguousarray(u), *course, out)
-        return out
+        return self._filled("values", len(self.model.state_channels) + len(self.signals), x, u, course)
 
     def derivatives(self, x: np.ndarray, u: np.ndarray, course: CoefficientCourse) -> np.ndarray:
         """The derivatives (entries, n) of `targets` by `arguments` at the same."""
-        out = np.empty((len(self.targets), len(x)))
-        self._module.fill_derivatives(np.ascontiguousarray(x), np.ascontiguousarray(u), *course, out)
-        return out
+        return self._filled("derivatives", len(self.targets), x, u, course)
 
     def jacobian(self, x: np.ndarray, u: np.ndarray, course: CoefficientCourse) -> np.ndarray:
         """Of the derivatives those of the rates by the states alone, which take a fraction of the time."""
-        out = np.empty((len(self.entries(self.states, self.states)), len(x)))
-        self._module.fill_jacobian(np.ascontiguousarray(x), np.ascontiguousarray(u), *course, out)
+        return self._filled("jacobian", len(self.entries(self.states, self.states)), x, u, course)
+
+    def _filled(self, name: str, rows: int, x: np.ndarray, u: np.ndarray, course: CoefficientCourse) -> np.ndarray:
+        out = np.empty((rows, len(x)))
+        self._fill(self._code.addresses[name], np.ascontiguousarray(x), np.ascontiguousarray(u), *course, out)
         return out
 
 
@@ -109,27 +112,29 @@ def compile_derivatives(model: Model, signals: Sequence[str]) -> CompiledDerivat
 
 @functools.lru_cache(maxsize=64)
 def _compile(model: Model, signals: tuple[str, ...]) -> CompiledDerivatives:
-    module = cache.load(
+    code = machine_code.load_machine_code(
         short_name(model, frozenset(), f"derivatives of {' '.join(signals)}"),
         lambda: derivatives_source(model, signals),
-        (straight_line.intrinsics,),
-        lambda module: _call_once(module, model),
     )
-    return CompiledDerivatives(model, signals, np.array(module.TARGETS), np.array(module.ARGUMENTS), module)
+    targets, arguments = (np.array(code.layout[name]) for name in ("targets", "arguments"))
+    return CompiledDerivatives(model, signals, targets, arguments, code, _load_loop().fill)
 
 
-def _call_once(module: ModuleType, model: Model) -> None:
-    """Each function called to nowhere, so that it is compiled here and not in somebody's first run."""
-    x, u = np.zeros((0, len(model.state_channels))), np.zeros((0, len(INPUT_CHANNELS)))
-    course = np.zeros((1, len(model.coefficient_names))), np.zeros(0, dtype=np.int64), np.zeros(0)
+@functools.cache
+def _load_loop() -> ModuleType:
+    """The loop along a course, compiled or found compiled."""
+    return cache.load(["course"], _loop_source, (machine_code.caller,), _call_once)
+
+
+def _call_once(module: ModuleType) -> None:
+    """The loop over no points, so that it is compiled here and not in somebody's first run."""
+    course = np.zeros((1, 1)), np.zeros(0, dtype=np.int64), np.zeros(0)
     with second_level():
-        module.fill_values(x, u, *course, np.zeros((1, 0)))
-        module.fill_derivatives(x, u, *course, np.zeros((1, 0)))
-        module.fill_jacobian(x, u, *course, np.zeros((1, 0)))
+        module.fill(0, np.zeros((0, 1)), np.zeros((0, 1)), *course, np.zeros((1, 0)))
 
 
 def derivatives_source(model: Model, signals: Sequence[str]) -> str:
-    """The Python source: `fill_values`, `fill_derivatives`, `fill_jacobian`, and where the derivatives stand."""
+    """The printed functions `values`, `derivatives` and `jacobian`, and where the derivatives stand."""
     import casadi
 
     join: Any = casadi.vertcat
@@ -152,46 +157,51 @@ def derivatives_source(model: Model, signals: Sequence[str]) -> str:
         return derived.lines({f"out[{k}]": value for k, value in enumerate(found)})
 
     every = join(*jacobian.nonzeros())
-    sizes = {"n_x": states, "n_u": at["inputs"].shape[0], "n_c": at["coefficients"].shape[0]}
-    return "\n".join(
+    return machine_code.text(
         [
-            f'"""Printed by valvesim.solver.partial_derivatives from {model.state_channels[-1].name} and others."""',
-            "import numpy as np",
-            "from numba import njit",
-            "from valvesim.solver.straight_line import intrinsics",
-            f"TARGETS = {[int(i) for i, _ in entries]}",
-            f"ARGUMENTS = {[int(j) for _, j in entries]}",
-            'LINES = """',
             "def values(x, u, c, out):", *values,
             "def derivatives(x, u, c, out):", *printed(every),
             "def jacobian(x, u, c, out):", *printed(every[of_states]),
-            '"""',
-            f"globals().update(intrinsics(LINES, lanes={LANES}, columns={{}}, shared=()))",
-            _FILL.format(name="values", count=outputs.shape[0], lanes=LANES, **sizes),
-            _FILL.format(name="derivatives", count=len(entries), lanes=LANES, **sizes),
-            _FILL.format(name="jacobian", count=len(of_states), lanes=LANES, **sizes),
-        ]
+        ],
+        lanes=LANES, columns={}, shared=(), numbers=(),
+        targets=[int(i) for i, _ in entries], arguments=[int(j) for _, j in entries],
     )  # fmt: skip
 
 
-_FILL = """@njit(nogil=True, error_model='numpy')
-def fill_{name}(x, u, knots, place, share, out):
-    X, U, C = np.empty(({n_x}, {lanes})), np.empty(({n_u}, {lanes})), np.empty(({n_c}, {lanes}))
-    found = np.empty(({count}, {lanes}))
-    n, last = x.shape[0], knots.shape[0] - 1
-    for first in range(0, n, {lanes}):
-        for lane in range({lanes}):
+def fill(function, x, u, knots, place, share, out):
+    """Fill out (r, n) with what a printed function (x, u, c, out) makes of states x (n, n_x), inputs u (n, n_u) and
+    the coefficients of a course: lanes are filled from its points, and emptied into it.
+    """
+    lanes, n, last = LANES, x.shape[0], knots.shape[0] - 1
+    X, U, C = np.empty((x.shape[1], lanes)), np.empty((u.shape[1], lanes)), np.empty((knots.shape[1], lanes))
+    found = np.empty((out.shape[0], lanes))
+    for first in range(0, n, lanes):
+        for lane in range(lanes):
             k = min(first + lane, n - 1)
-            for i in range({n_x}):
+            for i in range(x.shape[1]):
                 X[i, lane] = x[k, i]
-            for i in range({n_u}):
+            for i in range(u.shape[1]):
                 U[i, lane] = u[k, i]
             before, after, part = place[k], min(place[k] + 1, last), share[k]
-            for i in range({n_c}):
+            for i in range(knots.shape[1]):
                 C[i, lane] = knots[before, i] + part * (knots[after, i] - knots[before, i])
-        {name}(X, U, C, found)
-        for i in range({count}):
-            for lane in range(min({lanes}, n - first)):
+        call(function, X, U, C, found)
+        for i in range(out.shape[0]):
+            for lane in range(min(lanes, n - first)):
                 out[i, first + lane] = found[i, lane]
-"""
-"""Lanes are filled from a course of points, and emptied into it."""
+
+
+def _loop_source() -> str:
+    """The Python source of `fill` as it is compiled."""
+    return "\n".join(
+        [
+            '"""Printed by valvesim.solver.partial_derivatives."""',
+            "import numpy as np",
+            "from numba import njit",
+            "from valvesim.solver.machine_code import caller",
+            f"LANES = {LANES}",
+            "call = caller()",
+            "@njit(nogil=True, error_model='numpy')",
+            inspect.getsource(fill),
+        ]
+    )

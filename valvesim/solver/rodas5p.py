@@ -156,15 +156,20 @@ def copy_rows(rows, out):
             out[k, lane] = rows[k, lane]
 
 
+def call(function, *arguments):
+    """Call a printed function, here one of Python; in compiled code it is `machine_code.caller`'s, by an address."""
+    function(*arguments)
+
+
 def integrate(
-    prepare, linearise, factor, step, error, bend, within, n_c, y, clock, t_end, starts, rows, knot_times,
+    prepare, linearise, factor, step, error, bend, within, n_c, rated, y, clock, t_end, starts, rows, knot_times,
     knots, t_out, out, rtol, atol, rest, max_steps, count
 ):  # fmt: skip
     """Advance scaled states `y` (n, lanes) in place from clock[0] to t_end; return a status.
 
     clock: [time, next step, next output index]; all updated, so that a run can go on in slices.
     starts, rows: input pieces between breaks; knot_times (m,), knots (m, ..., lanes): coefficients, which `prepare`
-    turns into the n_c that the equations use, straight in between.
+    turns into the n_c that the equations use, straight in between. rated: whether the rate of the command is felt.
     t_out (n_t,), out (n_t, n, lanes): times of the output, which is filled.
     rtol: relative tolerance of a state's distance from `rest` (n, lanes), so that a small motion about a large pressure
     is as exact as a large one. atol (n,): absolute tolerance of each scaled state; infinite where its error does not
@@ -172,7 +177,6 @@ def integrate(
     count: [accepted, rejected] steps, added to. A step crosses neither a break nor a knot.
     """
     n, lanes = y.shape
-    rated = True  # whether the rate of the command is felt
     u, u_t, u_late = np.empty(rows.shape[1] + 1), np.empty(rows.shape[1] + 1), np.empty((5, rows.shape[1] + 1))
     c, c_knot, c_next = np.empty((n_c, lanes)), np.empty((n_c, lanes)), np.empty((n_c, lanes))
     c_t, c_late = np.empty((n_c, lanes)), np.empty((5, n_c, lanes))
@@ -207,10 +211,10 @@ def integrate(
             if at + 2 < knot_times.shape[0] and knot_times[at + 1] < limit:
                 limit = knot_times[at + 1]  # coefficients bend or jump there
             if at != prepared:
-                prepare(knots[at], c_knot)
+                call(prepare, knots[at], c_knot)
                 moving = at + 1 < knot_times.shape[0]
                 if moving:
-                    prepare(knots[at + 1], c_next)
+                    call(prepare, knots[at + 1], c_next)
                     for k in range(n_c):
                         for lane in range(lanes):
                             c_t[k, lane] = (c_next[k, lane] - c_knot[k, lane]) / (knot_times[at + 1] - knot_times[at])
@@ -220,7 +224,7 @@ def integrate(
                 for lane in range(lanes):
                     c[k, lane] = c_knot[k, lane] + (t - knot_times[at]) * c_t[k, lane]
             set_inputs(rows, interval, t, u, u_t)
-            linearise(y, u, u_t, c, c_t, f, J, f_t)
+            call(linearise, y, u, u_t, c, c_t, f, J, f_t)
             if fresh:
                 # past a break y' bends by y'' = J f + df/dt; a long step would be right at its end alone
                 fresh = False
@@ -247,9 +251,9 @@ def integrate(
                 set_inputs_of_step(rows, interval, t, h, u_late, rated)
                 if moving:
                     set_coefficients_of_step(c_knot, c_t, t - knot_times[at], h, c_late)
-                factor(J, 1.0 / (GAMMA * h), W, pivots)
-                step(y, u_late, c_late, h, f, f_t, W, K, new, rate)
-                error(y, new, K, rest, atol, rtol, e)
+                call(factor, J, 1.0 / (GAMMA * h), W, pivots)
+                call(step, y, u_late, c_late, h, f, f_t, W, K, new, rate)
+                call(error, y, new, K, rest, atol, rtol, e)
                 worst = 0.0
                 for lane in range(lanes):  # the stages may be finite where W is singular
                     finite = np.isfinite(e[1, lane]) and np.isfinite(pivots[0, lane])
@@ -263,9 +267,9 @@ def integrate(
             count[0] += 1
             end = limit if h == limit - t else t + h
             if at_out < t_out.shape[0] and t_out[at_out] <= end:
-                bend(K, bent)
+                call(bend, K, bent)
             while at_out < t_out.shape[0] and t_out[at_out] <= end:
-                within(y, new, bent, (t_out[at_out] - t) / h, out[at_out])
+                call(within, y, new, bent, (t_out[at_out] - t) / h, out[at_out])
                 at_out += 1
             copy_rows(new, y)
             t = end

@@ -12,7 +12,6 @@ the number one.
 from __future__ import annotations
 
 import ast
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +28,7 @@ FUNCTIONS: dict[str, Any] = {
 """What a printed function may call, as numpy has it."""
 
 FLAGS = ("contract", "nsz", "arcp")  # a product may be added without rounding, -0 is 0, a division may be a product
+SYMBOL = "valvesim_"  # before the name of a printed function in machine code
 ALIGNMENT = 8  # bytes, of numpy's arrays
 FOURTH_ROOT = 0x4FEB028F5C28F800  # less a quarter of a double's bits: those of its inverse fourth root to 3 %
 
@@ -38,31 +38,32 @@ def as_python(lines: Sequence[str], **more: Callable) -> dict[str, Callable]:
     names: dict[str, Any] = FUNCTIONS | more
     text = "\n".join(lines)
     exec(text, names)
-    return {name: names[name] for name, _ in _headers(text)}
+    return {name: names[name] for name, _ in headers(text)}
 
 
-def intrinsics(text: str, *, lanes: int, columns: dict[str, int], shared: Sequence[str]) -> dict[str, Any]:
-    """The functions of a printed text for compiled code, which must call them with contiguous arrays.
+def write_functions(
+    text: str, module: Any, *, lanes: int, columns: dict[str, int], shared: Sequence[str], numbers: Sequence[str]
+) -> None:
+    """Write the functions of a printed text into a module of LLVM, to be called from outside by `SYMBOL` and name.
 
     `columns` has those of each array that is written with two indices or of which a row is handed on; `shared` names
-    the arrays without lanes.
+    the arrays without lanes, and `numbers` the arguments that are no arrays.
     """
-    from numba.extending import intrinsic
+    from llvmlite import ir
 
-    @functools.cache
-    def trees() -> dict[str, ast.FunctionDef]:
-        return {tree.name: tree for tree in ast.parse(text).body if isinstance(tree, ast.FunctionDef)}
-
-    program = _Program(trees, lanes, columns, frozenset(shared))
-    made = {}
-    for name, arguments in _headers(text):
-        names: dict[str, Any] = {"typed": functools.partial(program.typed, name)}
-        exec(f"def {name}(context, {arguments}):\n    return typed({arguments})", names)  # numba reads the signature
-        made[name] = intrinsic(names[name])
-    return made
+    program = _Program(_trees(text), lanes, columns, frozenset(shared))
+    number = ir.DoubleType()
+    for name, tree in program.trees.items():
+        kinds = [number if argument.arg in numbers else number.as_pointer() for argument in tree.args.args]
+        program.function(name, module, kinds).linkage = ""
 
 
-def _headers(text: str) -> list[tuple[str, str]]:
+def _trees(text: str) -> dict[str, ast.FunctionDef]:
+    """The functions of a printed text by name."""
+    return {tree.name: tree for tree in ast.parse(text).body if isinstance(tree, ast.FunctionDef)}
+
+
+def headers(text: str) -> list[tuple[str, str]]:
     """(name, arguments) of the functions of a printed text."""
     parts = (line[4:].partition("(") for line in text.splitlines() if line.startswith("def "))
     return [(name, rest.removesuffix("):")) for name, _, rest in parts]
@@ -70,34 +71,12 @@ def _headers(text: str) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True)
 class _Program:
-    """The functions of a printed text on their way to LLVM; `trees` parses it, when code is wanted."""
+    """The functions of a printed text on their way to LLVM."""
 
-    trees: Callable[[], dict[str, ast.FunctionDef]]
+    trees: dict[str, ast.FunctionDef]
     lanes: int
     columns: dict[str, int]
     shared: frozenset[str]
-
-    def typed(self, name: str, *types: Any) -> tuple[Any, Callable]:
-        """(signature, code generator) of a function for arguments of these numba types."""
-        from numba.core import types as numba_types
-        from numba.core.errors import TypingError
-
-        if any(getattr(kind, "layout", "C") != "C" for kind in types):
-            raise TypingError(f"{name} takes contiguous arrays")
-        return numba_types.void(*types), functools.partial(self._call, name)
-
-    def _call(self, name: str, context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
-        """The call of a function in compiled code."""
-        from numba.core import types
-
-        passed = [
-            context.make_array(kind)(context, builder, value).data
-            if isinstance(kind, types.Array)
-            else context.cast(builder, value, kind, types.float64)
-            for kind, value in zip(signature.args, values, strict=True)
-        ]
-        builder.call(self.function(name, builder.module, [value.type for value in passed]), passed)
-        return context.get_dummy_value()
 
     def function(self, name: str, module: Any, kinds: Sequence[Any]) -> Any:
         """A function in a module of LLVM, made there once, of pointers and numbers."""
@@ -105,10 +84,10 @@ class _Program:
         from numba.core import cgutils
 
         kind = ir.FunctionType(ir.VoidType(), kinds)
-        function = cgutils.get_or_insert_function(module, kind, f"valvesim_{name}")
+        function = cgutils.get_or_insert_function(module, kind, SYMBOL + name)
         if function.is_declaration:
             function.linkage = "internal"
-            tree = self.trees()[name]
+            tree = self.trees[name]
             builder = ir.IRBuilder(function.append_basic_block())
             for value in function.args:
                 if isinstance(value.type, ir.PointerType):
