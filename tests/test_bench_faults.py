@@ -195,9 +195,12 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
     rows, asked = 1e4, []
     base = SimpleNamespace(fit=SimpleNamespace(chi_square=1e6 + rows, rows=rows), study=None)
 
-    def fit_from(nominal, start, few=None):
-        asked.append(start if known else start[0])
-        own = [SimpleNamespace(candidate=SimpleNamespace(name=asked[-1], plainest=asked[-1]))]
+    def start_of(name):
+        return (SimpleNamespace(candidate=SimpleNamespace(name=name, plainest=name)),)
+
+    def fit_from(nominal, start, few=None, worthwhile=None):
+        own = start_of(start) if known else start
+        asked.append(own[0].candidate.name)
         return SimpleNamespace(chi_square=left[len(asked) - 1] + rows, rows=rows, point=None, fitted=own)
 
     for name, stub in {
@@ -205,7 +208,7 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
         "is_adequate": lambda fit, *, options: False,
         "is_other_valve": lambda nominal, fit, *, options: False,
         "_tells_as_much": lambda fit, start, *, options: False,
-        "likeliest_starts": lambda nominal, scores: iter([("a",), ("b",), ("c",)]),
+        "likeliest_starts": lambda nominal, scores: map(start_of, "abc"),
         "fit_from_prior": fit_from,
         "continue_fit": fit_from,
         "score_test": lambda *_, **__: SimpleNamespace(linearised=(), columns=()),
@@ -300,7 +303,8 @@ def test_the_plainer_of_two_alike_laws_stands_unless_the_other_leaves_far_less(n
         candidate = SimpleNamespace(name=name, plainest=CATALOGUE[name].plainer or name)
         return SimpleNamespace(chi_square=rows + excess, rows=rows, fitted=[SimpleNamespace(candidate=candidate)])
 
-    assert bench_faults._explains_more(fit_of(name, left * 1e4), fit_of(other, 1e4), options=DIAGNOSIS) is more
+    most = bench_faults._share_of_excess(fit_of(name, 0.0).fitted, fit_of(other, 1e4), options=DIAGNOSIS)
+    assert (left * 1e4 < most) is more
 
 
 @pytest.mark.parametrize("ends, told", [(8e4, False), (4e6, True), (None, True)])

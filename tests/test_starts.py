@@ -328,7 +328,7 @@ def test_a_shape_that_begins_far_off_is_not_fitted_where_another_comes_near(monk
 def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatch):
     begun = list[tuple[FittedCandidate, ...]]()
     monkeypatch.setattr(refits, "is_adequate", lambda fit, options: False)
-    monkeypatch.setattr(refits, "fit_starts", lambda nominal, starts, point, **_: begun.extend(starts))
+    monkeypatch.setattr(refits, "fit_starts", lambda nominal, starts, point, **_: begun.extend(starts) or [])
     nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(LAP, FRICTION)))
     own = FittedCandidate(FRICTION, 4.0)
     best = FittedHypothesis(replace(hypothesis(1000.0).fit, fitted=(own,)), options=DIAGNOSIS)

@@ -152,8 +152,9 @@ def likeliest_cause(
     for start in likeliest_starts(nominal, scores) if not known else ():
         if fit is not None and _tells_as_much(fit, start, options=options):
             continue
-        other = fit_from_prior(nominal, start, options.isolation.near_linearisations)
-        if other is not None and (fit is None or _explains_more(other, fit, options=options)):
+        most = None if fit is None else fit.rows + _share_of_excess(start, fit, options=options)
+        other = fit_from_prior(nominal, start, options.isolation.near_linearisations, most)
+        if other is not None and (most is None or other.chi_square < most):
             fit = other
         if fit is not None and (
             leaves_noise(fit, nominal.study, options=options) or _explains_nearly_all(fit, nominal.fit, options=options)
@@ -229,13 +230,13 @@ def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -
     return fit.chi_square - fit.rows <= options.bench.left_share * (nominal.chi_square - nominal.rows)
 
 
-def _explains_more(fit: Fit, other: Fit, *, options: DiagnosisOptions) -> bool:
-    """Whether a fit of a cause leaves less than another one; far less where its law is the other's with a feature more,
-    which takes up some of what the bench did and is harder to fit.
+def _share_of_excess(start: Sequence[FittedCandidate], other: Fit, *, options: DiagnosisOptions) -> float:
+    """What a fit from a start may leave beyond the noise to explain more than another one: far less where its law is
+    the other's with a feature more, which takes up some of what the bench did and is harder to fit.
     """
-    alike = [e.candidate.plainest for e in fit.fitted] == [e.candidate.name for e in other.fitted]
+    alike = [e.candidate.plainest for e in start] == [e.candidate.name for e in other.fitted]
     share = options.bench.alike_share if alike else 1.0
-    return fit.chi_square - fit.rows < share * (other.chi_square - other.rows)
+    return share * (other.chi_square - other.rows)
 
 
 def with_inputs_of_cause(

@@ -324,8 +324,9 @@ def _isolated(
         wider = with_model_discrepancy(nominal, _likely(found, options=options), options=options)
         if wider is not None:
             break
-        best = distinct(found, options=options)[:1]
-        under = with_inputs_of_cause(nominal, best[0].fit, options=options) if best and not known and again else None
+        best, under = distinct(found, options=options)[:1], None
+        if best and not known and again and not _is_of_same_causes(best[0].fit, beside):
+            under = with_inputs_of_cause(nominal, best[0].fit, options=options)
         if under is not None:
             nominal, beside = under[0], [under[1]]
             scores = score_test(nominal, nominal.fit, options=options)
@@ -356,6 +357,12 @@ def _isolated(
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
     return judged(Isolation(nominal, scores, final, found, [], "", alarm, level))
+
+
+def _is_of_same_causes(fit: Fit, others: Sequence[Fit]) -> bool:
+    """Whether a fit has the causes of one of the others: how the commands go has been asked beside these."""
+    labels = [member.candidate.label for member in fit.fitted]
+    return any(labels == [member.candidate.label for member in other.fitted] for other in others)
 
 
 def _likely(found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> list[FittedHypothesis]:

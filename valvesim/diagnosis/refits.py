@@ -277,11 +277,23 @@ def _fitted_in_place(
     options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
     """Starts refitted from the best's figures, what is new in them in the amount that leaves least there: amounts of
-    two laws of one thing do not compare.
+    two laws of one thing do not compare. First the one that leaves least; where that comes near the records and the
+    best did not, the others are refitted from its figures.
     """
     near = _within_reach(nominal, starts, best.fit, options=options)
-    scaled = [min(tried, key=lambda fit: fit.chi_square).fitted if tried else start for start, tried in near]
-    return fit_starts(nominal, scaled, best.fit.point, others=[best], options=options)
+    begun = [(min(tried, key=lambda fit: fit.chi_square) if tried else None, start) for start, tried in near]
+    begun.sort(key=lambda one: one[0].chi_square if one[0] is not None else np.inf)
+    found, left = list[FittedHypothesis](), [start for _, start in begun]
+    for fit, start in begun:
+        left = left[1:]
+        scaled = fit.fitted if fit is not None else start
+        found += fit_starts(nominal, [scaled], best.fit.point, others=[best, *found], options=options)
+        least = distinct([best, *found], options=options)[0]
+        if is_adequate(least.fit, options=options.identification) > is_adequate(
+            best.fit, options=options.identification
+        ):
+            return [*found, *_fitted_in_place(nominal, left, least, options=options)]
+    return found
 
 
 def _in_amounts(
