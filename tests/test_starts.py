@@ -256,7 +256,7 @@ def test_an_effect_alike_that_stopped_short_is_fitted_from_the_figures_of_the_be
     fitted.begun.clear()
     coulomb = ended(1000.0, FRICTION, 4.0, presliding_distance=2e-6)
     assert alike_hypotheses(nominal, [coulomb, short], options=DIAGNOSIS)
-    assert fitted.begun == [silting.label, stribeck.label]  # the one that nobody has fitted yet as well
+    assert fitted.begun == [stribeck.label, silting.label]  # the one that nobody has fitted yet as well
     fitted.begun.clear()
     alike_hypotheses(nominal, [coulomb, short], {silting.label}, options=DIAGNOSIS)
     assert fitted.begun == [stribeck.label]  # but not what has been fitted from there
@@ -351,6 +351,32 @@ def test_another_law_is_begun_in_the_amount_that_leaves_least(fitted, monkeypatc
     assert begun.pop() is much  # that runs in no amount
     lap, other = begun.pop()
     assert lap == beside and other.above_neutral == pytest.approx(0.35 * 4.0)  # what both have stays
+
+
+def test_where_one_of_the_laws_comes_near_the_records_the_others_are_fitted_from_its_figures(monkeypatch):
+    """The best does not, and what its figures say of the others is of another valve."""
+    asked = []
+
+    def within_reach(nominal, starts, best, *, options):
+        asked.append(("reach", best.chi_square, [start[0].candidate.name for start in starts]))
+        ends = {"spool_lap": 7e5, AIR.name: 8e5}
+        return [(start, [replace(hypothesis(ends[start[0].candidate.name]).fit, fitted=start)]) for start in starts]
+
+    def fits(nominal, starts, point, *, others, options):
+        ((one,),) = starts
+        asked.append(("fit", others[0].fit.chi_square, one.candidate.name))
+        return [FittedHypothesis(replace(hypothesis(950.0).fit, fitted=(one,)), options=options)]
+
+    monkeypatch.setattr(refits, "_within_reach", within_reach)
+    monkeypatch.setattr(refits, "fit_starts", fits)
+    monkeypatch.setattr(refits, "is_adequate", lambda fit, *, options: fit.chi_square < 1e3)
+    best = FittedHypothesis(replace(hypothesis(9e5).fit, fitted=(FittedCandidate(FRICTION, 4.0),)), options=DIAGNOSIS)
+    starts = [(FittedCandidate(one, one.typical),) for one in (AIR, LAP)]
+    found = refits._fitted_in_place(NOMINAL, starts, best, options=DIAGNOSIS)
+    assert len(found) == 2 and asked == [
+        ("reach", 9e5, [AIR.name, "spool_lap"]), ("fit", 9e5, "spool_lap"),  # the one that leaves least
+        ("reach", 950.0, [AIR.name]), ("fit", 950.0, AIR.name),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("amount, most", [(0.02, 0.1), (1.5, 3.0), (52.0, 120.0)])
