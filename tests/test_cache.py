@@ -154,3 +154,53 @@ def test_what_a_killed_process_left_half_filled_goes_after_an_hour(folder, load)
     (entry_of_model,) = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(cache.NEW))
     shutil.rmtree(entry_of_model)
     assert load()[0] == 2.0 and not old.exists() and new.exists()
+
+
+# ---------------------------------------------------------------- object files
+
+
+@pytest.fixture
+def load_object():
+    """Loads an object file as a new process would; (what is in it, how often it was printed, how often compiled)."""
+
+    def load_object(short_name=("b",)):
+        printed, compiled = [], []
+
+        def source():
+            printed.append(SOURCE)
+            return SOURCE
+
+        def compile_it(text):
+            compiled.append(text)
+            return text.upper().encode()
+
+        text, code = cache.load_object(short_name, source, [cache.load], compile_it)
+        assert text == SOURCE and code == SOURCE.upper().encode()
+        return len(printed), len(compiled)
+
+    return load_object
+
+
+def test_an_object_file_is_found_again_without_being_printed_or_compiled(folder, load_object):
+    assert load_object() == (1, 1) and load_object() == (0, 0) and whole(folder)
+    assert load_object(None) == (1, 0)  # a source that no name tells is printed every time, and compiled once
+    assert {path.name for path in entry_of(folder).iterdir()} == {cache.SOURCE, cache.OBJECT, cache.HASH_LIST}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+@pytest.mark.parametrize("kind", [cache.SOURCE, cache.OBJECT, cache.HASH_LIST, ".txt"])
+def test_a_damaged_object_file_is_made_anew(folder, load_object, damage, kind):
+    load_object()
+    (path,) = (path for name, path in files_of(folder).items() if name.endswith(kind))
+    path.write_bytes(damage(path.read_bytes()))
+    load_object()
+    assert load_object() == (0, 0) and whole(folder)
+
+
+def test_an_object_file_that_others_can_write_is_not_loaded(folder, load_object):
+    load_object()
+    path = entry_of(folder) / cache.OBJECT
+    path.chmod(path.stat().st_mode | 0o022)
+    forget_warnings()
+    with pytest.warns(ValidityWarning, match=r"compiled equations are not kept.*can be written by other users"):
+        assert load_object() == (1, 1)

@@ -379,7 +379,7 @@ def test_folder_that_cannot_be_written_falls_back_to_memory(tmp_path, monkeypatc
     with pytest.warns(ValidityWarning, match="not kept"):
         code = compiled._load(NOMINAL)
     assert file.read_text() == "not a folder" and not list(temporary.iterdir())
-    assert all(code.of(compiled.CALLED_IN_A_STEP))
+    assert all(code.addresses[name] for name in compiled.CALLED_IN_A_STEP)
 
 
 def test_models_that_differ_have_files_of_their_own(tmp_path, monkeypatch, temporary):

@@ -1,5 +1,7 @@
 """Printed lines as machine code, for one lane and for many, against the same lines run by Python."""
 
+import gc
+
 import numpy as np
 import pytest
 from numba import njit
@@ -31,7 +33,6 @@ COLUMNS = {"out": 2, "room": 2}
 def compiled(lines, lanes):
     printed = machine_code.text(lines, lanes=lanes, columns=COLUMNS, shared=("u",), numbers=("h",))
     code = machine_code.load_object_code(printed, machine_code.object_code(printed))
-    functions, outer = code.of(["functions", "outer"])
     call = machine_code.caller()
 
     @njit
@@ -39,10 +40,7 @@ def compiled(lines, lanes):
         call(functions, a, b, table)
         call(outer, a, h, u, out, room)
 
-    def of_code(*arguments, code=code):  # which must not go before its addresses
-        run(functions, outer, *arguments)
-
-    return of_code
+    return code.bound(run, ["functions", "outer"])
 
 
 def arguments(lanes):
@@ -92,3 +90,11 @@ def test_arrays_must_be_contiguous():
     run, (_, *rest) = compiled(LINES, 1), arguments(1)
     with pytest.raises(TypingError, match="printed functions take contiguous arrays"):
         run(np.zeros((2, 2))[:, ::2], *rest)
+
+
+def test_a_loop_that_is_bound_keeps_the_machine_code():
+    run = compiled(LINES, 1)
+    gc.collect()  # nothing else holds it
+    a, b, h, u, table, out, room = arguments(1)
+    run(a, b, h, u, table, out, room)
+    assert run.machine_code.layout["lanes"] == 1 and room[0, 0] == pytest.approx(a[0] / (-0.5 * h + 1.0 / u[0]))

@@ -119,6 +119,7 @@ REFUSED = [
     ("20 C", "degC", "'C' has the wrong dimension; expected a unit that converts to 'degC'; did you mean 'degC'?"),
     ("68 F", "degC", "'F' has the wrong dimension; expected a unit that converts to 'degC'; did you mean 'degF'?"),
     ("20 C", "Pa", "'C' has the wrong dimension; expected a unit that converts to 'Pa'"),
+    ("2 mil", "m", "'mil' has the wrong dimension; expected a unit that converts to 'm'; did you mean 'thou'?"),
     ("1 lpm", "m^3/s", "unknown unit 'lpm'; expected one that converts to 'm^3/s'; did you mean 'L/min'?"),
     ("3000 psia", "Pa", "unknown unit 'psia'; expected one that converts to 'Pa'; did you mean 'psi'?"),
     (

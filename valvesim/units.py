@@ -59,7 +59,8 @@ _MEANT = {
     "pa": "Pa", "Bar": "bar", "BAR": "bar", "PSI": "psi", "Psi": "psi", "ma": "mA", "MA": "mA", "hz": "Hz",
     "HZ": "Hz", "khz": "kHz", "lpm": "L/min", "LPM": "L/min", "l/m": "L/min",
     "gpm": "gal/min", "GPM": "gal/min", "cis": "in^3/s", "CIS": "in^3/s", "cst": "cSt", "S": "s", "sec.": "s",
-    "Sec": "s", "v": "V", "Ohm": "ohm", "MM": "mm", "Mm": "mm", "mn": "mN", "nm": "N*m", "n": "N",
+    "Sec": "s", "v": "V", "Ohm": "ohm", "MM": "mm", "Mm": "mm",
+    "mil": "thou", "mils": "thou", "mn": "mN", "nm": "N*m", "n": "N",
 }  # fmt: skip
 _ABSOLUTE = {"psia": "psi", "bara": "bar", "bar(a)": "bar", "bar_a": "bar"}
 _GAUGE = {"psig": "psi", "barg": "bar", "bar(g)": "bar", "bar_g": "bar", "kPag": "kPa", "kPa(g)": "kPa"}

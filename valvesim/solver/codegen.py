@@ -43,7 +43,6 @@ class CompiledModel:
     run: Any
     rates: Any
     jacobians: Any
-    code: MachineCode
 
     def derivative(self, y: np.ndarray, u: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
         """The rates (n,) at scaled states y (n,), inputs u and flat coefficients c, into `out`."""
@@ -126,8 +125,8 @@ def _compile(model: Model, absent: frozenset[str]) -> CompiledModel:
     n_c = code.layout["coefficients"]
     return CompiledModel(
         model, absent, np.array([channel.scale for channel in model.state_channels]), _integrator(code, loops),
-        functools.partial(loops.fill_rates, *code.of(("prepare", "rates")), n_c),
-        functools.partial(loops.fill_jacobians, *code.of(("prepare", "linearise")), n_c), code,
+        code.bound(loops.fill_rates, ("prepare", "rates"), n_c),
+        code.bound(loops.fill_jacobians, ("prepare", "linearise"), n_c),
     )  # fmt: skip
 
 
@@ -137,13 +136,12 @@ LANES = 8  # valves that take their steps together: two or one of a processor's 
 def compile_lanes(compiled: CompiledModel) -> Any:
     """`run` of a compiled model for `LANES` valves together; as long to compile as the model itself."""
     with ONE_AT_A_TIME:
-        return _compile_lanes(compiled.model, compiled.absent)[0]
+        return _compile_lanes(compiled.model, compiled.absent)
 
 
 @functools.lru_cache(maxsize=64)
-def _compile_lanes(model: Model, absent: frozenset[str]) -> tuple[Any, MachineCode]:
-    code = _load(model, absent, LANES)
-    return _integrator(code, _load_loops(LANES)), code
+def _compile_lanes(model: Model, absent: frozenset[str]) -> Any:
+    return _integrator(_load(model, absent, LANES), _load_loops(LANES))
 
 
 CALLED_IN_A_STEP = ("prepare", "linearise", "factor", "step", "error", "bend", "within")
@@ -151,7 +149,7 @@ CALLED_IN_A_STEP = ("prepare", "linearise", "factor", "step", "error", "bend", "
 
 
 def _integrator(code: MachineCode, loops: ModuleType) -> Any:
-    return functools.partial(loops.run, *code.of(CALLED_IN_A_STEP), code.layout["coefficients"], code.layout["rated"])
+    return code.bound(loops.run, CALLED_IN_A_STEP, code.layout["coefficients"], code.layout["rated"])
 
 
 def _load(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -> MachineCode:

@@ -23,7 +23,6 @@ import numpy as np
 
 from valvesim.solver import cache, machine_code
 from valvesim.solver.codegen import LANES, ONE_AT_A_TIME, second_level, with_replaced
-from valvesim.solver.machine_code import MachineCode
 from valvesim.solver.rodas5p import call
 
 FACTORIALS = (1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0)
@@ -233,7 +232,6 @@ class CompiledResponse:
     propagators: Any
     propagate: Any
     read_responses: Any
-    code: MachineCode
 
 
 def compile_response(states: int) -> CompiledResponse:
@@ -251,8 +249,7 @@ def _compile(states: int) -> CompiledResponse:
     code = machine_code.load_machine_code(["linear response", str(states)], lambda: block_source(states))
     loops = _load_loops()
     return CompiledResponse(
-        functools.partial(loops.propagators, *code.of(["product"])), loops.propagate,
-        functools.partial(loops.read_responses, *code.of(CALLED_IN_A_BLOCK)), code,
+        code.bound(loops.propagators, ["product"]), loops.propagate, code.bound(loops.read_responses, CALLED_IN_A_BLOCK)
     )  # fmt: skip
 
 

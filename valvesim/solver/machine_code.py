@@ -23,16 +23,20 @@ OPTIMISATION = 2  # LLVM's level: the third takes a tenth longer and makes nothi
 class MachineCode:
     """Machine code in memory: the `addresses` of its functions by name, and the layout of the text that was printed.
 
-    The addresses hold as long as this does.
+    The addresses hold as long as this does: see `bound`.
     """
 
     addresses: dict[str, int]
     layout: dict[str, Any]
     _engine: Any
 
-    def of(self, names: Iterable[str]) -> tuple[int, ...]:
-        """The addresses of some functions."""
-        return tuple(self.addresses[name] for name in names)
+    def bound(self, loop: Any, names: Iterable[str], *more: Any) -> Callable:
+        """A compiled loop with the addresses of some functions as its first arguments, then `more`; it keeps the
+        machine code.
+        """
+        ready: Any = functools.partial(loop, *(self.addresses[name] for name in names), *more)
+        ready.machine_code = self
+        return ready
 
 
 def text(
