@@ -66,7 +66,7 @@ def load_object_code(printed: str, code: bytes) -> MachineCode:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _processor())
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    names = [name for name, _ in straight_line.headers(printed)]
+    names = straight_line.function_names(printed)
     addresses = {name: engine.get_function_address(straight_line.SYMBOL + name) for name in names}
     return MachineCode(addresses, printed_layout(printed), engine)
 

@@ -38,7 +38,7 @@ def as_python(lines: Sequence[str], **more: Callable) -> dict[str, Callable]:
     names: dict[str, Any] = FUNCTIONS | more
     text = "\n".join(lines)
     exec(text, names)
-    return {name: names[name] for name, _ in headers(text)}
+    return {name: names[name] for name in function_names(text)}
 
 
 def write_functions(
@@ -55,7 +55,7 @@ def write_functions(
     number = ir.DoubleType()
     for name, tree in program.trees.items():
         kinds = [number if argument.arg in numbers else number.as_pointer() for argument in tree.args.args]
-        program.function(name, module, kinds).linkage = ""
+        program.function(name, module, kinds)
 
 
 def _trees(text: str) -> dict[str, ast.FunctionDef]:
@@ -63,10 +63,9 @@ def _trees(text: str) -> dict[str, ast.FunctionDef]:
     return {tree.name: tree for tree in ast.parse(text).body if isinstance(tree, ast.FunctionDef)}
 
 
-def headers(text: str) -> list[tuple[str, str]]:
-    """(name, arguments) of the functions of a printed text."""
-    parts = (line[4:].partition("(") for line in text.splitlines() if line.startswith("def "))
-    return [(name, rest.removesuffix("):")) for name, _, rest in parts]
+def function_names(text: str) -> list[str]:
+    """The names of the functions of a printed text."""
+    return [line[4:].partition("(")[0] for line in text.splitlines() if line.startswith("def ")]
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,6 @@ class _Program:
         kind = ir.FunctionType(ir.VoidType(), kinds)
         function = cgutils.get_or_insert_function(module, kind, SYMBOL + name)
         if function.is_declaration:
-            function.linkage = "internal"
             tree = self.trees[name]
             builder = ir.IRBuilder(function.append_basic_block())
             for value in function.args:
