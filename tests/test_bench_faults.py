@@ -226,17 +226,20 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
 
 
 @pytest.mark.parametrize(
-    "late, asked",
+    "late, left, asked",
     [
-        ((False,), ["linear"]),
-        ((True, False), ["run", "linear"]),
-        ((True, True, True), ["run", "linear"]),  # they are run once
+        ((False,), [1e4], ["linear"]),
+        ((True, False), [1e4, 1e4], ["run", "linear"]),
+        ((True, True), [1e4, 2e3], ["run", "linear"]),  # they are run once
+        ((True, True), [1e4, 9e2, 5e2], ["run", "run", "linear"]),  # unless the cause left far more then
+        ((True, True), [-1e2, -2e2], ["run", "linear"]),  # no more than noise
     ],
 )
-def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run(monkeypatch, late, asked):
+def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run(monkeypatch, late, left, asked):
     tried, delays = [], iter(late)
     base = SimpleNamespace(fit=SimpleNamespace(chi_square=1e6, rows=1e4), study=None)
-    fit = SimpleNamespace(chi_square=2e4, rows=1e4, point=None, fitted=())
+    fits = [SimpleNamespace(chi_square=1e4 + one, rows=1e4, point=None, fitted=()) for one in left]
+    fit = fits[0]
     for name, stub in {
         "has_implausible_delays": lambda study, point: next(delays),
         "is_other_valve": lambda nominal, fit, *, options: False,
@@ -246,7 +249,7 @@ def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run
         "_tuned_beside": lambda *_: None,
         "_likeliest": lambda *_, options: None,
         "with_inputs_beside": lambda at, beside: tried.append("linear") or at,
-        "_best_inputs": lambda at, fit, few: tried.append("run") or (at, fit),
+        "_best_inputs": lambda at, fit, few: tried.append("run") or (at, fits[len(tried)]),
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
     bench_faults.with_faults_beside_cause(base, "scores", fit, False, options=DIAGNOSIS)

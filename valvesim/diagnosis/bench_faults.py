@@ -167,16 +167,18 @@ def with_faults_beside_cause(
     nominal: NominalFit, scores: ScoreTest, cause: Fit | None, is_known: bool, *, options: DiagnosisOptions
 ) -> tuple[NominalFit, ScoreTest, Fit | None]:
     """`with_bench_faults` by what the likeliest `cause` leaves: what an inadequate nominal fit leaves is all of that.
-    Last the fit of the cause beside what the bench did, if there was anything to be fitted. How the commands go is not
-    asked where the cause `is_known` from elsewhere.
+    Last the fit of the cause beside what the bench did, if there was anything to be fitted. How the commands go is
+    asked again where the cause leaves far less than when it was asked, and not where it `is_known` from elsewhere.
     """
-    few, at, fit, tried = options.isolation.near_linearisations, nominal, cause, False
+    few, at, fit, asked = options.isolation.near_linearisations, nominal, cause, np.inf
     for _ in range(options.bench.most_faults):
         fit = _continued_if_other_valve(fit, at, nominal, options=options)
         if fit is None or is_other_valve(nominal, fit, options=options):
             break
-        if not is_known and not tried and has_implausible_delays(at.study, fit.point):  # far off for linear answers
-            (at, fit), tried = _best_inputs(at, fit, few), True
+        left = max(fit.chi_square - fit.rows, 0.0)
+        to_ask = not is_known and left < options.bench.asked_share * asked
+        if to_ask and has_implausible_delays(at.study, fit.point):  # far off for linear answers
+            (at, fit), asked = _best_inputs(at, fit, few), left
             continue
         beside = score_test(at, fit, options=options)
         if (tuned := _tuned_beside(at, fit, beside)) is not None:
@@ -197,8 +199,8 @@ def with_faults_beside_cause(
             if other is None or other.chi_square - other.predicted_reduction > fit.chi_square:
                 break
             at, fit = better, other
-        elif not tried and not leaves_noise(fit, at.study, options=options):
-            (at, fit), tried = _best_inputs(at, fit, few), True
+        elif to_ask and not leaves_noise(fit, at.study, options=options):
+            (at, fit), asked = _best_inputs(at, fit, few), left
         else:
             break
     if at is nominal:

@@ -88,6 +88,9 @@ class BenchOptions:
     alike_share: float = option(
         0.5, "1", "share of what the plainer of two alike laws leaves, below which the other stands for it", JUDGEMENT
     )
+    asked_share: float = option(
+        0.1, "1", "share of what a cause left when ways of the commands were run beside it, to rerun them", JUDGEMENT
+    )
     causes_beside: int = option(3, "1", "likeliest causes beside which it must explain as much", JUDGEMENT)
 
 
