@@ -42,7 +42,7 @@ def restarted(
     renewed = options.isolation.restarts if near else 0  # times that a promise may be; far off none holds
     left_to_alike = [known for known, _ in _alike_in_place(nominal, [*found, *more], options=options)]
     for one in [*found, *more]:
-        if any(one.fit is known for known in left_to_alike):
+        if any(one.fit is known for known in left_to_alike) or _is_of_same_and_worse(one, found):
             continue
         if near and not is_adequate(one.fit, options=options.identification):
             continue
@@ -53,6 +53,11 @@ def restarted(
         ):
             more += _restarted_within_tolerance(nominal, one.fit, options=options)
     return more
+
+
+def _is_of_same_and_worse(one: FittedHypothesis, found: Sequence[FittedHypothesis]) -> bool:
+    """Whether one of those found has the same causes and explains more."""
+    return any(one.has_same_causes(other) and other.fit.chi_square < one.fit.chi_square for other in found)
 
 
 def pairs_from_members(
@@ -100,7 +105,9 @@ def _from_best_point(
     shifted = [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted]
     if is_adequate(least, options=options.identification):
         shifted = [start for start, _ in _within_reach(nominal, shifted, least, options=options)]
-    more = fit_starts(nominal, shifted, least.point, others=found, options=options)
+    left_to_alike = [known.fitted for known, _ in _alike_in_place(nominal, found, options=options) if known is not None]
+    begun = [start for start in shifted if not any(start is other for other in left_to_alike)]
+    more = fit_starts(nominal, begun, least.point, others=found, options=options)
     worthwhile = _largest_adequate_beside(nominal, found, options=options)
     anew = [fit_from_prior(nominal, fitted, worthwhile=worthwhile) for fitted in shifted if len(fitted) == 1]
     return [*more, *(FittedHypothesis(fit, options=options) for fit in anew if fit is not None)]
