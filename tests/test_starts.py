@@ -292,6 +292,9 @@ def test_what_is_looked_for_at_several_shapes_is_fitted_at_each_in_the_place_of_
     assert hypotheses_at_other_shapes(nominal, [hypothesis(1000.0, fast)], options=DIAGNOSIS) == []  # none is plainer
     assert hypotheses_at_other_shapes(nominal, [hypothesis(1e6, FRICTION)], options=DIAGNOSIS) == []  # far off
     assert hypotheses_at_other_shapes(nominal, [], options=DIAGNOSIS) == []
+    (same,) = hypotheses_at_other_shapes(nominal, [best, known], of_fitted=True, options=DIAGNOSIS)
+    assert same.candidates == (near,)
+    assert hypotheses_at_other_shapes(nominal, [best], of_fitted=True, options=DIAGNOSIS) == []  # nor at any
     begun.clear()
     stopped = FittedCandidate(far, 0.1 * far.typical, (("free_clearance", 4.9e-6), ("presliding_distance", 1e-6)))
     pinch = FittedHypothesis(replace(hypothesis(1000.0).fit, fitted=(stopped,)), options=DIAGNOSIS)
@@ -377,6 +380,21 @@ def test_where_one_of_the_laws_comes_near_the_records_the_others_are_fitted_from
         ("reach", 9e5, [AIR.name, "spool_lap"]), ("fit", 9e5, "spool_lap"),  # the one that leaves least
         ("reach", 950.0, [AIR.name]), ("fit", 950.0, AIR.name),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("other, again", [(1990.0, False), (2010.0, True)])
+def test_what_the_same_causes_explain_better_elsewhere_is_not_taken_up_again(fitted, monkeypatch, other, again):
+    taken = []
+    monkeypatch.setattr(refits, "is_adequate", lambda fit, *, options: True)
+    monkeypatch.setattr(
+        refits, "_restarted_within_tolerance", lambda nominal, fit, options: taken.append(fit.chi_square) or []
+    )
+    short = hypothesis(2000.0, AIR)
+    short = FittedHypothesis(replace(short.fit, predicted_reduction=1e3), options=DIAGNOSIS)
+    elsewhere = FittedHypothesis(replace(hypothesis(other, AIR).fit, predicted_reduction=1e3), options=DIAGNOSIS)
+    nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(AIR,), options=OPTIONS))
+    refits.restarted(nominal, [short, elsewhere], "", options=DIAGNOSIS)
+    assert (2000.0 in taken) is again
 
 
 @pytest.mark.parametrize("amount, most", [(0.02, 0.1), (1.5, 3.0), (52.0, 120.0)])

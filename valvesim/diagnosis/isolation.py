@@ -383,9 +383,9 @@ def _fitted_further(
 ) -> list[FittedHypothesis]:
     """The found, best first, with fits that may have stopped short taken up again, alike effects in the places of the
     best's, the best refined, and its candidates tried one fewer. Labels `left_out` are known to come nowhere near.
-    Other shapes are tried first, which come near at once where one that is wrong crawls.
+    Other shapes of what is found are tried first: one comes near at once where another crawls.
     """
-    found = [*found, *hypotheses_at_other_shapes(nominal, found, left_out, options=options)]
+    found = [*found, *hypotheses_at_other_shapes(nominal, found, left_out, of_fitted=True, options=options)]
     found += restarted(nominal, found, likeliest, options=options)
     found += plainer_hypotheses(nominal, found, left_out, options=options)
     found += alike_hypotheses(nominal, found, left_out, options=options)

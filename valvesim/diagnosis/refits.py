@@ -230,17 +230,19 @@ def hypotheses_at_other_shapes(
     found: Sequence[FittedHypothesis],
     left_out: Set[str] = frozenset(),
     *,
+    of_fitted: bool = False,
     options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
     """The best with an effect in the place of each that is the same plainer one with a feature of its own, from the
     values of a shape at which it is looked for and from which it was not fitted: elsewhere it may have ended as the
     plainer one. From within the tolerances, for the best's figures make up for the feature. Labels `left_out` have been
-    fitted from there.
+    fitted from there. Only of effects that have been fitted at another of these values, where that is asked for.
     """
     best = distinct(found, options=options)[0] if found else None
     if best is None or not is_adequate(best.fit, options=options.identification):
         return []
     starts = list[tuple[FittedCandidate, ...]]()
+    names = {candidate.name for one in found for candidate in one.candidates}
     for k, member in enumerate(best.fit.fitted):
         others = _others(best, k)
         begun = {c.key for one in found for j, c in enumerate(one.candidates) if _others(one, j) == others}
@@ -251,6 +253,7 @@ def hypotheses_at_other_shapes(
             and any(p.sought for p in candidate.shapes())
             and candidate.key not in begun
             and candidate.name not in others
+            and (candidate.name in names or not of_fitted)
         ]
     return _fitted_from_prior(nominal, _without(left_out, starts), options=options)
 
