@@ -293,15 +293,13 @@ def _fitted_in_place(
     near = _within_reach(nominal, starts, best.fit, options=options)
     begun = [(min(tried, key=lambda fit: fit.chi_square) if tried else None, start) for start, tried in near]
     begun.sort(key=lambda one: one[0].chi_square if one[0] is not None else np.inf)
-    found, left = list[FittedHypothesis](), [start for _, start in begun]
-    for fit, start in begun:
-        left = left[1:]
+    best_is_far, found = not is_adequate(best.fit, options=options.identification), list[FittedHypothesis]()
+    for k, (fit, start) in enumerate(begun, 1):
         scaled = fit.fitted if fit is not None else start
         found += fit_starts(nominal, [scaled], best.fit.point, others=[best, *found], options=options)
         least = distinct([best, *found], options=options)[0]
-        if is_adequate(least.fit, options=options.identification) > is_adequate(
-            best.fit, options=options.identification
-        ):
+        if best_is_far and is_adequate(least.fit, options=options.identification):
+            left = [start for _, start in begun[k:]]
             return [*found, *_fitted_in_place(nominal, left, least, options=options)]
     return found
 
