@@ -306,7 +306,7 @@ def test_the_plainer_of_two_alike_laws_stands_unless_the_other_leaves_far_less(n
         candidate = SimpleNamespace(name=name, plainest=CATALOGUE[name].plainer or name)
         return SimpleNamespace(chi_square=rows + excess, rows=rows, fitted=[SimpleNamespace(candidate=candidate)])
 
-    most = bench_faults._share_of_excess(fit_of(name, 0.0).fitted, fit_of(other, 1e4), options=DIAGNOSIS)
+    most = bench_faults._excess_to_beat(fit_of(name, 0.0).fitted, fit_of(other, 1e4), options=DIAGNOSIS)
     assert (left * 1e4 < most) is more
 
 

@@ -152,7 +152,7 @@ def likeliest_cause(
     for start in likeliest_starts(nominal, scores) if not known else ():
         if fit is not None and _tells_as_much(fit, start, options=options):
             continue
-        most = None if fit is None else fit.rows + _share_of_excess(start, fit, options=options)
+        most = None if fit is None else fit.rows + _excess_to_beat(start, fit, options=options)
         other = fit_from_prior(nominal, start, options.isolation.near_linearisations, most)
         if other is not None and (most is None or other.chi_square < most):
             fit = other
@@ -170,15 +170,15 @@ def with_faults_beside_cause(
     Last the fit of the cause beside what the bench did, if there was anything to be fitted. How the commands go is
     asked again where the cause leaves far less than when it was asked, and not where it `is_known` from elsewhere.
     """
-    few, at, fit, asked = options.isolation.near_linearisations, nominal, cause, np.inf
+    few, at, fit, left_when_asked = options.isolation.near_linearisations, nominal, cause, np.inf
     for _ in range(options.bench.most_faults):
         fit = _continued_if_other_valve(fit, at, nominal, options=options)
         if fit is None or is_other_valve(nominal, fit, options=options):
             break
         left = max(fit.chi_square - fit.rows, 0.0)
-        to_ask = not is_known and left < options.bench.asked_share * asked
+        to_ask = not is_known and left < options.bench.asked_share * left_when_asked
         if to_ask and has_implausible_delays(at.study, fit.point):  # far off for linear answers
-            (at, fit), asked = _best_inputs(at, fit, few), left
+            (at, fit), left_when_asked = _best_inputs(at, fit, few), left
             continue
         beside = score_test(at, fit, options=options)
         if (tuned := _tuned_beside(at, fit, beside)) is not None:
@@ -200,7 +200,7 @@ def with_faults_beside_cause(
                 break
             at, fit = better, other
         elif to_ask and not leaves_noise(fit, at.study, options=options):
-            (at, fit), asked = _best_inputs(at, fit, few), left
+            (at, fit), left_when_asked = _best_inputs(at, fit, few), left
         else:
             break
     if at is nominal:
@@ -232,7 +232,7 @@ def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -
     return fit.chi_square - fit.rows <= options.bench.left_share * (nominal.chi_square - nominal.rows)
 
 
-def _share_of_excess(start: Sequence[FittedCandidate], other: Fit, *, options: DiagnosisOptions) -> float:
+def _excess_to_beat(start: Sequence[FittedCandidate], other: Fit, *, options: DiagnosisOptions) -> float:
     """What a fit from a start may leave beyond the noise to explain more than another one: far less where its law is
     the other's with a feature more, which takes up some of what the bench did and is harder to fit.
     """

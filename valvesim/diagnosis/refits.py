@@ -98,7 +98,8 @@ def _from_best_point(
     nominal: NominalFit, found: Sequence[FittedHypothesis], least: Fit, *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
     """Those that keep a nuisance parameter far from nominal where the one that explains most does not, fitted from
-    its figures; single causes from within tolerance too: the nominal fit may have gone where there is no way back.
+    its figures, but for those that `alike_hypotheses` begins there; single causes from within tolerance too: the
+    nominal fit may have gone where there is no way back.
     """
     if not largest_shift(least) < options.isolation.shifted < largest_shift(nominal.fit):
         return []
