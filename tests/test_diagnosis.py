@@ -598,11 +598,17 @@ def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_t
         lambda nominal, start, *, worthwhile: Fit(np.zeros(1), tuple(start), 1.0, (), np.zeros(1), 1.0),
     )
     monkeypatch.setattr(refits, "_within_reach", lambda nominal, starts, best, options: [(one, []) for one in starts])
+    alike = []
+    monkeypatch.setattr(refits, "_alike_in_place", lambda nominal, found, options: [(fit, ()) for fit in alike])
     far = DIAGNOSIS.isolation.shifted + 1.0
     best, behind = stretched(100.0, 0.5, "spool_lap"), stretched(300.0, far, "entrained_air")
     again, anew = _from_best_point(stretched(900.0, far), [best, behind], best.fit, options=DIAGNOSIS)
     assert again.label == anew.label == "entrained_air"
     assert again.fit.point == best.fit.point and not anew.fit.point.any()
+    alike.append(behind.fit)  # which begins there as an effect alike
+    (anew,) = _from_best_point(stretched(900.0, far), [best, behind], best.fit, options=DIAGNOSIS)
+    assert not anew.fit.point.any()
+    alike.clear()
     pair = stretched(300.0, far, "entrained_air", "spool_silting")
     (again,) = _from_best_point(stretched(900.0, far), [best, pair], best.fit, options=DIAGNOSIS)
     assert again.fit.point == best.fit.point  # of a pair that would be another search
