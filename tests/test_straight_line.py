@@ -31,7 +31,7 @@ COLUMNS = {"out": 2, "room": 2}
 
 
 def compiled(lines, lanes):
-    printed = machine_code.text(lines, lanes=lanes, columns=COLUMNS, shared=("u",), numbers=("h",))
+    printed = machine_code.with_layout(lines, lanes=lanes, columns=COLUMNS, shared=("u",), numbers=("h",))
     code = machine_code.load_object_code(printed, machine_code.object_code(printed))
     call = machine_code.caller()
 

@@ -165,7 +165,7 @@ def _load_loops(lanes: int) -> ModuleType:
     for function in _CALLED:
         register_jitable(forceinline=True)(function)  # an array that is handed on is some ten numbers
     return cache.load(
-        ["integrator", str(lanes)], lambda: loops_source(lanes), (*_CALLED, machine_code.caller),
+        ["integrator", str(lanes)], lambda: _loops_source(lanes), (*_CALLED, machine_code.caller),
         lambda module: _call_once(module, lanes),
     )  # fmt: skip
 
@@ -227,25 +227,15 @@ def source(model: Model, absent: frozenset[str] = frozenset(), lanes: int = 1) -
     lines = [*equations.lines, *factor, *rodas5p.print_step(n, solve)]
     columns = dict.fromkeys(("J", "W", "K", "bent"), n) | {"u": n_u, "c": n_c}
     rated = any("u[1]" in line for line in equations.lines)
-    return machine_code.text(
+    return machine_code.with_layout(
         lines, lanes=lanes, columns=columns, shared=SHARED, numbers=NUMBERS, coefficients=n_c, rated=rated
     )
 
 
-def loops_source(lanes: int) -> str:
+def _loops_source(lanes: int) -> str:
     """The Python source of the loops for so many lanes: `run`, and for one lane `fill_rates` and `fill_jacobians`."""
     functions = [_integrator_source(lanes), *([_RATES, _JACOBIANS] if lanes == 1 else [])]
-    return "\n".join(
-        [
-            f'"""Printed by valvesim.solver.codegen for {lanes} lanes."""',
-            "import numpy as np",
-            "from numba import njit",
-            "from valvesim.solver.machine_code import caller",
-            "from valvesim.solver.rodas5p import *",
-            "call = caller()",
-            *(f"@njit(nogil=True, error_model='numpy')\n{function}" for function in functions),
-        ]
-    )
+    return machine_code.loops_source(functions, "from valvesim.solver.rodas5p import *")
 
 
 @dataclass(frozen=True)

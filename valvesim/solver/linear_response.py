@@ -222,7 +222,7 @@ def read_responses(
                     largest[b, v] = np.inf
 
 
-OPTIONS = "nogil=True, error_model='numpy', fastmath={'contract'}"  # a product may be added without rounding
+OPTIONS = "error_model='numpy', fastmath={'contract'}"  # a product may be added without rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +256,7 @@ def _compile(states: int) -> CompiledResponse:
 def block_source(states: int) -> str:
     """The printed functions for a number of states."""
     columns = dict.fromkeys(("X", "Y", "Z", "out", "E", "early", "late"), states)
-    return machine_code.text(
+    return machine_code.with_layout(
         printed(states), lanes=LANES, columns=columns, shared=("E", "early", "late", "slope"),
         numbers=("share", "weight", "diagonal", "factor"),
     )  # fmt: skip
@@ -271,17 +271,8 @@ def _loops_source() -> str:
     """The Python source of the loops, with their lanes in figures, so that loops over them are unrolled."""
     lanes = ("LANES", str(LANES))
     functions = with_replaced(propagators, lanes), inspect.getsource(propagate), with_replaced(read_responses, lanes)
-    return "\n".join(
-        [
-            '"""Printed by valvesim.solver.linear_response."""',
-            "import numpy as np",
-            "from numba import njit",
-            "from valvesim.solver.linear_response import FACTORIALS, OVERFLOW, LARGEST_NORM",
-            "from valvesim.solver.machine_code import caller",
-            "call = caller()",
-            *(f"@njit({OPTIONS})\n{function}" for function in functions),
-        ]
-    )
+    names = "from valvesim.solver.linear_response import FACTORIALS, OVERFLOW, LARGEST_NORM"
+    return machine_code.loops_source(functions, names, OPTIONS)
 
 
 def _call_once(module: ModuleType) -> None:

@@ -39,7 +39,7 @@ class MachineCode:
         return ready
 
 
-def text(
+def with_layout(
     lines: Sequence[str], *, lanes: int, columns: dict[str, int], shared: Sequence[str], numbers: Sequence[str],
     **facts: Any,
 ) -> str:  # fmt: skip
@@ -94,6 +94,22 @@ def _processor() -> Any:
     features = llvm.get_host_cpu_features().flatten()
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(), features=features, opt=OPTIMISATION, codemodel="jitdefault", jit=True
+    )
+
+
+def loops_source(functions: Sequence[str], names: str = "", options: str = "error_model='numpy'") -> str:
+    """The Python source of a module of loops that call printed functions: numba's, with more `options`. `names` is the
+    line that imports what else they need.
+    """
+    return "\n".join(
+        [
+            "import numpy as np",
+            "from numba import njit",
+            "from valvesim.solver.machine_code import caller",
+            names,
+            "call = caller()",
+            *(f"@njit(nogil=True, {options})\n{function}" for function in functions),
+        ]
     )
 
 

@@ -10,7 +10,6 @@ Symbols
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -28,6 +27,7 @@ from valvesim.solver.codegen import (
     symbolic_outputs,
     trace,
     trace_signals,
+    with_replaced,
 )
 from valvesim.solver.linear_forms import Expressions
 from valvesim.solver.machine_code import MachineCode
@@ -157,7 +157,7 @@ def derivatives_source(model: Model, signals: Sequence[str]) -> str:
         return derived.lines({f"out[{k}]": value for k, value in enumerate(found)})
 
     every = join(*jacobian.nonzeros())
-    return machine_code.text(
+    return machine_code.with_layout(
         [
             "def values(x, u, c, out):", *values,
             "def derivatives(x, u, c, out):", *printed(every),
@@ -192,16 +192,5 @@ def fill(function, x, u, knots, place, share, out):
 
 
 def _loop_source() -> str:
-    """The Python source of `fill` as it is compiled."""
-    return "\n".join(
-        [
-            '"""Printed by valvesim.solver.partial_derivatives."""',
-            "import numpy as np",
-            "from numba import njit",
-            "from valvesim.solver.machine_code import caller",
-            f"LANES = {LANES}",
-            "call = caller()",
-            "@njit(nogil=True, error_model='numpy')",
-            inspect.getsource(fill),
-        ]
-    )
+    """The Python source of `fill` as it is compiled, with its lanes in figures."""
+    return machine_code.loops_source([with_replaced(fill, ("LANES", str(LANES)))])
