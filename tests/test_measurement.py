@@ -1,6 +1,7 @@
 """Measurement files of any format and dialect: read to the last digit, or refused with what to state."""
 
 import datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from valvesim.characterisation.acceptance.acceptance_tests import record_figures
 from valvesim.characterisation.acceptance.record import read_record
 from valvesim.errors import InputError
 from valvesim.identification.session_toml import load_session
+from valvesim.measurement import dialect
 from valvesim.measurement.clock import even_clock
 from valvesim.measurement.columns_table import NOTHING_STATED, read_statements, statements_of, statements_text
 from valvesim.measurement.formats import FORMATS, read_measured_tables
@@ -150,6 +152,30 @@ def test_any_number_survives_and_what_is_missing_is_nan(tmp_path_factory, cells,
     (found,) = read_measured_tables(path, lambda headings: range(len(headings)))
     assert found.columns[1].values.tolist() == [v for v, _ in cells]
     assert np.isnan(found.columns[2].values).all()
+
+
+@given(
+    st.lists(
+        st.lists(st.sampled_from(["1", "2.5", "1,5", "a", "", "1.000", "12:30", "x y", "-"]), min_size=1, max_size=4),
+        min_size=1, max_size=6,
+    ),
+    st.sampled_from([",", ";", "\t", "|", " "]), st.sampled_from(["", "t,x\n", "t;x [m]\n", "t x y\n"]),
+)  # fmt: skip
+@settings(max_examples=200, deadline=None)
+def test_separators_that_are_nowhere_in_a_file_change_nothing(rows, separator, head):
+    """All of them read, against the one that stands for them."""
+    text = head + "\n".join(separator.join(row) for row in rows) + "\n"
+
+    def told():
+        try:
+            return dialect.layout_of(Path("a.csv"), text, "utf-8", dialect.NO_DIALECT)
+        except InputError as error:
+            return str(error)
+
+    few = told()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dialect, "_separators_of", lambda text: list(dialect.SEPARATORS.values()))
+        assert told() == few
 
 
 CLOCKS = {

@@ -144,7 +144,7 @@ class _Reading:
         cells that are none."""
         numbers = self.kinds.count("number") + self.kinds.count("clock")
         places = [j for j, kind in enumerate(self.kinds) if kind == "number"]
-        clean = [is_missing(row[j]) or is_numeric(row[j], self.decimal) for row in self.rows for j in places]
+        clean = [is_numeric(row[j], self.decimal) or is_missing(row[j]) for row in self.rows for j in places]
         return bool(self.header), numbers / len(self.kinds), numbers, float(sum(clean)) / max(len(clean), 1)
 
 
@@ -166,7 +166,7 @@ def layout_of(path: Path, text: str, encoding: str, stated: Dialect) -> Layout:
         raise InputError(f"holds no data ({expected})", file=path)
     readings = [
         reading
-        for separator in (SEPARATORS.values() if stated.separator is None else (stated.separator,))
+        for separator in (_separators_of(text) if stated.separator is None else (stated.separator,))
         for decimal in ((".", ",") if stated.decimal is None else (stated.decimal,))
         if (separator != decimal or '"' in text)
         and (reading := _reading(lines, separator, decimal, stated.header_line)) is not None
@@ -200,6 +200,14 @@ def layout_of(path: Path, text: str, encoding: str, stated: Dialect) -> Layout:
     )  # fmt: skip
 
 
+def _separators_of(text: str) -> list[str]:
+    """The separators that a text may have, likelier ones first: of those that are nowhere in it the first alone, for
+    all of them give the same one column.
+    """
+    nowhere = [sign for sign in SEPARATORS.values() if sign != " " and sign not in text]
+    return [sign for sign in SEPARATORS.values() if sign not in nowhere[1:]]
+
+
 def _two_ways(path: Path, lines: Sequence[tuple[int, str]], best: _Reading) -> InputError:
     line = lines[best.first]
     told = f"{line[1].strip()[:60]!r} can be read in two ways: state [csv] separator and decimal"
@@ -224,7 +232,10 @@ def _reading(
     if not counts:
         return None
     count = max(set(counts), key=counts.count)
-    clock = [[_CLOCK.fullmatch(cell.strip()) is not None for cell in row] for row in split]
+    clock = [
+        [not number and _CLOCK.fullmatch(cell.strip()) is not None for cell, number in zip(row, numbers, strict=True)]
+        for row, numbers in zip(split, numeric, strict=True)
+    ]
     later = [k for k in range(len(lines) // 2, len(lines)) if len(split[k]) == count] or [
         k for k in range(len(lines)) if len(split[k]) == count and any(numeric[k])
     ]
@@ -238,7 +249,7 @@ def _reading(
         if len(row) != count or not any(numeric[k]):
             return False
         return all(
-            kind == "text" or is_missing(cell) or (n if kind == "number" else t)
+            kind == "text" or (n if kind == "number" else t) or is_missing(cell)
             for cell, kind, n, t in zip(row, kinds, numeric[k], clock[k], strict=True)
         )
 
