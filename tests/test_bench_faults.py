@@ -30,10 +30,11 @@ from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, OTHER_VA
 from valvesim.diagnosis.score_test import score_test
 from valvesim.diagnosis.wording import summary_text
 from valvesim.errors import SolveError
+from valvesim.identification import input_choice
 from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.fit import evaluate_fit, predict_readings, with_shapes
-from valvesim.identification.fit_jacobian import linearise_fit
-from valvesim.identification.input_choice import searched_edges
+from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
+from valvesim.identification.input_choice import left_behind_jumps, searched_edges
 from valvesim.identification.input_waves import (
     MODULATED,
     _powers,
@@ -824,6 +825,41 @@ def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
 
 
 @settings(max_examples=50, deadline=None)
+@given(
+    after=st.lists(st.integers(1, 150), unique=True, min_size=0, max_size=4),
+    gap=st.tuples(st.integers(0, 200), st.integers(0, 40)),
+    seed=st.integers(0, 1000),
+)
+def test_what_a_fit_leaves_behind_jumps_is_of_the_samples_there(after, gap, seed):
+    """Against plain loops; samples that are not usable have no row."""
+    rng, samples = np.random.default_rng(seed), 200
+    edges = [EdgeTime("a", "current", k) for k in after]
+    usable = {"spool_position": np.ones(samples, dtype=bool), "load_flow": np.ones(samples, dtype=bool)}
+    usable["load_flow"][gap[0] : sum(gap)] = False
+    values = {name: rng.normal(size=samples) for name in usable}
+    record = SimpleNamespace(
+        name="a", pace=1.0, time=np.arange(samples), outputs=tuple(usable), values=values, usable=usable
+    )
+    noise = SimpleNamespace(deviation=1.0, kept=lambda usable: usable)
+    study = SimpleNamespace(
+        options=IDENTIFICATION, predictors=(SimpleNamespace(record=record),), stride=1,
+        noise={(name, 1.0): noise for name in usable},
+        whiten=lambda predictor, columns: [columns[name][usable[name]] for name in usable],
+        expected_squares=lambda record, name: np.full(np.count_nonzero(usable[name]), 0.8),
+    )  # fmt: skip
+    read = {name: np.zeros(samples) for name in usable}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(input_choice, "_jumps_of", lambda record, options: edges)
+        left = left_behind_jumps(study, SimpleNamespace(readings=(read,)))
+    expected = 0.0
+    for name, own in values.items():
+        for k in range(samples):
+            if usable[name][k] and any(0 < k - jump <= IDENTIFICATION.input.settling_samples for jump in after):
+                expected += own[k] ** 2 - 0.8
+    assert left == pytest.approx(expected, abs=1e-9)
+
+
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(5, 40), st.floats(-1.6, 1.6), st.floats(-1.7, 1.7)), min_size=2, max_size=6))
 def test_edges_of_a_record_are_looked_for_at_once_as_they_would_be_one_by_one(drawn):
     apart, places, now = map(list, zip(*drawn, strict=True))
@@ -846,6 +882,8 @@ def test_a_fit_is_refined_towards_its_best_and_a_long_one_left(biased_fit):
     k = [p.name for p in study.nominal.parameters].index("nozzle_diameter")
     off = evaluate_fit(study, best.point + 0.5 * np.eye(len(best.point))[k], ())
     near = refined(study, off)
+    again = refined(study, off, jacobian_of(study, off, *linearise_fit(study, off)))
+    assert np.array_equal(again.point, near.point) and again.chi_square == near.chi_square
     assert off.chi_square - near.chi_square > 0.9 * (off.chi_square - best.chi_square) > 100.0
     assert refined(replace(study, is_long=True), off) is off
 

@@ -133,7 +133,7 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
     monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
     monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted, near=(): replace(base.fit, point=point))
 
-    def refit(nominal, start, within):
+    def refit(nominal, start, within, yet_to_go):
         asked.append(start.point.tolist())
         return renewed
 
@@ -152,6 +152,31 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
     ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
     best = renewed if taken else base
     assert asked == [[2.0]] and ended is (under_other if other else best) and scores.fit is ended.fit
+
+
+@pytest.mark.parametrize("moved, scored", [(0.0, 0), (1e-3, 1)])
+def test_a_nominal_fit_that_refinement_does_not_move_is_not_scored_again(monkeypatch, moved, scored):
+    base, finer, asked = nominal(5000.0), nominal(4990.0), []
+    base.J = np.eye(1)
+
+    def refined(study, fit, known):
+        assert known is base.J
+        return replace(finer.fit, point=base.fit.point + moved)
+
+    def scored_of(one, fit, *, options):
+        asked.append(one)
+        return score_test_of(one, fit)
+
+    monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
+    monkeypatch.setattr(isolation, "is_certain", lambda scores, level: False)
+    monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
+    monkeypatch.setattr(isolation, "with_edges_tried", lambda nominal: nominal)
+    monkeypatch.setattr(isolation, "with_bench_faults", lambda nominal, scores, options: (nominal, scores))
+    monkeypatch.setattr(isolation, "refined", refined)
+    monkeypatch.setattr(isolation, "linearise_nominal", lambda study, fit: finer)
+    monkeypatch.setattr(isolation, "score_test", scored_of)
+    ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
+    assert asked == [finer] * scored and ended is (finer if scored else base) and scores.fit is ended.fit
 
 
 @pytest.mark.parametrize(

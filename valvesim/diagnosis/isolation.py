@@ -78,6 +78,7 @@ from valvesim.identification.hypothesis_fit import continue_from, evaluated_besi
 from valvesim.identification.nominal_fit import (
     NominalFit,
     clipped_to_tolerance,
+    distance_by_readings,
     linearise_nominal,
     refit_nominal,
     with_edges_tried,
@@ -279,7 +280,7 @@ def _with_bench(
     adequate = is_adequate(nominal.fit, options=options.identification)
     if detect(scores)[0] and adequate and largest_shift(nominal.fit) > options.isolation.shifted:
         within = evaluate_fit(nominal.study, clipped_to_tolerance(nominal), (), nominal.fit.trajectories)
-        again = refit_nominal(nominal, within, options.isolation.same_end)
+        again = refit_nominal(nominal, within, options.isolation.same_end, options.isolation.same_start)
         if rescored(nominal.study, again.fit).chi_square >= nominal.fit.chi_square - options.isolation.slight_gain:
             again = nominal
         if not known:
@@ -289,8 +290,10 @@ def _with_bench(
             nominal, scores = again, score_test(again, again.fit, options=options)
     alarm, level = detect(scores)
     if alarm and not is_certain(scores, level):
-        nominal = linearise_nominal(nominal.study, refined(nominal.study, nominal.fit))
-        scores = score_test(nominal, nominal.fit, options=options)
+        finer = refined(nominal.study, nominal.fit, nominal.J)
+        if not np.array_equal(finer.point, nominal.fit.point):
+            nominal = linearise_nominal(nominal.study, finer)
+            scores = score_test(nominal, nominal.fit, options=options)
     if [p.name for p in nominal.study.nominal.parameters[: len(names)]] != names:
         beside = []  # of other edges: those fits are not of this model
     return nominal, scores, beside
@@ -607,8 +610,5 @@ def _nominal_from(nominal: NominalFit, one: Fit, gain: float, *, options: Diagno
 
 def _lie_together(nominal: NominalFit, point: np.ndarray, other: np.ndarray, *, options: DiagnosisOptions) -> bool:
     """Whether two points (p,) lie together as seen from a nominal fit, by what the readings and the priors tell."""
-
-    def distance(by: np.ndarray) -> float:
-        return float(np.hypot(np.linalg.norm(nominal.J @ by), np.linalg.norm(by)))
-
-    return distance(point - other) < options.isolation.same_start * distance(other - nominal.fit.point)
+    way = distance_by_readings(nominal, other - nominal.fit.point)
+    return distance_by_readings(nominal, point - other) < options.isolation.same_start * way

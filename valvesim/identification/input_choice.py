@@ -156,14 +156,31 @@ def _readings_at(
     return predictor.readings(predictor.run(variant, near), variant)
 
 
-def _squared_residuals(study: Study, predictor: RecordPredictor, read: dict[str, np.ndarray]) -> np.ndarray:
-    """The squares (samples,) of what readings leave of a record, whitened, of all channels together."""
+def _squared_residuals(
+    study: Study, predictor: RecordPredictor, read: dict[str, np.ndarray], *, beyond_noise: bool = False
+) -> np.ndarray:
+    """The squares (samples,) of what readings leave of a record, whitened, of all channels together; less those that
+    noise alone leaves, where what is left `beyond_noise` is asked.
+    """
     record, total = predictor.record, np.zeros(len(predictor.record.time))
     residual = residual_of(record, read)
     for name, white in zip(record.outputs, study.whiten(predictor, residual), strict=True):
         kept = study.noise[name, record.pace].kept(record.usable[name])
-        total[np.flatnonzero(kept)[:: study.stride]] += white[:, 0] ** 2
+        of_noise = study.expected_squares(record, name) if beyond_noise else 0.0
+        total[np.flatnonzero(kept)[:: study.stride]] += white[:, 0] ** 2 - of_noise
     return total
+
+
+def left_behind_jumps(study: Study, fit: Fit) -> float:
+    """The chi-square that a fit leaves beyond the noise in the samples behind the jumps of the commands."""
+    left = 0.0
+    for predictor, read in zip(study.predictors, fit.readings, strict=True):
+        record, behind = predictor.record, np.zeros(len(predictor.record.time), dtype=bool)
+        for edge in _jumps_of(record, options=study.options):
+            behind[edge.after + 1 : edge.after + 1 + study.options.input.settling_samples] = True
+        if behind.any():
+            left += float(np.sum(_squared_residuals(study, predictor, read, beyond_noise=True)[behind]))
+    return left
 
 
 def _misfit_after(study: Study, record: Record, read: dict[str, np.ndarray], edge: EdgeTime) -> float:

@@ -24,6 +24,7 @@ from valvesim.identification.input_choice import (
     input_choices,
     input_notes,
     input_spread,
+    left_behind_jumps,
     searched_edges,
 )
 from valvesim.identification.input_errors import with_input_errors
@@ -349,14 +350,18 @@ def with_edges_tried(nominal: NominalFit) -> NominalFit:
     or otherwise between the edges.
 
     A curve through the samples answers an edge much as a lag of the valve does, a straight line a curve as an inertia
-    does. A fit that has moved the valve's figures to make up for the one does not ask for the other any more.
+    does. A fit that has moved the valve's figures to make up for the one does not ask for the other any more; but what
+    edges would gain, it leaves behind the jumps.
     """
     without, now = _without_choice(nominal.study)
     if now.name in (HELD_NAME, READ_BACK_NAME):
         return nominal
     excess = nominal.fit.chi_square - nominal.fit.rows
     options = nominal.study.options.input
-    best, least = nominal, excess - max(options.minimum_gain, options.gain_share * excess)
+    worthwhile = max(options.minimum_gain, options.gain_share * excess)
+    if left_behind_jumps(nominal.study, nominal.fit) < worthwhile:
+        return nominal
+    best, least = nominal, excess - worthwhile
     for choice in input_choices(without.session, options=without.options):
         if not choice.parameters or choice.name == now.name:
             continue
@@ -484,17 +489,29 @@ def fit_nominal_near(
     return _retuned(nominal)
 
 
-def refit_nominal(nominal: NominalFit, fit: Fit, within: float = 0.0) -> NominalFit:
+def refit_nominal(nominal: NominalFit, fit: Fit, within: float = 0.0, yet_to_go: float = 0.0) -> NominalFit:
     """The nominal model fitted from where another fit without candidates is, at full weight where it may be; the
-    nominal fit itself where its equations promise that this ends at its chi-square, `within` so much.
+    nominal fit itself where its equations promise that this ends at its chi-square, `within` so much, or where the fit
+    at the samples alone has no more than a share `yet_to_go` of the way to it before it.
     """
     if within > 0.0 and _leads_back(nominal, fit, within):
         return nominal
     study = nominal.study if has_uncertain_inputs(nominal.study) else nominal.study.unweighted()
     start = rescored(study, fit)
-    if not is_adequate(start, options=study.options):
-        return fit_nominal_from(study, fit)
-    return _converge(linearise_nominal(study, start), nominal.study.options.fit.nominal_ftol)
+    if is_adequate(start, options=study.options):
+        return _converge(linearise_nominal(study, start), study.options.fit.nominal_ftol)
+    preliminary = _preliminary(study, fit, lambda share: None)
+    far = yet_to_go * distance_by_readings(nominal, fit.point - nominal.fit.point)
+    if distance_by_readings(nominal, preliminary.fit.point - nominal.fit.point) < far:
+        return nominal
+    return _at_full_weight(study, preliminary, lambda share: None)
+
+
+def distance_by_readings(nominal: NominalFit, by: np.ndarray) -> float:
+    """How far a point (p,) that lies `by` so much beside a nominal fit is from it, by what the readings and the priors
+    tell, in noise deviations.
+    """
+    return float(np.hypot(np.linalg.norm(nominal.J @ by), np.linalg.norm(by)))
 
 
 def _leads_back(nominal: NominalFit, fit: Fit, within: float) -> bool:

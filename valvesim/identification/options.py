@@ -179,6 +179,9 @@ class InputOptions:
     least_undersampled: float = option(0.01, "1", "share of a record in which they differ that counts", JUDGEMENT)
     edge_places: int = option(8, "1", "places in its interval at which an edge is tried", JUDGEMENT)
     edge_samples: int = option(8, "1", "samples after an edge that may tell it is elsewhere", "the valve's response")
+    settling_samples: int = option(
+        32, "1", "samples after a jump in which a fit under other inputs leaves what edges would gain", JUDGEMENT
+    )
     edge_misfit: float = option(3.0, "1", "mean square of what is left there, in noise deviations", JUDGEMENT)
     edge_gain: float = option(10.0, "1", "reduction of the chi-square by which another place must be better", JUDGEMENT)
     edge_share: float = option(0.03, "1", "least share of an edge that lies before and after a sample in it", JUDGEMENT)

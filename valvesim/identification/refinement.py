@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
@@ -14,8 +16,9 @@ from valvesim.identification.least_squares import levenberg_marquardt, normal_eq
 from valvesim.identification.study import Study
 
 
-def refined(study: Study, fit: Fit) -> Fit:
-    """A fit near its best continued by Jacobians of its own, with the Occam factor in the end.
+def refined(study: Study, fit: Fit, known: np.ndarray | None = None) -> Fit:
+    """A fit near its best continued by Jacobians of its own, with the Occam factor in the end; that of the fit as it
+    is, (rows, n) whitened, may be `known`.
 
     In a long session, where that takes too long, it is left as it is; and so where it cannot be simulated.
     """
@@ -24,10 +27,10 @@ def refined(study: Study, fit: Fit) -> Fit:
     enough = study.options.fit.hypothesis_ftol
     for _ in range(study.options.fit.refinements):
         try:
-            jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
+            jacobian = known if known is not None else jacobian_of(study, fit, *linearise_fit(study, fit))
         except (SolveError, InputError):
             return fit
-        before = fit.chi_square
+        before, known = fit.chi_square, None
         fit, updated = levenberg_marquardt(study, fit, jacobian, enough)
         H, _ = normal_equations(fit, updated, options=study.options)
         fit = replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
