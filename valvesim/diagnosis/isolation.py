@@ -254,7 +254,7 @@ def _with_bench(
     """The nominal fit with what the bench did; fitted again from within tolerance where that leaves an alarm and
     figures that are off, for it may have stopped short; and refined where there still is one by score tests alone.
     What it leaves, and the fits of causes beside which the bench was looked at: of the hypotheses `known` from
-    elsewhere, where there are any; how the commands go has been asked there.
+    elsewhere, where there are any; how the commands go, and from where the fit ends elsewhere, has been asked there.
     """
     beside, reviewed, settled = list[Fit](), nominal, None
     if not known:
@@ -278,14 +278,13 @@ def _with_bench(
     if detect(scores)[0]:
         nominal, scores = with_bench_faults(nominal, scores, options=options)
     adequate = is_adequate(nominal.fit, options=options.identification)
-    if detect(scores)[0] and adequate and largest_shift(nominal.fit) > options.isolation.shifted:
+    if not known and detect(scores)[0] and adequate and largest_shift(nominal.fit) > options.isolation.shifted:
         within = evaluate_fit(nominal.study, clipped_to_tolerance(nominal), (), nominal.fit.trajectories)
         again = refit_nominal(nominal, within, options.isolation.same_end, options.isolation.same_start)
         if rescored(nominal.study, again.fit).chi_square >= nominal.fit.chi_square - options.isolation.slight_gain:
             again = nominal
-        if not known:
-            again = with_inputs_tried(again)
-            again = again if again is settled else with_edges_tried(again)
+        again = with_inputs_tried(again)
+        again = again if again is settled else with_edges_tried(again)
         if again is not nominal:
             nominal, scores = again, score_test(again, again.fit, options=options)
     alarm, level = detect(scores)
@@ -584,11 +583,13 @@ def _better_nominal(
     """The nominal model fitted from where a hypothesis has gone, if that is better without its causes too.
 
     Then most of what this explains is that the nominal fit had stopped short. Of a hypothesis that explains little
-    that is asked however much it would lose at first; once of those that have gone to the same point.
+    that is asked however much it would lose at first; once of those that have gone to the same point; and of none that
+    explains nothing.
     """
     begun = list[tuple[np.ndarray, NominalFit]]()
     for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
-        gain = nominal.fit.chi_square - one.chi_square
+        if (gain := nominal.fit.chi_square - one.chi_square) <= 0.0:
+            break
         better = next((fit for point, fit in begun if _lie_together(nominal, one.point, point, options=options)), None)
         if better is None and (better := _nominal_from(nominal, one, gain, options=options)) is not None:
             begun.append((one.point, better))

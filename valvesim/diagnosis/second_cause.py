@@ -201,9 +201,11 @@ def effects_for_parameters(
     starts = [(*rest, at_typical(scores, k)) for k in beside]
     order = np.argsort(-reductions_from_prior(nominal, starts), kind="stable")
     likeliest = [starts[k] for k in order[: scores.options.isolation.seconds]]
-    fits = [fit for start in likeliest if (fit := fit_from_prior(nominal, start)) is not None]
+    halfway = 0.5 * (best.chi_square + nominal.fit.chi_square)
+    fits = [fit_from_prior(nominal, start, worthwhile=halfway) for start in likeliest]
     merged = distinct(
-        [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits]], options=scores.options
+        [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits if fit is not None]],
+        options=scores.options,
     )
     if merged[0] is not found[0]:  # what was beside the figure may do without either
         merged = reduced_hypotheses(nominal, merged, options=scores.options)
