@@ -731,6 +731,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     candidates = [explained(0.0, name).candidates[0] for name in names]
     z = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
     scores = SimpleNamespace(options=DIAGNOSIS, candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=100.0))
     tried, chi_squares, alone = [], {other: 50.0, "thermal_lag": None}, {}
 
     def each_alone(nominal, starts, point, others, options):
@@ -741,7 +742,8 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
         assert all(start[-1].above_neutral == pytest.approx(start[-1].candidate.typical) for start in starts)
         return np.array([{other: 9.0, "thermal_lag": 8.0}.get(start[-1].candidate.name, -1.0) for start in starts])
 
-    def afresh(nominal, start):
+    def afresh(one, start, *, worthwhile):
+        assert one is nominal and worthwhile in (100.0, 95.0)  # halfway from the nominal one to the best
         chi_square = chi_squares.get(start[-1].candidate.name, 95.0)
         return replace(pair.fit, fitted=start, chi_square=chi_square) if chi_square is not None else None
 
@@ -751,21 +753,21 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     monkeypatch.setattr(
         second_cause, "score_test", lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit)
     )
-    found, final, keys = effects_for_parameters(None, scores, [figure], BEFORE)
+    found, final, keys = effects_for_parameters(nominal, scores, [figure], BEFORE)
     one_sided = {name for name, c in zip(names, candidates, strict=True) if c.one_sided}
     linear, fault = "spool_silting", "sensor_lag@load_flow"  # the one has the right sign, the other reads and acts not
     assert {other, "thermal_lag"} <= {name for (name,) in tried} == one_sided - {linear, fault}
     assert found[0].label == other and final.fit is found[0].fit and figure in found
     assert len(keys) == DIAGNOSIS.isolation.seconds and start_keys([found[0].fit.fitted]) <= keys
-    found, final, _ = effects_for_parameters(None, scores, [pair], BEFORE)
+    found, final, _ = effects_for_parameters(nominal, scores, [pair], BEFORE)
     assert (beside, other) in tried and (beside, beside) not in tried and found[0].label == f"{beside} + {other}"
     alone[other] = 51.0  # the cause that stood beside the figure is nothing without it
-    assert effects_for_parameters(None, scores, [pair], BEFORE)[0][0].label == other
+    assert effects_for_parameters(nominal, scores, [pair], BEFORE)[0][0].label == other
     chi_squares[other] = 95.0
-    assert effects_for_parameters(None, scores, [pair], BEFORE)[1] == BEFORE  # nothing is better: nothing to look at
+    assert effects_for_parameters(nominal, scores, [pair], BEFORE)[1] == BEFORE  # nothing is better: nothing to look at
     tried.clear()
     without = explained(90.0, beside)
-    assert effects_for_parameters(None, scores, [without], BEFORE) == ([without], BEFORE, frozenset()) and not tried
+    assert effects_for_parameters(nominal, scores, [without], BEFORE) == ([without], BEFORE, frozenset()) and not tried
 
 
 def test_a_figure_of_the_material_is_rarer_than_one_of_the_part():

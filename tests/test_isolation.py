@@ -152,6 +152,9 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
     ended, scores, _ = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
     best = renewed if taken else base
     assert asked == [[2.0]] and ended is (under_other if other else best) and scores.fit is ended.fit
+    known = (hypothesis(4400.0, "spool_lap").fit,)  # the records' beginnings have asked
+    assert isolation._with_bench(base, score_test_of(base, base.fit), known, options=DIAGNOSIS)[0] is base
+    assert asked == [[2.0]]
 
 
 @pytest.mark.parametrize("moved, scored", [(0.0, 0), (1e-3, 1)])
@@ -530,6 +533,7 @@ def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit
         (5000.0, 8500.0, 5500.0, False),  # without its cause it is lost: no fit is made
         (8960.0, 9500.0, 8962.0, True),  # it is slight: a fit is made, and is as good without the cause
         (8960.0, 9500.0, 8995.0, False),  # the same, and the cause was needed
+        (9011.0, 9001.0, 9000.0, False),  # it explains nothing, and no nominal fit is better
     ],
 )
 def test_a_nominal_fit_that_stopped_short_is_made_anew_from_a_hypothesis(monkeypatch, ends, without, reaches, better):
