@@ -32,6 +32,7 @@ from valvesim.diagnosis.refits import (
     _from_best_point,
     _from_usual_shapes,
     _restarted_within_tolerance,
+    promising_beside,
     fit_starts,
     pairs_from_members,
 )
@@ -688,6 +689,17 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
     assert with_other_pairs(None, [best], BEFORE) == ([best], BEFORE) and not tried
 
 
+@pytest.mark.parametrize("least, nominal, most", [
+    (5000.0, 5800.0, 5400.0),  # halfway
+    (5000.0, 5020.0, 5000.0 + DIAGNOSIS.isolation.slight_gain),  # it has not ended yet
+    (5000.0, 1e9, 5000.0 * OPTIONS.fit.inadequate_ratio),  # and must come near the records
+    (5001.0 * OPTIONS.fit.inadequate_ratio, 1e9, None),  # as the best does not
+])  # fmt: skip
+def test_how_much_a_fit_from_the_prior_may_leave_beside_the_best(least, nominal, most):
+    base = SimpleNamespace(fit=explained(nominal).fit, study=SimpleNamespace(options=OPTIONS))
+    assert promising_beside(base, explained(least, "spool_lap").fit, options=DIAGNOSIS) == most
+
+
 def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeypatch):
     asked, much = [], 3.0 * OPTIONS.fit.hypothesis_ftol
     nominal = SimpleNamespace(study=SimpleNamespace(options=OPTIONS), fit=explained(120.0).fit)
@@ -731,7 +743,8 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     candidates = [explained(0.0, name).candidates[0] for name in names]
     z = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
     scores = SimpleNamespace(options=DIAGNOSIS, candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
-    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=100.0))
+    nominal, promised = explained(900.0), 500.0
+    monkeypatch.setattr(second_cause, "promising_beside", lambda nominal, best, options: promised)
     tried, chi_squares, alone = [], {other: 50.0, "thermal_lag": None}, {}
 
     def each_alone(nominal, starts, point, others, options):
@@ -743,7 +756,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
         return np.array([{other: 9.0, "thermal_lag": 8.0}.get(start[-1].candidate.name, -1.0) for start in starts])
 
     def afresh(one, start, *, worthwhile):
-        assert one is nominal and worthwhile in (100.0, 95.0)  # halfway from the nominal one to the best
+        assert one is nominal and worthwhile == promised
         chi_square = chi_squares.get(start[-1].candidate.name, 95.0)
         return replace(pair.fit, fitted=start, chi_square=chi_square) if chi_square is not None else None
 

@@ -20,6 +20,7 @@ from valvesim.diagnosis.refits import (
     comes_near,
     fit_starts,
     pairs_from_members,
+    promising_beside,
     reduced_hypotheses,
     refined_hypotheses,
 )
@@ -201,8 +202,8 @@ def effects_for_parameters(
     starts = [(*rest, at_typical(scores, k)) for k in beside]
     order = np.argsort(-reductions_from_prior(nominal, starts), kind="stable")
     likeliest = [starts[k] for k in order[: scores.options.isolation.seconds]]
-    halfway = 0.5 * (best.chi_square + nominal.fit.chi_square)
-    fits = [fit_from_prior(nominal, start, worthwhile=halfway) for start in likeliest]
+    worthwhile = promising_beside(nominal, best, options=scores.options)
+    fits = [fit_from_prior(nominal, start, worthwhile=worthwhile) for start in likeliest]
     merged = distinct(
         [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits if fit is not None]],
         options=scores.options,
