@@ -32,9 +32,9 @@ from valvesim.diagnosis.refits import (
     _from_best_point,
     _from_usual_shapes,
     _restarted_within_tolerance,
-    promising_beside,
     fit_starts,
     pairs_from_members,
+    promising_beside,
 )
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
