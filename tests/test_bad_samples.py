@@ -148,6 +148,17 @@ def test_a_burst_is_found_where_much_of_its_record_is_left_out_already(missing):
     assert _bursts(np.full(len(TIME), np.nan), np.zeros(len(TIME)), options=OPTIONS) == []
 
 
+@given(st.integers(0, 2**32 - 1), st.lists(st.integers(4, 5), min_size=4, max_size=6), st.floats(40.0, 90.0))
+def test_peaks_that_a_model_has_too_large_or_too_small_are_no_burst(seed, apart, size):
+    """A chirp across null makes one for each crossing, of a sample each; a spike turns the samples next to it, too."""
+    draw = np.random.default_rng(seed)
+    left, floor, at = draw.normal(size=len(TIME)), np.zeros(len(TIME)), 20 + np.cumsum(apart)
+    left[at] += draw.choice([-1.0, 1.0], len(at)) * size
+    assert _bursts(left, floor, options=OPTIONS)
+    floor[at] = 0.5 * size
+    assert _bursts(left, floor, options=OPTIONS) == []
+
+
 def test_noise_that_is_everywhere_is_no_burst():
     loud = np.where(TIME < 0.5 * TIME[-1], 1.0, 50.0) * np.random.default_rng(3).normal(size=len(TIME))
     assert _bursts(loud, np.zeros(len(TIME)), options=OPTIONS) == []

@@ -218,11 +218,14 @@ def _away_from_jumps(record: Record, *, options: IdentificationOptions) -> np.nd
 
 
 def _bursts(left: np.ndarray, floor: np.ndarray, *, options: IdentificationOptions) -> list[tuple[int, int]]:
-    """First and one past the last sample of each burst in residuals (n,), NaN where there is none, that may turn by
-    `floor` (n,) at each sample; none where there are too many.
+    """First and one past the last sample of each burst in residuals (n,), NaN where there is none, that may err by
+    `floor` (n,) at each sample, and turn by as much there and next to it; none where there are too many.
     """
+    from scipy.ndimage import maximum_filter1d
+
     turn = np.full(len(left), np.nan)
     turn[1:-1] = np.diff(left, 2)
+    floor = maximum_filter1d(floor, 3)
     read = np.isfinite(turn)
     if not read.any():
         return []
