@@ -34,7 +34,7 @@ from valvesim.identification import input_choice
 from valvesim.identification.between_samples import EdgeTime
 from valvesim.identification.fit import evaluate_fit, predict_readings, with_shapes
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
-from valvesim.identification.input_choice import left_behind_jumps, searched_edges
+from valvesim.identification.input_choice import excess_after_jumps, searched_edges
 from valvesim.identification.input_waves import (
     MODULATED,
     _powers,
@@ -830,7 +830,7 @@ def test_an_edge_is_looked_for_where_more_than_noise_follows_it():
     gap=st.tuples(st.integers(0, 200), st.integers(0, 40)),
     seed=st.integers(0, 1000),
 )
-def test_what_a_fit_leaves_behind_jumps_is_of_the_samples_there(after, gap, seed):
+def test_what_a_fit_leaves_after_jumps_is_of_the_samples_there(after, gap, seed):
     """Against plain loops; samples that are not usable have no row."""
     rng, samples = np.random.default_rng(seed), 200
     edges = [EdgeTime("a", "current", k) for k in after]
@@ -850,7 +850,7 @@ def test_what_a_fit_leaves_behind_jumps_is_of_the_samples_there(after, gap, seed
     read = {name: np.zeros(samples) for name in usable}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(input_choice, "_jumps_of", lambda record, options: edges)
-        left = left_behind_jumps(study, SimpleNamespace(readings=(read,)))
+        left = excess_after_jumps(study, SimpleNamespace(readings=(read,)))
     expected = 0.0
     for name, own in values.items():
         for k in range(samples):

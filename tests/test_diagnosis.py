@@ -33,8 +33,8 @@ from valvesim.diagnosis.refits import (
     _from_usual_shapes,
     _restarted_within_tolerance,
     fit_starts,
+    largest_worthwhile_beside,
     pairs_from_members,
-    promising_beside,
 )
 from valvesim.diagnosis.result import (
     AMBIGUOUS,
@@ -697,7 +697,7 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
 ])  # fmt: skip
 def test_how_much_a_fit_from_the_prior_may_leave_beside_the_best(least, nominal, most):
     base = SimpleNamespace(fit=explained(nominal).fit, study=SimpleNamespace(options=OPTIONS))
-    assert promising_beside(base, explained(least, "spool_lap").fit, options=DIAGNOSIS) == most
+    assert largest_worthwhile_beside(base, explained(least, "spool_lap").fit, options=DIAGNOSIS) == most
 
 
 def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeypatch):
@@ -744,7 +744,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     z = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
     scores = SimpleNamespace(options=DIAGNOSIS, candidates=candidates, sizes=np.ones(len(names)), z=lambda: z)
     nominal, promised = explained(900.0), 500.0
-    monkeypatch.setattr(second_cause, "promising_beside", lambda nominal, best, options: promised)
+    monkeypatch.setattr(second_cause, "largest_worthwhile_beside", lambda nominal, best, options: promised)
     tried, chi_squares, alone = [], {other: 50.0, "thermal_lag": None}, {}
 
     def each_alone(nominal, starts, point, others, options):

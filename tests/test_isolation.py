@@ -133,7 +133,7 @@ def test_a_nominal_fit_with_figures_far_off_is_made_again_from_within_tolerance(
     monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
     monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted, near=(): replace(base.fit, point=point))
 
-    def refit(nominal, start, within, yet_to_go):
+    def refit(nominal, start, within, remaining_share):
         asked.append(start.point.tolist())
         return renewed
 

@@ -165,22 +165,22 @@ def test_the_nominal_fit_is_made_again_robustly_from_where_it_is_inadequate(bias
     ratio = 0.5 * far.chi_square / far.rows
     strict = replace(nominal.study.options, fit=replace(nominal.study.options.fit, inadequate_ratio=ratio))
     strict = replace(nominal, study=replace(nominal.study, options=strict))
-    monkeypatch.setattr(nominal_fit, "_preliminary", lambda study, fit, progress: nominal)
-    monkeypatch.setattr(nominal_fit, "_at_full_weight", lambda study, near, progress: ("robust", near))
+    monkeypatch.setattr(nominal_fit, "_preliminary", lambda study, fit: nominal)
+    monkeypatch.setattr(nominal_fit, "_at_full_weight", lambda study, near: ("robust", near))
     assert refit_nominal(strict, far) == ("robust", nominal)
 
 
-@pytest.mark.parametrize("gone, yet_to_go, ends", [(0.97, 0.05, False), (0.9, 0.05, True), (0.97, 0.0, True)])
-def test_a_refit_that_has_nearly_come_back_is_not_gone_on_with(biased, monkeypatch, gone, yet_to_go, ends):
+@pytest.mark.parametrize("gone, remaining_share, ends", [(0.97, 0.05, False), (0.9, 0.05, True), (0.97, 0.0, True)])
+def test_a_refit_that_has_nearly_come_back_is_not_gone_on_with(biased, monkeypatch, gone, remaining_share, ends):
     nominal, _ = biased
     by = np.eye(len(nominal.fit.point))[at(nominal, "nozzle_diameter")]
     ratio = replace(nominal.study.options.fit, inadequate_ratio=0.1)
     strict = replace(nominal, study=replace(nominal.study, options=replace(nominal.study.options, fit=ratio)))
     start = replace(nominal.fit, point=nominal.fit.point + by)
     near = replace(nominal, fit=replace(nominal.fit, point=nominal.fit.point + (1.0 - gone) * by))
-    monkeypatch.setattr(nominal_fit, "_preliminary", lambda study, fit, progress: near)
-    monkeypatch.setattr(nominal_fit, "_at_full_weight", lambda study, near, progress: "robust")
-    assert refit_nominal(strict, start, 0.0, yet_to_go) == ("robust" if ends else strict)
+    monkeypatch.setattr(nominal_fit, "_preliminary", lambda study, fit: near)
+    monkeypatch.setattr(nominal_fit, "_at_full_weight", lambda study, near: "robust")
+    assert refit_nominal(strict, start, 0.0, remaining_share) == ("robust" if ends else strict)
 
 
 def test_a_fit_within_tolerance_is_left_as_it_is(biased):
@@ -258,9 +258,9 @@ def test_other_ways_with_edges_are_tried_where_commands_jump(
     monkeypatch.setattr(nominal_fit, "_near_under", near)
     options = nominal.study.options.input
     least = max(options.minimum_gain, options.gain_share * (far.fit.chi_square - far.fit.rows))
-    monkeypatch.setattr(nominal_fit, "left_behind_jumps", lambda study, fit: 0.99 * least)
-    assert with_edges_tried(far) is far and not asked  # what edges would gain is left behind the jumps
-    monkeypatch.setattr(nominal_fit, "left_behind_jumps", lambda study, fit: 1.01 * least)
+    monkeypatch.setattr(nominal_fit, "excess_after_jumps", lambda study, fit: 0.99 * least)
+    assert with_edges_tried(far) is far and not asked  # what edges would gain is left after the jumps
+    monkeypatch.setattr(nominal_fit, "excess_after_jumps", lambda study, fit: 1.01 * least)
     found = with_edges_tried(far)
     assert bool(asked) is tried
     for k, limit in enumerate(limits):  # a way that is no better by more than chance is given up, and one by another's

@@ -109,7 +109,7 @@ def _from_best_point(
     left_to_alike = [known.fitted for known, _ in _alike_in_place(nominal, found, options=options) if known is not None]
     begun = [start for start in shifted if not any(start is other for other in left_to_alike)]
     more = fit_starts(nominal, begun, least.point, others=found, options=options)
-    worthwhile = promising_beside(nominal, least, options=options)
+    worthwhile = largest_worthwhile_beside(nominal, least, options=options)
     anew = [fit_from_prior(nominal, fitted, worthwhile=worthwhile) for fitted in shifted if len(fitted) == 1]
     return [*more, *(FittedHypothesis(fit, options=options) for fit in anew if fit is not None)]
 
@@ -174,7 +174,7 @@ def _largest_adequate_beside(
     return largest_adequate(nominal.fit, options=options.identification) if near else None
 
 
-def promising_beside(nominal: NominalFit, best: Fit, *, options: DiagnosisOptions) -> float | None:
+def largest_worthwhile_beside(nominal: NominalFit, best: Fit, *, options: DiagnosisOptions) -> float | None:
     """The chi-square above which a fit from the prior is not continued beside a best that comes near the records: what
     an adequate fit may leave, or halfway from the best to the nominal fit where that is less; more than a slight gain
     above the best in any case, for such a fit has not ended yet. None where the best does not come near.

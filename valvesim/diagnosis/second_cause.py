@@ -19,8 +19,8 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import (
     comes_near,
     fit_starts,
+    largest_worthwhile_beside,
     pairs_from_members,
-    promising_beside,
     reduced_hypotheses,
     refined_hypotheses,
 )
@@ -202,7 +202,7 @@ def effects_for_parameters(
     starts = [(*rest, at_typical(scores, k)) for k in beside]
     order = np.argsort(-reductions_from_prior(nominal, starts), kind="stable")
     likeliest = [starts[k] for k in order[: scores.options.isolation.seconds]]
-    worthwhile = promising_beside(nominal, best, options=scores.options)
+    worthwhile = largest_worthwhile_beside(nominal, best, options=scores.options)
     fits = [fit_from_prior(nominal, start, worthwhile=worthwhile) for start in likeliest]
     merged = distinct(
         [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits if fit is not None]],

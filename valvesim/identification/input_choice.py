@@ -171,15 +171,15 @@ def _squared_residuals(
     return total
 
 
-def left_behind_jumps(study: Study, fit: Fit) -> float:
-    """The chi-square that a fit leaves beyond the noise in the samples behind the jumps of the commands."""
+def excess_after_jumps(study: Study, fit: Fit) -> float:
+    """The chi-square that a fit leaves beyond the noise in the samples after the jumps of the commands."""
     left = 0.0
     for predictor, read in zip(study.predictors, fit.readings, strict=True):
-        record, behind = predictor.record, np.zeros(len(predictor.record.time), dtype=bool)
+        record, after = predictor.record, np.zeros(len(predictor.record.time), dtype=bool)
         for edge in _jumps_of(record, options=study.options):
-            behind[edge.after + 1 : edge.after + 1 + study.options.input.settling_samples] = True
-        if behind.any():
-            left += float(np.sum(_squared_residuals(study, predictor, read, beyond_noise=True)[behind]))
+            after[edge.after + 1 : edge.after + 1 + study.options.input.settling_samples] = True
+        if after.any():
+            left += float(np.sum(_squared_residuals(study, predictor, read, beyond_noise=True)[after]))
     return left
 
 

@@ -21,10 +21,10 @@ from valvesim.identification.input_choice import (
     are_delays,
     chi_square_of_way,
     choose_inputs,
+    excess_after_jumps,
     input_choices,
     input_notes,
     input_spread,
-    left_behind_jumps,
     searched_edges,
 )
 from valvesim.identification.input_errors import with_input_errors
@@ -351,7 +351,7 @@ def with_edges_tried(nominal: NominalFit) -> NominalFit:
 
     A curve through the samples answers an edge much as a lag of the valve does, a straight line a curve as an inertia
     does. A fit that has moved the valve's figures to make up for the one does not ask for the other any more; but what
-    edges would gain, it leaves behind the jumps.
+    edges would gain, it leaves after the jumps.
     """
     without, now = _without_choice(nominal.study)
     if now.name in (HELD_NAME, READ_BACK_NAME):
@@ -359,7 +359,7 @@ def with_edges_tried(nominal: NominalFit) -> NominalFit:
     excess = nominal.fit.chi_square - nominal.fit.rows
     options = nominal.study.options.input
     worthwhile = max(options.minimum_gain, options.gain_share * excess)
-    if left_behind_jumps(nominal.study, nominal.fit) < worthwhile:
+    if excess_after_jumps(nominal.study, nominal.fit) < worthwhile:
         return nominal
     best, least = nominal, excess - worthwhile
     for choice in input_choices(without.session, options=without.options):
@@ -489,10 +489,10 @@ def fit_nominal_near(
     return _retuned(nominal)
 
 
-def refit_nominal(nominal: NominalFit, fit: Fit, within: float = 0.0, yet_to_go: float = 0.0) -> NominalFit:
+def refit_nominal(nominal: NominalFit, fit: Fit, within: float = 0.0, remaining_share: float = 0.0) -> NominalFit:
     """The nominal model fitted from where another fit without candidates is, at full weight where it may be; the
     nominal fit itself where its equations promise that this ends at its chi-square, `within` so much, or where the fit
-    at the samples alone has no more than a share `yet_to_go` of the way to it before it.
+    at the samples alone has gone there but for a `remaining_share` of its way.
     """
     if within > 0.0 and _leads_back(nominal, fit, within):
         return nominal
@@ -500,11 +500,11 @@ def refit_nominal(nominal: NominalFit, fit: Fit, within: float = 0.0, yet_to_go:
     start = rescored(study, fit)
     if is_adequate(start, options=study.options):
         return _converge(linearise_nominal(study, start), study.options.fit.nominal_ftol)
-    preliminary = _preliminary(study, fit, lambda share: None)
-    far = yet_to_go * distance_by_readings(nominal, fit.point - nominal.fit.point)
+    preliminary = _preliminary(study, fit)
+    far = remaining_share * distance_by_readings(nominal, fit.point - nominal.fit.point)
     if distance_by_readings(nominal, preliminary.fit.point - nominal.fit.point) < far:
         return nominal
-    return _at_full_weight(study, preliminary, lambda share: None)
+    return _at_full_weight(study, preliminary)
 
 
 def distance_by_readings(nominal: NominalFit, by: np.ndarray) -> float:
@@ -524,7 +524,7 @@ def _leads_back(nominal: NominalFit, fit: Fit, within: float) -> bool:
     return abs(promised - nominal.fit.chi_square) < within
 
 
-def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None]) -> NominalFit:
+def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None] = lambda share: None) -> NominalFit:
     """A fit at the samples alone, from a robust start, with peaks down-weighted."""
     without_oversampling = study.without_oversampling()
     return _converge_down_weighted(
@@ -532,7 +532,9 @@ def _preliminary(study: Study, fit: Fit, progress: Callable[[float], None]) -> N
     )
 
 
-def _at_full_weight(study: Study, nominal: NominalFit, progress: Callable[[float], None]) -> NominalFit:
+def _at_full_weight(
+    study: Study, nominal: NominalFit, progress: Callable[[float], None] = lambda share: None
+) -> NominalFit:
     """A preliminary fit continued, first with peaks down-weighted, then at full weight; not where the model cannot
     follow the peaks for what it leaves between them already, or where what the inputs do is not known to the
     microseconds that a peak takes. What is left at the peaks alone is told by nothing else.
