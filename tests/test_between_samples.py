@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import valvesim as vs
 from valvesim.diagnosis.holdout_gain import _read_with_inputs
+from valvesim.identification import nominal_fit
 from valvesim.identification.between_samples import (
     EdgeTime,
     Held,
@@ -436,6 +437,22 @@ def test_a_command_that_goes_straight_is_left_as_it_is(tmp_path):
     assert not any("taken as" in note for note in nominal.study.session.notes)
 
 
+def test_where_straight_lines_come_near_their_robust_start_goes_on_and_ways_are_asked_for_twice(tmp_path, monkeypatch):
+    case, bench = draw_bench(505, "none", duration=0.3)
+    write_bench_session(case, bench, tmp_path)
+    prepared, asked, robust = prepare_session(load_session(tmp_path)), [], []
+    choose, start = nominal_fit.choose_inputs, nominal_fit.robust_start
+    monkeypatch.setattr(nominal_fit, "choose_inputs", lambda *args: asked.append(1) or choose(*args))
+
+    def begun(study, fit, *rest, **known):
+        robust.append(fit.point)
+        return start(study, fit, *rest, **known)
+
+    monkeypatch.setattr(nominal_fit, "robust_start", begun)
+    fit_nominal(prepared)
+    assert len(asked) == 2 and not robust[0].any() and all(point.any() for point in robust[1:])
+
+
 def test_a_strong_ripple_of_the_supply_is_fitted_with_its_frequency(tmp_path):
     case, bench = draw_bench(505, "none", imperfections=("ripple",), duration=0.3)
     write_bench_session(case, bench, tmp_path)
@@ -450,7 +467,8 @@ def test_held_commands_are_told_beside_a_ripple_before_anything_is_fitted(tmp_pa
     case, bench = draw_bench(505, "none", imperfections=("hold", "ripple"), duration=0.3)
     write_bench_session(case, bench, tmp_path)
     prepared = prepare_session(load_session(tmp_path))
-    assert _plain_choice(prepared)[0].name == HELD_NAME
+    choice, start, robust = _plain_choice(prepared)
+    assert choice.name == HELD_NAME and start.study.nominal.variant.deviations and robust is None
     far = replace(OPTIONS, fit=replace(OPTIONS.fit, inadequate_ratio=1e-6))  # by robust starts instead
     assert _plain_choice(replace(prepared, options=far))[0].name == HELD_NAME
 

@@ -751,9 +751,12 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
         return [explained(alone.get(member.candidate.name, 500.0), member.candidate.name) for (member,) in starts]
 
     def falls(nominal, starts):
-        tried[:] = [tuple(member.candidate.name for member in start) for start in starts]
-        assert all(start[-1].above_neutral == pytest.approx(start[-1].candidate.typical) for start in starts)
-        return np.array([{other: 9.0, "thermal_lag": 8.0}.get(start[-1].candidate.name, -1.0) for start in starts])
+        rest, *beside_it = starts
+        tried[:] = [tuple(member.candidate.name for member in start) for start in beside_it]
+        assert all(start[-1].above_neutral == pytest.approx(start[-1].candidate.typical) for start in beside_it)
+        assert all(start[:-1] == rest for start in beside_it)
+        explains = {other: 9.0, "thermal_lag": 8.0}  # beside `rest`: of the others none explains anything
+        return np.array([7.0, *(7.0 + explains.get(start[-1].candidate.name, 0.0) for start in beside_it)])
 
     def afresh(one, start, *, worthwhile):
         assert one is nominal and worthwhile == promised
@@ -771,7 +774,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     linear, fault = "spool_silting", "sensor_lag@load_flow"  # the one has the right sign, the other reads and acts not
     assert {other, "thermal_lag"} <= {name for (name,) in tried} == one_sided - {linear, fault}
     assert found[0].label == other and final.fit is found[0].fit and figure in found
-    assert len(keys) == DIAGNOSIS.isolation.seconds and start_keys([found[0].fit.fitted]) <= keys
+    assert len(keys) == 2 < DIAGNOSIS.isolation.seconds and start_keys([found[0].fit.fitted]) <= keys
     found, final, _ = effects_for_parameters(nominal, scores, [pair], BEFORE)
     assert (beside, other) in tried and (beside, beside) not in tried and found[0].label == f"{beside} + {other}"
     alone[other] = 51.0  # the cause that stood beside the figure is nothing without it

@@ -197,6 +197,7 @@ def seconds(monkeypatch):
     monkeypatch.setattr(second_cause, "linear_amplitude", lambda final, k: FittedCandidate(final.candidates[k], 1.0))
     monkeypatch.setattr(second_cause, "fit_starts", fit_starts)
     monkeypatch.setattr(second_cause, "pairs_from_members", pairs_from_members)
+    monkeypatch.setattr(second_cause, "from_other_sought_shapes", lambda nominal, found, *, options: [])
     return asked, again
 
 
@@ -207,6 +208,17 @@ def test_effects_are_tried_before_figures_that_show_hardly_more(seconds):
     found, _ = second_cause.with_second_cause(leaving(5400.0), final, [best])
     assert seconds[0] == [("spool_lap", "entrained_air"), ("spool_lap", FIGURE.label)]
     assert found == [best] and seconds[1] == [[best]]
+
+
+def test_what_promises_nearly_as_much_as_the_first_is_tried_however_many_there_are(seconds):
+    """Three figures that act alike stood before the magnets that were weak, and were all in the answer (200012)."""
+    best = hypothesis(5000.0, "spool_lap")
+    figures = [replace(FIGURE, name=f"figure_{k}") for k in range(DIAGNOSIS.isolation.seconds)]
+    names = ("magnet_demagnetization", "entrained_air")
+    final = final_of(best, [10.9] * len(figures) + [10.58, 10.3], [*figures, *map(effect, names)])
+    second_cause.with_second_cause(leaving(5400.0), final, [best])
+    labels = [second for _, second in seconds[0]]
+    assert labels == [*(one.label for one in figures), names[0]]  # the other promises 10 less than the first
 
 
 @pytest.mark.parametrize(

@@ -387,14 +387,14 @@ def test_no_change_has_no_answer():
 
 def test_the_equations_hold_the_states_of_the_variant_alone():
     predictor, plain = bench_of("fast"), linear().tangent
-    assert plain.active.tolist() == [0, 1, 2, 3, 4, 5] and plain.A.shape == (len(predictor.times), 6, 6)
+    assert plain.active.tolist() == [0, 1, 2, 3, 4, 5] and plain.A.shape == (len(linear().course.times), 6, 6)
     variant = nominal_variant().with_effect(FRICTION)
     trajectory = course_of("fast", variant)
     _, own = predictor.reduced(trajectory.model, variant)
     compiled = compile_derivatives(trajectory.model, MEASURED_SIGNALS)
     course = coefficient_course(trajectory.path, trajectory.knots, predictor.times)
     partials = compiled.derivatives(trajectory.states, predictor.inputs, course)
-    points = Course(predictor.times, predictor.inputs, trajectory.states, np.arange(len(predictor.times)))
+    points = Course(predictor.times, predictor.inputs, trajectory.states, predictor.times, np.arange(0))
     tangent = linearise_along(predictor, trajectory, points, own, compiled, partials)
     assert tangent.active.tolist() == [0, 1, 2, 3, 4, 5, 6] and tangent.E.shape == (len(predictor.times) - 1, 7, 7)
 
@@ -546,7 +546,7 @@ def test_steps_in_which_a_flapper_touches_are_divided_and_answers_hold_there(cur
     for share in (0.0, 0.1):
         predictor = with_divided(stepped(current), share)
         seen = linearise_record(predictor, plain)
-        assert (len(seen.course.times) > len(predictor.times)) == (share > 0.0)
+        assert (seen.course.steps.min() < 0.9 * predictor.times[1]) == (share > 0.0)
         answers = seen.small_difference([], seen.changes_of_valves(up.valve))
         high, low = (predictor.readings(predictor.run(variant), variant) for variant in (up, down))
         off[share] = {
@@ -571,14 +571,22 @@ def test_an_inertia_answers_as_true_runs_do(seed):
         assert near < 0.03 and far > 2.0 * near, name
 
 
+def of_grid(course):
+    """The places on the course of the grid's points that it has, and which these are."""
+    kept = np.isin(course.grid, course.times)
+    return np.searchsorted(course.times, course.grid[kept]), np.flatnonzero(kept)
+
+
 def test_a_divided_course_holds_the_grid_and_what_a_whole_run_has_between():
     predictor, variant = stepped(), nominal_variant()
     trajectory = predictor.run(variant)
     course = linearise_record(predictor, variant, trajectory).course
-    assert np.array_equal(course.times[course.on_grid], predictor.times) and (course.steps > 0.0).all()
-    assert np.array_equal(course.states[course.on_grid], trajectory.states)
-    assert np.array_equal(course.inputs[course.on_grid], predictor.inputs)
-    between = np.delete(np.arange(len(course.times)), course.on_grid)
+    places, kept = of_grid(course)
+    assert np.array_equal(course.grid, predictor.times) and (course.steps > 0.0).all()
+    assert course.times[course.samples] == pytest.approx(predictor.record.time, abs=1e-12)
+    assert np.array_equal(course.states[places], trajectory.states[kept])
+    assert np.array_equal(course.inputs[places], predictor.inputs[kept])
+    between = np.delete(np.arange(len(course.times)), places)
     finer = replace(IDENTIFICATION.predictor, grid_spacing=6.25e-6, sensor_spacing=6.25e-6, most_points=10**6)
     whole = prepare_record(
         small_session(), predictor.record, UNIVERSE, options=replace(IDENTIFICATION, predictor=finer)
@@ -587,20 +595,41 @@ def test_a_divided_course_holds_the_grid_and_what_a_whole_run_has_between():
     assert (np.abs(course.states[between] - fine) / np.ptp(trajectory.states, axis=0)).max() < 1e-3
 
 
-@pytest.mark.parametrize("predictor", [lambda: bench_of("fast"), lambda: stepped().without_oversampling()])
-def test_no_step_is_divided_where_motion_is_smooth_nor_on_the_way_to_a_fit(predictor):
-    seen = linearise_record(predictor(), nominal_variant())
-    assert np.array_equal(seen.course.times, predictor().times)
+def test_on_the_way_to_a_fit_the_course_is_the_grid():
+    seen = linearise_record(stepped().without_oversampling(), nominal_variant())
+    assert np.array_equal(seen.course.times, seen.predictor.times)
     assert seen.course.between(seen.predictor.inputs) is seen.predictor.inputs
+
+
+def test_where_motion_is_smooth_no_step_is_divided_and_every_second_point_left_out():
+    """Between samples alone, and not in the intervals in which something moves fast, or just before or after."""
+    predictor = bench_of("fast")
+    course, every = linearise_record(predictor, nominal_variant()).course, predictor.oversampling
+    left_out = np.flatnonzero(~np.isin(course.grid, course.times))
+    assert every > 2 and 0.15 * len(course.grid) < len(left_out) == len(course.grid) - len(course.times)
+    assert (left_out % every % 2 == 1).all()
+    struck = stepped()
+    course, trajectory = linearise_record(struck, nominal_variant()).course, struck.run(nominal_variant())
+    fast = np.flatnonzero(np.abs(np.diff(trajectory.states[:, 1])) > 0.05 * np.ptp(trajectory.states[:, 1]))
+    assert len(fast) > 10 and np.isin(course.grid[[fast, fast + 1]], course.times).all()
+
+
+def test_no_point_is_left_out_of_a_grid_that_is_coarser_than_asked_for():
+    """As that of a long record is: every point counts there."""
+    options = replace(IDENTIFICATION, predictor=replace(IDENTIFICATION.predictor, most_points=1200))
+    predictor = prepare_record(small_session(), bench_of("fast").record, UNIVERSE, options=options)
+    course = linearise_record(predictor, nominal_variant()).course
+    assert predictor.oversampling > 2 and predictor.times[1] > 1.1 * options.predictor.grid_spacing
+    assert np.isin(course.grid, course.times).all()
 
 
 def test_of_many_fast_steps_the_fastest_are_divided():
     few = with_divided(stepped(), 0.01)
     course, steps = linearise_record(few, nominal_variant()).course, len(few.times) - 1
-    divided = np.diff(course.on_grid) > 1
-    assert 0 < divided.sum() <= 0.01 * steps
-    contacts = np.diff(course.on_grid)[divided]
-    turns = np.diff(linearise_record(bench_of("fast"), nominal_variant().with_effect(FRICTION)).course.on_grid)
+    places, kept = of_grid(course)
+    contacts = np.diff(places)[np.diff(places) > np.diff(kept)]
+    assert 0 < len(contacts) <= 0.01 * steps
+    turns = np.diff(of_grid(linearise_record(bench_of("fast"), nominal_variant().with_effect(FRICTION)).course)[0])
     assert contacts.max() == IDENTIFICATION.sensitivity.most_parts > turns.max() > 1  # the faster, the more
 
 

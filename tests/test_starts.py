@@ -12,6 +12,7 @@ from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.refits import (
     alike_hypotheses,
     fit_starts,
+    from_other_sought_shapes,
     hypotheses_at_other_shapes,
     plainer_hypotheses,
     reduced_hypotheses,
@@ -300,6 +301,28 @@ def test_what_is_looked_for_at_several_shapes_is_fitted_at_each_in_the_place_of_
     pinch = FittedHypothesis(replace(hypothesis(1000.0).fit, fitted=(stopped,)), options=DIAGNOSIS)
     hypotheses_at_other_shapes(nominal, [pinch], options=DIAGNOSIS)
     assert [dict(one.shapes)["free_clearance"] for one in begun] == [3e-6]  # not where the other one has gone
+
+
+def test_a_likely_one_is_fitted_from_the_other_shapes_at_which_it_is_looked_for(monkeypatch):
+    """A loop had ended at a turning current of 3.6 mA, 9 above what it leaves at the true one of 2 mA (200001)."""
+    hysteresis = CATALOGUE["magnetic_hysteresis"]
+    first, other = (Candidate(hysteresis.name, hysteresis, (("turning_current", at),)) for at in (4e-3, 1e-3))
+    pinch, other_pinch = (
+        Candidate("spool_thermal_pinch", CATALOGUE["spool_thermal_pinch"], (("free_clearance", at),))
+        for at in (3e-6, 5e-6)
+    )
+    study = SimpleNamespace(candidates=(AIR, LAP, first, other, *SIDES, pinch, other_pinch))
+    nominal, begun = SimpleNamespace(fit=NOMINAL.fit, study=study), []
+    monkeypatch.setattr(refits, "fit_starts", lambda nominal, starts, point, **_: begun.extend(starts) or [])
+    best, hopeless = hypothesis(1000.0, LAP, first), hypothesis(2900.0, first)
+    from_other_sought_shapes(nominal, [hopeless, best, hypothesis(1001.0, SIDES[0])], options=DIAGNOSIS)
+    ((lap, loop),) = begun
+    assert lap is best.fit.fitted[0] and loop.candidate is other
+    assert loop.above_neutral == best.fit.fitted[1].above_neutral and dict(loop.shapes) == {"turning_current": 1e-3}
+    begun.clear()
+    from_other_sought_shapes(nominal, [hypothesis(1000.0, pinch)], options=DIAGNOSIS)  # a plainer one's: elsewhere
+    from_other_sought_shapes(nominal, [hypothesis(1e6, first)], options=DIAGNOSIS)  # far off
+    assert not begun
 
 
 @pytest.mark.parametrize(

@@ -571,6 +571,27 @@ def test_a_fit_that_cannot_come_near_by_what_it_promises_is_given_up(monkeypatch
     assert len(linearised) + 1 == (linearisations or OPTIONS.fit.linearisations)
 
 
+@pytest.mark.parametrize("left, linearisations", [(1.0, 1), (38.0, 2)])
+def test_a_fit_ends_by_what_is_negligible_where_it_has_come_to(monkeypatch, left, linearisations):
+    """Of a start far off 145 were nothing, and fits that still promised 38 ended above the nominal one (130000)."""
+    linearised = []
+
+    def stepped(study, fit, jacobian, enough):
+        assert enough == (145.0 if fit.chi_square > 1e4 else 2.0)
+        promised = left if not linearised else 0.5
+        return replace(fit, chi_square=5e3 - 50.0 * len(linearised), predicted_reduction=promised), jacobian
+
+    monkeypatch.setattr(hypothesis_fit, "levenberg_marquardt", stepped)
+    monkeypatch.setattr(hypothesis_fit, "linearise_fit", lambda study, fit: linearised.append(1) or ((), ()))
+    monkeypatch.setattr(hypothesis_fit, "jacobian_of", lambda study, fit, *linearised: np.zeros((2, 1)))
+    monkeypatch.setattr(hypothesis_fit, "normal_equations", lambda *_, options: (np.eye(1), np.zeros(1)))
+    monkeypatch.setattr(hypothesis_fit, "occam_factor", lambda *_, options: 0.0)
+    start = Fit(np.zeros(1), (), 2e4, (), np.zeros(2), 5e3)
+    ending = lambda fit: 145.0 if fit.chi_square > 1e4 else 2.0  # noqa: E731 - as `_ending` goes
+    hypothesis_fit._iterate(SimpleNamespace(options=OPTIONS), start, np.zeros((2, 1)), ending, 12, 1e4)
+    assert len(linearised) + 1 == linearisations
+
+
 def test_normal_equations_follow_the_updates_of_the_jacobian(biased, monkeypatch):
     nominal, seen = biased[0], []
     point, given = nominal.fit.point + 0.3, biased[0].J.copy()

@@ -36,6 +36,7 @@ def restarted(
         return []
     more = pairs_from_members(nominal, found, options=options)
     more += _from_usual_shapes(nominal, [*found, *more], options=options)
+    more += from_other_sought_shapes(nominal, [*found, *more], options=options)
     least = min((one.fit for one in (*found, *more)), key=lambda fit: fit.chi_square)
     more += _from_best_point(nominal, [*found, *more], least, options=options)
     near = is_adequate(least, options=options.identification)
@@ -86,6 +87,30 @@ def _from_usual_shapes(
     if start == best.fitted or not is_adequate(best, options=options.identification):
         return []
     return fit_starts(nominal, [start], best.point, others=found, options=options)
+
+
+def from_other_sought_shapes(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """Those that explain nearly as much as the best fitted again from the other values at which a shape of theirs is
+    looked for: they may be in the wrong one of several valleys. Not of an effect that is a plainer one with a feature
+    of its own, see `hypotheses_at_other_shapes`.
+    """
+    likely = distinct(found, options=options)
+    best = likely[0]
+    most = best.fit.chi_square + answer_set_width(nominal, best)
+    if not is_adequate(best.fit, options=options.identification):
+        return []
+    more = list[FittedHypothesis]()
+    for one in (one for one in likely if one.fit.chi_square <= most):
+        for k, member in enumerate(one.fit.fitted):
+            own = member.candidate
+            if _plainer(own) or not any(p.sought for p in own.shapes()):
+                continue
+            elsewhere = [c for c in nominal.study.candidates if c.label == own.label and c.key != own.key]
+            starts = [_in_place(one, k, with_shapes(candidate, member.above_neutral)) for candidate in elsewhere]
+            more += fit_starts(nominal, starts, one.fit.point, others=[best], options=options)
+    return more
 
 
 def _is_at_bound(member: FittedCandidate) -> bool:

@@ -19,6 +19,7 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import (
     comes_near,
     fit_starts,
+    from_other_sought_shapes,
     largest_worthwhile_beside,
     pairs_from_members,
     reduced_hypotheses,
@@ -47,12 +48,11 @@ def with_second_cause(
         if z.max(initial=0.0) ** 2 < least:
             break
         promised = z**2 - [rarity_penalty(candidate, options=final.options) for candidate in final.candidates]
-        near = best_of_labels(final, promised, final.options.isolation.second_share**2 * promised.max())[
-            : final.options.isolation.seconds
-        ]
+        near = _likeliest(final, promised, final.options.isolation.second_share**2 * promised.max())
         starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in near]
         more = fit_starts(nominal, starts, best.fit.point, others=found, options=final.options)
         more += pairs_from_members(nominal, [best, *more], options=final.options)
+        more += from_other_sought_shapes(nominal, [best, *more], options=final.options)
         more = refined_hypotheses(nominal, more, options=final.options)  # as the first has been
         merged = distinct([*found, *more], options=final.options)
         if merged[0] is best:  # what a second one explains is too little to be sure of, but may be there
@@ -61,6 +61,16 @@ def with_second_cause(
         found = reduced_hypotheses(nominal, merged, options=final.options)
         final = score_test(nominal, found[0].fit, options=final.options)
     return found, final
+
+
+def _likeliest(scores: ScoreTest, promised: np.ndarray, least: float) -> list[int]:
+    """The candidates to try as a second cause: of those that promise at least so much the few that promise most, and
+    with them all that promise nearly as much as the first: figures that act alike would else be in an effect's way.
+    """
+    near = best_of_labels(scores, promised, least)
+    most = promised[near[0]] if near else 0.0
+    few, width = scores.options.isolation.seconds, scores.options.selection.answer_ratio
+    return [k for j, k in enumerate(near) if j < few or promised[k] > most - width]
 
 
 def without_corrections_of_laws(
@@ -185,8 +195,9 @@ def effects_for_parameters(
     """The found where the best has a figure beyond its tolerance, with effects in the place of that; and the
     `start_keys` of what was fitted.
 
-    They are those of one sign whose linearised predictions have the other one: what such an effect shows at its typical
-    amplitude may be something else, and a figure that many others follow may have taken its place.
+    They are those of one sign whose linearised predictions have the other one, and that explain something at their
+    typical amplitudes: what such an effect shows there may be something else, and a figure that many others follow may
+    have taken its place.
     """
     best = found[0].fit
     rest = tuple(member for member in best.fitted if member.candidate.effect is not None)
@@ -200,8 +211,9 @@ def effects_for_parameters(
         and not any(c.excludes(member.candidate) for member in rest)
     ]  # fmt: skip
     starts = [(*rest, at_typical(scores, k)) for k in beside]
-    order = np.argsort(-reductions_from_prior(nominal, starts), kind="stable")
-    likeliest = [starts[k] for k in order[: scores.options.isolation.seconds]]
+    without, *falls = reductions_from_prior(nominal, [rest, *starts])
+    order = np.argsort(-np.array(falls), kind="stable")[: scores.options.isolation.seconds]
+    likeliest = [starts[k] for k in order if falls[k] > without]
     worthwhile = largest_worthwhile_beside(nominal, best, options=scores.options)
     fits = [fit_from_prior(nominal, start, worthwhile=worthwhile) for start in likeliest]
     merged = distinct(

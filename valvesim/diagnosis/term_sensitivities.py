@@ -31,8 +31,7 @@ def term_sensitivities(
         basis = np.column_stack([term_basis(linear, terms[k], spans[k], knots) for k in own])
         columns = [k * knots + j for k in own for j in range(knots)]
         if port.name in DIRECT:
-            sampled = linear.course.on_grid[:: linear.predictor.oversampling]
-            out[port.name][:, columns] = (whole.direct[port.name][:, None] * basis)[sampled]
+            out[port.name][:, columns] = (whole.direct[port.name][:, None] * basis)[linear.course.samples]
             continue
         for name, moved in linear.forced_response((), scaled=ScaledForcing(whole, basis)).items():
             out[name][:, columns] = moved
@@ -65,6 +64,6 @@ def argument(linear: LinearisedRecord, hypothesis: TermHypothesis) -> np.ndarray
 
 
 def visited_values(linearised: Sequence[LinearisedRecord], hypothesis: TermHypothesis) -> np.ndarray:
-    """What a hypothesis's variable, not lagged, is in the course of linearised records (n,): evenly in time."""
+    """What a hypothesis's variable, not lagged, is at the samples of linearised records (n,)."""
     plain = replace(hypothesis, memory=NONE)
-    return np.concatenate([argument(linear, plain)[linear.course.on_grid] for linear in linearised])
+    return np.concatenate([argument(linear, plain)[linear.course.samples] for linear in linearised])

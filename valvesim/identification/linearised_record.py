@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from valvesim.identification.between_samples import acting_on
 from valvesim.identification.predictor import (
@@ -444,32 +445,51 @@ def _course_of(
     active: np.ndarray,
     compiled: CompiledDerivatives,
 ) -> Course:
-    """The course of a trajectory: the points of the predictor's grid, and more in the steps over which the Jacobian of
-    the `active` states changes much, where a flapper touches a nozzle, say, or friction turns.
+    """The course of a trajectory: the points of the predictor's grid, but for every second one between samples where
+    motion is smooth, and more in the steps over which the Jacobian of the `active` states changes much, where a flapper
+    touches a nozzle, say, or friction turns.
     """
-    plain = Course(predictor.times, predictor.inputs, trajectory.states, np.arange(len(predictor.times)))
+    grid, every = predictor.times, predictor.oversampling
+    plain = Course(grid, predictor.inputs, trajectory.states, grid, np.arange(0, len(grid), every))
     options, steps = predictor.options.sensitivity, plain.steps
-    most = int(options.most_divided * len(steps))
-    if predictor.preliminary or steps[0] > 2.0 * predictor.options.predictor.grid_spacing or not most:
+    most, spacing = int(options.most_divided * len(steps)), predictor.options.predictor.grid_spacing
+    if predictor.preliminary or steps[0] > 2.0 * spacing or not most:
         return plain
     change = _changes_over_steps(plain, trajectory, active, compiled)
     fast = change > max(options.most_change, float(np.partition(change, -most - 1)[-most - 1]))
-    if not fast.any():
+    left_out = _smooth_between_samples(predictor, plain, change) & (steps[0] <= spacing)
+    if not fast.any() and not left_out.any():
         return plain
     parts = np.ones(len(steps), dtype=int)
     parts[fast] = np.clip(np.ceil(change[fast] / options.most_change), 1, options.most_parts)
     on_grid = np.concatenate([[0], np.cumsum(parts)])
-    times = np.interp(np.arange(on_grid[-1] + 1), on_grid, predictor.times)  # even within each step
-    new = np.ones(len(times), dtype=bool)
-    new[on_grid] = False
-    ends = np.diff(np.concatenate([[False], fast, [False]]).astype(int))
+    times = np.interp(np.arange(on_grid[-1] + 1), on_grid, grid)  # even within each step
+    new, kept = np.ones((2, len(times)), dtype=bool)
+    new[on_grid], kept[on_grid[left_out]] = False, False
     states = np.empty((len(times), trajectory.states.shape[1]))
     states[on_grid] = trajectory.states
-    states[new] = predictor.states_between(
-        trajectory, variant, np.flatnonzero(ends == 1), np.flatnonzero(ends == -1), times[new]
-    )
-    finer = Course(times, predictor.inputs, states, on_grid)
-    return replace(finer, inputs=finer.between(predictor.inputs))
+    if fast.any():
+        ends = np.diff(np.concatenate([[False], fast, [False]]).astype(int))
+        first, last = np.flatnonzero(ends == 1), np.flatnonzero(ends == -1)
+        states[new] = predictor.states_between(trajectory, variant, first, last, times[new])
+    samples = (np.cumsum(kept) - 1)[on_grid[plain.samples]]
+    course = Course(times[kept], predictor.inputs, states[kept], grid, samples)
+    return replace(course, inputs=course.between(predictor.inputs))
+
+
+def _smooth_between_samples(predictor: RecordPredictor, course: Course, change: np.ndarray) -> np.ndarray:
+    """Every second point of a course on the grid (n,), True, that lies between samples where motion is smooth from one
+    of them to the next: the Jacobian `change`s little over steps (n-1,), and states and inputs are nearly straight from
+    neighbour to neighbour. Steps of twice the length tell as much there.
+    """
+    options, every = predictor.options.sensitivity, predictor.oversampling
+    second = np.arange(len(course.times)) % every % 2 == 1
+    rough = np.zeros(len(course.times), dtype=bool)
+    rough[1:-1] = np.maximum(change[1:], change[:-1]) > options.smooth_change
+    for moved in (course.states, np.delete(course.inputs, 1, axis=1)):  # the rate of a command jumps at its corners
+        bend = np.abs(moved[1:-1] - (moved[2:] + moved[:-2]) / 2.0)
+        rough[1:-1] |= np.any(bend > options.smooth_bend * np.ptp(moved, axis=0), axis=1)
+    return second & ~maximum_filter1d(rough & second, 2 * every + 1)
 
 
 def _changes_over_steps(

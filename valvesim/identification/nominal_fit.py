@@ -66,7 +66,8 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
     prepared, choice, nominal = _robust_with_inputs(with_input_errors(prepared), ahead)
     nominal = _with_own_noise(nominal, ahead)
     prepared = replace(prepared, input_errors=with_input_errors(nominal.study, nominal.fit.point).input_errors)
-    if not choice.parameters and choice.name not in (HELD_NAME, READ_BACK_NAME):  # edges may be seen by now
+    seen_late = not choice.parameters and choice.name not in (HELD_NAME, READ_BACK_NAME)  # edges may be seen by now
+    if seen_late and not is_adequate(nominal.fit, options=prepared.options):  # else they are asked for at the end
         choice, nominal = _under_better_choice(prepared, choice, nominal, ahead)
     full = _in_full(with_input_choice(prepared, choice, nominal.study), nominal, ahead)
     better, again = _under_better_choice(prepared, choice, full, ahead)
@@ -95,17 +96,19 @@ def _robust_with_inputs(
     parameters, how its commands go between their samples, and the fit with both. Where there is a wave, the errors of
     the instruments are among the parameters too: the bench is no ideal one.
     """
-    choice, start = _plain_choice(prepared)
+    choice, start, robust = _plain_choice(prepared)
     near = dict[str, float]()
     wave = dominant_wave(start.study, start.fit, start.linearised, start.columns)
     if wave:
         prepared, near = _with_waves(prepared, choice, wave, start.study, ahead)
         prepared = with_parameters(prepared, instrument_errors(prepared.session, options=prepared.options))
         start = _at_nominal(with_input_choice(prepared, choice, start.study), near)
-    better = _choice_at_start(start)
-    if better.name != choice.name:
-        choice, start = better, _at_nominal(with_input_choice(prepared, better), near)
-    nominal = _robustly_fitted(start, ahead)
+    if wave or robust is None:
+        better = _choice_at_start(start)
+        if better.name != choice.name:
+            choice, start = better, _at_nominal(with_input_choice(prepared, better), near)
+        robust = start
+    nominal = _robustly_fitted(robust, ahead)
     for _ in range(prepared.options.wave.most):
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:
@@ -130,11 +133,12 @@ def _at_nominal(prepared: PreparedSession, near: Mapping[str, float]) -> Nominal
     return assembled(study, fit, *linearise_fit(study, fit))
 
 
-def _plain_choice(prepared: PreparedSession) -> tuple[InputChoice, NominalFit]:
+def _plain_choice(prepared: PreparedSession) -> tuple[InputChoice, NominalFit, NominalFit | None]:
     """How the commands go between their samples, edges left aside, by a robust start from nominal under each way; and
     the nominal valve under it.
 
-    Where straight lines come near the records, linear answers tell as well, and more cheaply.
+    Where straight lines come near the records, linear answers tell as well, of edges too, and more cheaply; where they
+    say straight, the robust start is given as well.
     """
     best, least = (STRAIGHT, straight := _at_nominal(prepared, {})), np.inf
     for choice in input_choices(prepared.session, options=prepared.options):
@@ -144,11 +148,13 @@ def _plain_choice(prepared: PreparedSession) -> tuple[InputChoice, NominalFit]:
         fit, linearised, columns = robust_start(start.study, start.fit, known=(start.linearised, start.columns))
         if choice is STRAIGHT and is_adequate(fit, options=prepared.options):
             better = choose_inputs(start.study, fit.point, linearised, columns)
-            return better, start if better is STRAIGHT else _at_nominal(with_input_choice(prepared, better), {})
+            if better is STRAIGHT:
+                return better, start, assembled(start.study, fit, linearised, columns)
+            return better, _at_nominal(with_input_choice(prepared, better), {}), None
         chi_square = chi_square_of_way(start.study, fit)
         if chi_square < least - prepared.options.input.minimum_gain:
             best, least = (choice, start), chi_square
-    return best
+    return *best, None
 
 
 def _with_waves(

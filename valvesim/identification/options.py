@@ -356,6 +356,15 @@ class SensitivityOptions:
     most_divided: float = option(
         0.1, "1", "share of the steps of a trajectory's grid that are divided, the fastest of them", "time"
     )
+    smooth_change: float = option(
+        0.2, "1", "by which the Jacobian times the step may change where every second point is left out", JUDGEMENT
+    )
+    smooth_bend: float = option(
+        0.01,
+        "1",
+        "share of its span by which a state or input may bend off the straight line there",
+        "measured: answers to contact and inertia hold to their tolerances, at twice that they do not",
+    )
     fast: float = option(
         1e-3, "s", "what acts sooner is held while trajectories are kept at the samples alone", "a sample at 1 kHz"
     )

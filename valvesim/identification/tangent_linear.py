@@ -296,14 +296,16 @@ class ChangedBlocks:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The points that a record is linearised at, by their `times` (n,): those of its predictor's grid, at the places
-    `on_grid`, and more between them where the equations change fast. `inputs` (n, n_u) and `states` (n, n_x) there.
+    """The points that a record is linearised at, by their `times` (n,): those of its predictor's `grid` (n_grid,) in
+    time, fewer where motion is smooth, and more where the equations change fast. `inputs` (n, n_u) and `states`
+    (n, n_x) there, and the places of the `samples`.
     """
 
     times: np.ndarray
     inputs: np.ndarray
     states: np.ndarray
-    on_grid: np.ndarray
+    grid: np.ndarray
+    samples: np.ndarray
 
     @property
     def steps(self) -> np.ndarray:
@@ -312,10 +314,9 @@ class Course:
 
     def between(self, on_grid: np.ndarray) -> np.ndarray:
         """What is given on the grid (n_grid, k), at all points: straight between those of the grid."""
-        if len(on_grid) == len(self.times):
+        if self.times is self.grid:
             return on_grid
-        own = self.times[self.on_grid]
-        columns = [np.interp(self.times, own, column) for column in on_grid.T]  # none where an input cannot go further
+        columns = [np.interp(self.times, self.grid, column) for column in on_grid.T]  # none where inputs stand still
         return np.reshape(columns, (-1, len(self.times))).T
 
     def midpoints(self, rates: np.ndarray) -> Course:
@@ -324,7 +325,8 @@ class Course:
         """
         x, u, h = self.states, self.inputs, self.steps[:, None]
         middle = (x[1:] + x[:-1]) / 2.0 + h * (rates[:-1] - rates[1:]) / 8.0
-        return Course((self.times[1:] + self.times[:-1]) / 2.0, (u[1:] + u[:-1]) / 2.0, middle, self.on_grid[:0])
+        times = (self.times[1:] + self.times[:-1]) / 2.0
+        return Course(times, (u[1:] + u[:-1]) / 2.0, middle, times, self.samples[:0])
 
 
 def change_of_jacobian(
