@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from test_prediction import FRICTION, HYSTERESIS, UNIVERSE, bench_of, course_of, nominal_variant, small_session
 
 from valvesim.errors import SolveError
-from valvesim.identification import tangent_linear
+from valvesim.identification import linearised_record, tangent_linear
 from valvesim.identification.between_samples import InputShift, Wave
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.linearised_record import linearise_record
@@ -639,3 +639,24 @@ def test_a_part_that_cannot_be_integrated_says_so():
     ))  # fmt: skip
     with pytest.raises(SolveError, match="record fast: the simulation failed.*more than 1 steps"):
         linearise_record(few, nominal_variant(), stepped().run(nominal_variant()))
+
+
+@pytest.mark.parametrize("rate", [730.0, 1000.0, 3000.0, 3400.0, 5000.0, 10_000.0])
+def test_at_any_rate_the_course_has_the_samples_and_answers_as_the_whole_grid_does(rate, monkeypatch):
+    """Between two samples lie any number of points of the grid, an odd or an even one, or none."""
+    record = bench_of("fast").record
+    time = np.arange(int(record.time[-1] * rate) + 1) / rate
+    values = {name: np.interp(time, record.time, column) for name, column in record.values.items()}
+    usable = {name: np.ones(len(time), dtype=bool) for name in record.usable}
+    other = replace(record, time=time, values=values, usable=usable)
+    predictor = prepare_record(small_session(), other, UNIVERSE, options=IDENTIFICATION)
+    variant, moved = nominal_variant(), moved_valve(null_gap=1e-6, feedback_rod_stiffness=1e-6)
+    seen = linearise_record(predictor, variant)
+    assert seen.course.times[seen.course.samples] == pytest.approx(time, abs=1e-12)
+    assert (seen.course.steps > 0.0).all() and seen.course.steps.max() < 2.01 * predictor.times[1]
+    fewer = seen.small_difference([], seen.changes_of_valves(moved.valve))
+    monkeypatch.setattr(linearised_record, "_smooth_between_samples", lambda *_: np.zeros(len(predictor.times), bool))
+    whole = linearise_record(predictor, variant)
+    assert len(whole.course.times) >= len(predictor.times)
+    for name, columns in whole.small_difference([], whole.changes_of_valves(moved.valve)).items():
+        assert rms(fewer[name] - columns) < 0.01 * rms(columns), name

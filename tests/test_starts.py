@@ -313,9 +313,17 @@ def test_a_likely_one_is_fitted_from_the_other_shapes_at_which_it_is_looked_for(
     )
     study = SimpleNamespace(candidates=(AIR, LAP, first, other, *SIDES, pinch, other_pinch))
     nominal, begun = SimpleNamespace(fit=NOMINAL.fit, study=study), []
-    monkeypatch.setattr(refits, "fit_starts", lambda nominal, starts, point, **_: begun.extend(starts) or [])
     best, hopeless = hypothesis(1000.0, LAP, first), hypothesis(2900.0, first)
-    from_other_sought_shapes(nominal, [hopeless, best, hypothesis(1001.0, SIDES[0])], options=DIAGNOSIS)
+
+    def fit(nominal, start, point, *, worthwhile):
+        assert point is best.fit.point and worthwhile == best.fit.chi_square  # given up where it comes no lower
+        begun.append(start)
+        return replace(best.fit, fitted=start, chi_square=991.0)
+
+    monkeypatch.setattr(refits, "fit_hypothesis", fit)
+    found = [hopeless, best, hypothesis(1001.0, SIDES[0])]
+    (better,) = from_other_sought_shapes(nominal, found, options=DIAGNOSIS)
+    assert better.fit.chi_square == 991.0 and better.candidates == (LAP, other)
     ((lap, loop),) = begun
     assert lap is best.fit.fitted[0] and loop.candidate is other
     assert loop.above_neutral == best.fit.fitted[1].above_neutral and dict(loop.shapes) == {"turning_current": 1e-3}

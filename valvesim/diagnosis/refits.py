@@ -109,7 +109,9 @@ def from_other_sought_shapes(
                 continue
             elsewhere = [c for c in nominal.study.candidates if c.label == own.label and c.key != own.key]
             starts = [_in_place(one, k, with_shapes(candidate, member.above_neutral)) for candidate in elsewhere]
-            more += fit_starts(nominal, starts, one.fit.point, others=[best], options=options)
+            least = one.fit.chi_square
+            fits = [fit_hypothesis(nominal, start, one.fit.point, worthwhile=least) for start in starts]
+            more += [FittedHypothesis(fit, options=options) for fit in fits if fit is not None]
     return more
 
 
