@@ -553,43 +553,46 @@ def test_what_scales_or_shifts_a_reading_is_known_for_good_and_goes_as_far_as_it
     assert gains and np.all(np.isinf(gains)) and set(delays) == {OPTIONS.fit.longest_delay_step}
 
 
-@pytest.mark.parametrize("promise, linearisations", [(100.0, 2), (4000.0, None)])
-def test_a_fit_that_cannot_come_near_by_what_it_promises_is_given_up(monkeypatch, promise, linearisations):
+@pytest.fixture
+def iterated(monkeypatch):
+    """How many linearisations a fit takes whose steps, endings and records are made up."""
     linearised = []
+    monkeypatch.setattr(hypothesis_fit, "linearise_fit", lambda study, fit: linearised.append(1) or ((), ()))
+    monkeypatch.setattr(hypothesis_fit, "jacobian_of", lambda study, fit, *linearised: np.zeros((2, 1)))
+    monkeypatch.setattr(hypothesis_fit, "normal_equations", lambda *_, options: (np.eye(1), np.zeros(1)))
+    monkeypatch.setattr(hypothesis_fit, "occam_factor", lambda *_, options: 0.0)
 
+    def count(stepped, ending, rows):
+        monkeypatch.setattr(hypothesis_fit, "levenberg_marquardt", stepped)
+        start = Fit(np.zeros(1), (), 2e4, (), np.zeros(2), rows)
+        hypothesis_fit._iterate(SimpleNamespace(options=OPTIONS), start, np.zeros((2, 1)), ending, 12, 1e4)
+        return len(linearised) + 1
+
+    return count
+
+
+@pytest.mark.parametrize("promise, linearisations", [(100.0, 2), (4000.0, None)])
+def test_a_fit_that_cannot_come_near_by_what_it_promises_is_given_up(iterated, promise, linearisations):
     def stepped(study, fit, jacobian, enough):
         return replace(fit, chi_square=fit.chi_square - 1e3, predicted_reduction=promise), jacobian
 
-    monkeypatch.setattr(hypothesis_fit, "levenberg_marquardt", stepped)
-    monkeypatch.setattr(hypothesis_fit, "linearise_fit", lambda study, fit: linearised.append(1) or ((), ()))
-    monkeypatch.setattr(hypothesis_fit, "jacobian_of", lambda study, fit, *linearised: np.zeros((2, 1)))
-    monkeypatch.setattr(hypothesis_fit, "normal_equations", lambda *_, options: (np.eye(1), np.zeros(1)))
-    monkeypatch.setattr(hypothesis_fit, "occam_factor", lambda *_, options: 0.0)
-    start = Fit(np.zeros(1), (), 2e4, (), np.zeros(2), 2.0)
-    study = SimpleNamespace(options=OPTIONS)
-    hypothesis_fit._iterate(study, start, np.zeros((2, 1)), lambda fit: 2.0, 12, 1e4)
-    assert len(linearised) + 1 == (linearisations or OPTIONS.fit.linearisations)
+    assert iterated(stepped, lambda fit: 2.0, 2.0) == (linearisations or OPTIONS.fit.linearisations)
 
 
 @pytest.mark.parametrize("left, linearisations", [(1.0, 1), (38.0, 2)])
-def test_a_fit_ends_by_what_is_negligible_where_it_has_come_to(monkeypatch, left, linearisations):
+def test_a_fit_ends_by_what_is_negligible_where_it_has_come_to(iterated, left, linearisations):
     """Of a start far off 145 were nothing, and fits that still promised 38 ended above the nominal one (130000)."""
-    linearised = []
+    steps = []
+
+    def ending(fit):
+        return 145.0 if fit.chi_square > 1e4 else 2.0
 
     def stepped(study, fit, jacobian, enough):
-        assert enough == (145.0 if fit.chi_square > 1e4 else 2.0)
-        promised = left if not linearised else 0.5
-        return replace(fit, chi_square=5e3 - 50.0 * len(linearised), predicted_reduction=promised), jacobian
+        assert enough == ending(fit)
+        steps.append(5e3 - 50.0 * len(steps))
+        return replace(fit, chi_square=steps[-1], predicted_reduction=0.5 if steps[1:] else left), jacobian
 
-    monkeypatch.setattr(hypothesis_fit, "levenberg_marquardt", stepped)
-    monkeypatch.setattr(hypothesis_fit, "linearise_fit", lambda study, fit: linearised.append(1) or ((), ()))
-    monkeypatch.setattr(hypothesis_fit, "jacobian_of", lambda study, fit, *linearised: np.zeros((2, 1)))
-    monkeypatch.setattr(hypothesis_fit, "normal_equations", lambda *_, options: (np.eye(1), np.zeros(1)))
-    monkeypatch.setattr(hypothesis_fit, "occam_factor", lambda *_, options: 0.0)
-    start = Fit(np.zeros(1), (), 2e4, (), np.zeros(2), 5e3)
-    ending = lambda fit: 145.0 if fit.chi_square > 1e4 else 2.0  # noqa: E731 - as `_ending` goes
-    hypothesis_fit._iterate(SimpleNamespace(options=OPTIONS), start, np.zeros((2, 1)), ending, 12, 1e4)
-    assert len(linearised) + 1 == linearisations
+    assert iterated(stepped, ending, 5e3) == linearisations
 
 
 def test_normal_equations_follow_the_updates_of_the_jacobian(biased, monkeypatch):

@@ -98,21 +98,27 @@ def from_other_sought_shapes(
     """
     likely = distinct(found, options=options)
     best = likely[0]
-    most = best.fit.chi_square + answer_set_width(nominal, best)
     if not is_adequate(best.fit, options=options.identification):
         return []
-    more = list[FittedHypothesis]()
-    for one in (one for one in likely if one.fit.chi_square <= most):
-        for k, member in enumerate(one.fit.fitted):
-            own = member.candidate
-            if _plainer(own) or not any(p.sought for p in own.shapes()):
-                continue
-            elsewhere = [c for c in nominal.study.candidates if c.label == own.label and c.key != own.key]
-            starts = [_in_place(one, k, with_shapes(candidate, member.above_neutral)) for candidate in elsewhere]
-            least = one.fit.chi_square
-            fits = [fit_hypothesis(nominal, start, one.fit.point, worthwhile=least) for start in starts]
-            more += [FittedHypothesis(fit, options=options) for fit in fits if fit is not None]
-    return more
+    most = best.fit.chi_square + answer_set_width(nominal, best)
+    fits = [
+        fit_hypothesis(nominal, start, one.fit.point, worthwhile=one.fit.chi_square)
+        for one in likely
+        if one.fit.chi_square <= most
+        for start in _at_other_sought_shapes(nominal, one)
+    ]
+    return [FittedHypothesis(fit, options=options) for fit in fits if fit is not None]
+
+
+def _at_other_sought_shapes(nominal: NominalFit, one: FittedHypothesis) -> list[tuple[FittedCandidate, ...]]:
+    """The starts of a hypothesis with one of its shapes at each other value at which it is looked for."""
+    return [
+        _in_place(one, k, with_shapes(candidate, member.above_neutral))
+        for k, member in enumerate(one.fit.fitted)
+        if not _plainer(member.candidate) and any(p.sought for p in member.candidate.shapes())
+        for candidate in nominal.study.candidates
+        if candidate.label == member.candidate.label and candidate.key != member.candidate.key
+    ]
 
 
 def _is_at_bound(member: FittedCandidate) -> bool:

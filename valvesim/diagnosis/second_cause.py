@@ -48,7 +48,7 @@ def with_second_cause(
         if z.max(initial=0.0) ** 2 < least:
             break
         promised = z**2 - [rarity_penalty(candidate, options=final.options) for candidate in final.candidates]
-        near = _likeliest(final, promised, final.options.isolation.second_share**2 * promised.max())
+        near = _second_candidates(final, promised)
         starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in near]
         more = fit_starts(nominal, starts, best.fit.point, others=found, options=final.options)
         more += pairs_from_members(nominal, [best, *more], options=final.options)
@@ -63,14 +63,14 @@ def with_second_cause(
     return found, final
 
 
-def _likeliest(scores: ScoreTest, promised: np.ndarray, least: float) -> list[int]:
-    """The candidates to try as a second cause: of those that promise at least so much the few that promise most, and
-    with them all that promise nearly as much as the first: figures that act alike would else be in an effect's way.
+def _second_candidates(final: ScoreTest, promised: np.ndarray) -> list[int]:
+    """The candidates to try as a second cause: the few that promise most, and with them all that promise nearly as much
+    as the first: figures that act alike would else be in an effect's way.
     """
-    near = best_of_labels(scores, promised, least)
-    most = promised[near[0]] if near else 0.0
-    few, width = scores.options.isolation.seconds, scores.options.selection.answer_ratio
-    return [k for j, k in enumerate(near) if j < few or promised[k] > most - width]
+    options, most = final.options.isolation, promised.max()
+    likely = best_of_labels(final, promised, options.second_share**2 * most)
+    nearly = most - final.options.selection.answer_ratio
+    return [k for j, k in enumerate(likely) if j < options.seconds or promised[k] > nearly]
 
 
 def without_corrections_of_laws(

@@ -256,7 +256,7 @@ def _iterate(
     """Levenberg-Marquardt with the Jacobian taken anew where it no longer holds; with the Occam factor in the end."""
     for iteration in range(1, linearisations + 1):
         new, updated = levenberg_marquardt(study, fit, jacobian, ending(fit))
-        enough = ending(new)  # of a fit that began far off more was
+        enough = ending(new)  # far off, where a fit begins, more is negligible
         stuck, fit = iteration > 1 and new.chi_square > fit.chi_square - enough, new
         hoped = study.options.fit.predicted_reductions if iteration < study.options.fit.linearisations else 0.0
         hopeless = iteration > 1 and fit.chi_square - hoped * fit.predicted_reduction > good

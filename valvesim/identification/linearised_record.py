@@ -452,12 +452,12 @@ def _course_of(
     grid, every = predictor.times, predictor.oversampling
     plain = Course(grid, predictor.inputs, trajectory.states, grid, np.arange(0, len(grid), every))
     options, steps = predictor.options.sensitivity, plain.steps
-    most, spacing = int(options.most_divided * len(steps)), predictor.options.predictor.grid_spacing
-    if predictor.preliminary or steps[0] > 2.0 * spacing or not most:
+    most = int(options.most_divided * len(steps))
+    if predictor.preliminary or steps[0] > 2.0 * predictor.options.predictor.grid_spacing or not most:
         return plain
     change = _changes_over_steps(plain, trajectory, active, compiled)
     fast = change > max(options.most_change, float(np.partition(change, -most - 1)[-most - 1]))
-    left_out = _smooth_between_samples(predictor, plain, change) & (steps[0] <= spacing)
+    left_out = _smooth_between_samples(predictor, plain, change)
     if not fast.any() and not left_out.any():
         return plain
     parts = np.ones(len(steps), dtype=int)
@@ -480,15 +480,17 @@ def _course_of(
 def _smooth_between_samples(predictor: RecordPredictor, course: Course, change: np.ndarray) -> np.ndarray:
     """Every second point of a course on the grid (n,), True, that lies between samples where motion is smooth from one
     of them to the next: the Jacobian `change`s little over steps (n-1,), and states and inputs are nearly straight from
-    neighbour to neighbour. Steps of twice the length tell as much there.
+    neighbour to neighbour. Steps of twice the length tell as much there; none of a grid that is coarser than asked for.
     """
     options, every = predictor.options.sensitivity, predictor.oversampling
+    if course.times[1] > predictor.options.predictor.grid_spacing:
+        return np.zeros(len(course.times), dtype=bool)
     second = np.arange(len(course.times)) % every % 2 == 1
     rough = np.zeros(len(course.times), dtype=bool)
     rough[1:-1] = np.maximum(change[1:], change[:-1]) > options.smooth_change
     for moved in (course.states, np.delete(course.inputs, 1, axis=1)):  # the rate of a command jumps at its corners
-        bend = np.abs(moved[1:-1] - (moved[2:] + moved[:-2]) / 2.0)
-        rough[1:-1] |= np.any(bend > options.smooth_bend * np.ptp(moved, axis=0), axis=1)
+        off_chord = np.abs(moved[1:-1] - (moved[2:] + moved[:-2]) / 2.0)
+        rough[1:-1] |= np.any(off_chord > options.smooth_chord_deviation * np.ptp(moved, axis=0), axis=1)
     return second & ~maximum_filter1d(rough & second, 2 * every + 1)
 
 

@@ -66,8 +66,8 @@ def fit_nominal(prepared: PreparedSession, progress: Callable[[float], None] = l
     prepared, choice, nominal = _robust_with_inputs(with_input_errors(prepared), ahead)
     nominal = _with_own_noise(nominal, ahead)
     prepared = replace(prepared, input_errors=with_input_errors(nominal.study, nominal.fit.point).input_errors)
-    seen_late = not choice.parameters and choice.name not in (HELD_NAME, READ_BACK_NAME)  # edges may be seen by now
-    if seen_late and not is_adequate(nominal.fit, options=prepared.options):  # else they are asked for at the end
+    has_no_edges = not choice.parameters and choice.name not in (HELD_NAME, READ_BACK_NAME)  # seen by now, perhaps
+    if has_no_edges and not is_adequate(nominal.fit, options=prepared.options):  # else they are asked for at the end
         choice, nominal = _under_better_choice(prepared, choice, nominal, ahead)
     full = _in_full(with_input_choice(prepared, choice, nominal.study), nominal, ahead)
     better, again = _under_better_choice(prepared, choice, full, ahead)
@@ -107,8 +107,9 @@ def _robust_with_inputs(
         better = _choice_at_start(start)
         if better.name != choice.name:
             choice, start = better, _at_nominal(with_input_choice(prepared, better), near)
-        robust = start
-    nominal = _robustly_fitted(robust, ahead)
+    else:
+        start = robust
+    nominal = _robustly_fitted(start, ahead)
     for _ in range(prepared.options.wave.most):
         wave = dominant_wave(nominal.study, nominal.fit, nominal.linearised, nominal.columns)
         if not wave:

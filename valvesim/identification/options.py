@@ -359,10 +359,10 @@ class SensitivityOptions:
     smooth_change: float = option(
         0.2, "1", "by which the Jacobian times the step may change where every second point is left out", JUDGEMENT
     )
-    smooth_bend: float = option(
+    smooth_chord_deviation: float = option(
         0.01,
         "1",
-        "share of its span by which a state or input may bend off the straight line there",
+        "share of its span by which a state or input may lie off the chord of its neighbours there",
         "measured: answers to contact and inertia hold to their tolerances, at twice that they do not",
     )
     fast: float = option(
