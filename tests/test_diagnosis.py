@@ -673,9 +673,11 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
     monkeypatch.setattr(second_cause, "comes_near", lambda nominal, best, start, options: start[0].candidate in near)
     near = [lap.candidate, air.candidate]
     monkeypatch.setattr(second_cause, "fit_hypothesis", lambda nominal, start, point: replace(best.fit, fitted=start))
-    tested = lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit, z=lambda: np.array([9.0, 8.0]))  # noqa: E731
+    likely = (air.candidate, hysteresis.candidate)
+    tested = lambda nominal, fit, **_: SimpleNamespace(  # noqa: E731
+        options=DIAGNOSIS, fit=fit, candidates=likely, z=lambda: np.array([9.0, 8.0])
+    )
     monkeypatch.setattr(second_cause, "score_test", tested)
-    monkeypatch.setattr(second_cause, "best_of_labels", lambda scores, value, least: [0, 1])
     monkeypatch.setattr(second_cause, "linear_amplitude", lambda scores, k: (air, hysteresis)[k])
     found, final = with_other_pairs(None, [best], BEFORE)
     assert ["spool_lap", "magnetic_hysteresis"] in tried and ["spool_lap", "entrained_air"] not in tried

@@ -54,6 +54,10 @@ def scores(hidden, fit=None, options=DIAGNOSIS):
     return ScoreTest(study, fit, (), (), (), None, candidates, sizes, (), (), (), projected, options=options)
 
 
+def at(candidate):
+    return FittedCandidate(candidate, candidate.typical)
+
+
 def labels(starts):
     return [" + ".join(sorted(member.candidate.key for member in start)) for start in starts]
 
@@ -206,6 +210,21 @@ def test_a_second_cause_that_explains_too_little_stands_behind_the_first(fitted)
     before = scores({AIR: 3.0}, first.fit)
     found, final = with_second_cause(NOMINAL, before, [first])
     assert found[0] is first and [one.label for one in found[1:]] == ["spool_lap + entrained_air"] and final is before
+
+
+def test_all_that_promise_nearly_as_much_are_tried_beside_a_cause_however_many(fitted, monkeypatch):
+    """Figures that act alike were the only ones to be tried beside a cause, and an effect the fourth (pair 200012)."""
+    likely = {AIR: 0.8, BIAS: 0.79, FRICTION: 0.78, SIDES[0]: 0.77}
+    first = hypothesis(1900.0, LAP)
+    with_second_cause(NOMINAL, scores(likely, first.fit), [first])
+    assert len(likely) > DIAGNOSIS.isolation.seconds and fitted.begun == labels([(at(LAP), at(c)) for c in likely])
+    fitted.begun.clear()
+    monkeypatch.setattr(second_cause, "comes_near", lambda *_, **__: True)
+    monkeypatch.setattr(second_cause, "fit_hypothesis", lambda nominal, start, point: replace(first.fit, fitted=start))
+    monkeypatch.setattr(second_cause, "score_test", lambda nominal, fit, **_: scores(likely, fit))
+    pair = hypothesis(1000.0, LAP, AIR)
+    with_other_pairs(NOMINAL, [pair], scores({BIAS: 0.0}, pair.fit))
+    assert fitted.begun[:3] == labels([(at(LAP), at(c)) for c in (BIAS, FRICTION, SIDES[0])])  # not AIR again
 
 
 def test_where_nothing_shows_no_second_cause_is_fitted(fitted):

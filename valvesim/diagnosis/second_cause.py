@@ -47,9 +47,7 @@ def with_second_cause(
             least = max(least, best.law_may_leave(nominal.fit))
         if z.max(initial=0.0) ** 2 < least:
             break
-        promised = z**2 - [rarity_penalty(candidate, options=final.options) for candidate in final.candidates]
-        near = _second_candidates(final, promised)
-        starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in near]
+        starts = [(*best.fit.fitted, linear_amplitude(final, k)) for k in _second_candidates(final)]
         more = fit_starts(nominal, starts, best.fit.point, others=found, options=final.options)
         more += pairs_from_members(nominal, [best, *more], options=final.options)
         more += from_other_sought_shapes(nominal, [best, *more], options=final.options)
@@ -63,14 +61,17 @@ def with_second_cause(
     return found, final
 
 
-def _second_candidates(final: ScoreTest, promised: np.ndarray) -> list[int]:
-    """The candidates to try as a second cause: the few that promise most, and with them all that promise nearly as much
-    as the first: figures that act alike would else be in an effect's way.
+def _second_candidates(scores: ScoreTest, tried: Set[str] = frozenset()) -> list[int]:
+    """The candidates to try beside those of a fit, without labels that were `tried`: the few that promise most, and
+    with them all that promise nearly as much as the first: figures that act alike would else be in an effect's way.
     """
-    options, most = final.options.isolation, promised.max()
-    likely = best_of_labels(final, promised, options.second_share**2 * most)
-    nearly = most - final.options.selection.answer_ratio
-    return [k for j, k in enumerate(likely) if j < options.seconds or promised[k] > nearly]
+    options = scores.options.isolation
+    promised = scores.z() ** 2 - [rarity_penalty(candidate, options=scores.options) for candidate in scores.candidates]
+    most = promised.max()
+    likely = best_of_labels(scores, promised, options.second_share**2 * most)
+    new = [k for k in likely if scores.candidates[k].label not in tried]
+    nearly = most - scores.options.selection.answer_ratio
+    return [k for j, k in enumerate(new) if j < options.seconds or promised[k] > nearly]
 
 
 def without_corrections_of_laws(
@@ -127,20 +128,22 @@ def with_other_pairs(
             continue
         more.append(FittedHypothesis(alone, options=final.options))
         scores = score_test(nominal, alone, options=final.options)
-        z = scores.z()
-        pairs = [
+        starts = [
             (member, linear_amplitude(scores, k))
-            for k in best_of_labels(scores, z, final.options.isolation.second_share * z.max())
+            for k in _second_candidates(scores, _beside(member.candidate.label, found))
         ]
-        tried = {frozenset(c.label for c in one.candidates) for one in found}
-        new = [pair for pair in pairs if frozenset(e.candidate.label for e in pair) not in tried]
-        likeliest = new[: final.options.isolation.seconds]
-        more += fit_starts(nominal, likeliest, best.point, others=found, options=final.options)
+        more += fit_starts(nominal, starts, best.point, others=found, options=final.options)
     merged = distinct([*found, *more], options=final.options)
     if merged[0] is found[0]:
         return merged, final
     merged = reduced_hypotheses(nominal, merged, options=final.options)
     return merged, score_test(nominal, merged[0].fit, options=final.options)
+
+
+def _beside(label: str, found: Sequence[FittedHypothesis]) -> frozenset[str]:
+    """The labels of what was found beside a candidate in a pair."""
+    pairs = [{c.label for c in one.candidates} for one in found if len(one.candidates) > 1]
+    return frozenset[str]().union(*(pair for pair in pairs if label in pair))
 
 
 def with_singles_from_prior(
