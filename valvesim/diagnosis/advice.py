@@ -30,6 +30,12 @@ def advice_on_causes(
     return tuple(what_to_do(label, a) for label, a in advice.items() if a is not None)
 
 
+def advice_on_oscillation(causes: Sequence[Candidate]) -> tuple[WhatToDo, ...]:
+    """What to do about a valve that oscillates by itself: in general, and about each effect that may cause it."""
+    effects = {c.label: advice for c in causes if c.effect is not None and (advice := _of_candidate(c)) is not None}
+    return tuple(what_to_do(label, advice) for label, advice in {"the oscillation": OSCILLATION, **effects}.items())
+
+
 def advice_on_unknown(reason: str, odd: str, term: Term | None) -> tuple[WhatToDo, ...]:
     """What to do where nothing is named: by the `reason` of the verdict, else about a missing term, else in general.
 
@@ -230,6 +236,12 @@ OTHER = Advice(
     inspect="name plate and serial number; units, sign and wiring of each channel; [valve] and [oil] of the session",
     confirm="flow over current and leakage at null, slow, against the data sheet of this valve",
     remedy="correct units or signs, or state the figures of the valve that was measured in [valve]",
+)
+OSCILLATION = Advice(
+    part="armature and its spring tube, pilot stage, feedback rod; or what shakes valve and bench",
+    inspect="whether the valve is heard to squeal; pump, mounts and mains for what goes at this frequency",
+    confirm="supply pressure slowly down and up again, the command at rest: where does it stop, and begin?",
+    remedy="records below that pressure, or with the command where it rests, tell more: diagnose these by themselves",
 )
 APART_CHANNEL = Advice(
     part="measuring chain of that channel: sensor, lines to it, amplifier and its filter, converter",

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from valvesim.diagnosis.advice import advice_on_causes, advice_on_unknown
+from valvesim.diagnosis.advice import advice_on_causes, advice_on_oscillation, advice_on_unknown
 from valvesim.diagnosis.answer_tables import (
     CHANNEL_UNITS,
     candidate_answers,
@@ -43,6 +43,7 @@ from valvesim.diagnosis.result import (
     CAUSE,
     CHANNEL_APART,
     MISREAD,
+    OSCILLATES,
     OTHER_VALVE,
     UNKNOWN,
     Diagnosis,
@@ -53,9 +54,10 @@ from valvesim.diagnosis.result import (
     Trace,
     WhatToDo,
 )
-from valvesim.diagnosis.wording import location_text, summary_text
+from valvesim.diagnosis.wording import location_text, oscillation_words, summary_text
 from valvesim.identification.channel_check import MisreadChannels, misread_channels
 from valvesim.identification.fit import Fit
+from valvesim.identification.measured_oscillation import MeasuredOscillation, measured_oscillation
 from valvesim.identification.nominal_fit import NominalFit, within_tolerance
 from valvesim.identification.predictor import ModelVariant
 from valvesim.identification.self_oscillation import SelfOscillation, self_oscillation
@@ -81,6 +83,10 @@ def diagnose(
     prepared = prepare_session(session, options=options.identification)
     if (oscillates := self_oscillation(prepared)) is not None:
         return _before_any_fit(oscillates, OTHER_VALVE, _oscillates(oscillates), options=options)
+    if (measured := measured_oscillation(prepared, progress)) is not None:
+        advice = advice_on_oscillation([onset.candidate for onset in measured.onsets])
+        because, *more = oscillation_words(measured)
+        return _before_any_fit(measured, OSCILLATES, because, more, advice, options=options)
     if (misread := misread_channels(prepared)) is not None:
         return _before_any_fit(misread, MISREAD, "; ".join(misread.words), options=options)
     nominal, known = fit_coarse_to_fine(
@@ -263,7 +269,13 @@ def _oscillates(found: SelfOscillation) -> str:
 
 
 def _before_any_fit(
-    found: SelfOscillation | MisreadChannels, reason: str, because: str, *, options: DiagnosisOptions
+    found: SelfOscillation | MeasuredOscillation | MisreadChannels,
+    reason: str,
+    because: str,
+    more: Sequence[str] = (),
+    advice: tuple[WhatToDo, ...] = (),
+    *,
+    options: DiagnosisOptions,
 ) -> Diagnosis:
     """What the stated valve tells by itself: nothing is fitted to the records."""
     study, stated, session = found.study, found.stated, found.study.session
@@ -288,13 +300,13 @@ def _before_any_fit(
         scores=(),
         alarm_level=float("nan"),
         errors={},  # they are of a fit, and none was made
-        notes=(because, *session.notes),
+        notes=(because, *more, *session.notes),
         traces=tuple(trace for one, read in reads for trace in traces_of(study, one.record, (read, read))),
         extended_scenario=scenario_text(session, variant, options=options),
         extended_effects=effect_files(session, variant),
         extended_variant=variant,
         reason=reason,
-        what_to_do=advice_on_unknown(reason, "", None),
+        what_to_do=advice or advice_on_unknown(reason, "", None),
     )
 
 

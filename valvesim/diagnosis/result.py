@@ -17,9 +17,10 @@ from valvesim.valve.additive_term import LAG, PATH
 NO_DISCREPANCY, CAUSE, AMBIGUOUS, UNKNOWN = "no_discrepancy", "cause", "ambiguous", "unknown"
 
 BENCH, RECORDS_APART, OTHER_VALVE, MISREAD = "bench", "records_apart", "other_valve", "misread_channels"
-CHANNEL_APART = "channel_apart"
+CHANNEL_APART, OSCILLATES = "channel_apart", "oscillates"
 """Reasons of a verdict: the bench and not the valve, records that do not belong together, records that are not of the
-stated valve, channels that are misread, one channel that does not go with the others."""
+stated valve, channels that are misread, one channel that does not go with the others, a valve that oscillates by
+itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +202,7 @@ class Diagnosis(Shown):
 
     `what_to_do` is what to do about each cause of the answer set, or where none is named, and about the bench.
     `reason` is "" or why the verdict is not about a cause in the valve: `BENCH`, `RECORDS_APART`, `OTHER_VALVE`,
-    `MISREAD` or `CHANNEL_APART`; `bench` is what the bench did, in words, whatever the verdict.
+    `MISREAD`, `CHANNEL_APART` or `OSCILLATES`; `bench` is what the bench did, in words, whatever the verdict.
 
     `extended_scenario` holds the extension where `extension_offered`: where a gain is claimed, or no record was held
     out; else it is the nominal model's, refitted.

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import reduce
 
+import numpy as np
+
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, Term
 from valvesim.identification.candidates import Candidate
+from valvesim.identification.measured_oscillation import MeasuredOscillation, Onset
 from valvesim.identification.prior import NETWORK
+from valvesim.identification.session import value_text
 from valvesim.valve.thermal_network import heat_words
 
 OTHERWISE = "that the parts follow the oil otherwise than assumed"
@@ -63,6 +67,40 @@ def _first_labels(labels: Sequence[str], most: int = 2) -> str:
 def cause_words(one: FittedHypothesis) -> str:
     """A hypothesis in words: `sensor_bias@load_flow` as "sensor bias of load flow"."""
     return " together with ".join(map(_words, one.candidates))
+
+
+def oscillation_words(found: MeasuredOscillation) -> tuple[str, ...]:
+    """How a valve oscillates by itself and which effects may have it do so; and in a sentence of its own which figures
+    of the valve may.
+    """
+    records = "one record" if found.records == 1 else f"{found.records} records"
+    told = (
+        f"the measured valve oscillates by itself, at {found.frequency:.3g} Hz in {records}, whatever the inputs do, "
+        "and the stated one does not"
+    )
+    effects, figures = (
+        [_onset_words(one, found.rate) for one in found.onsets if (one.candidate.effect is None) == of_figure]
+        for of_figure in (False, True)
+    )
+    beside = "; figures of its own that would have it do so are in the notes" if figures else ""
+    would = f"would from {' or from '.join(effects)}" if effects else "would with none of the known causes"
+    listed = (f"the stated valve would oscillate so from {', or from '.join(figures)}",) if figures else ()
+    return f"{told}; it {would}{beside}", *listed
+
+
+def _onset_words(onset: Onset, rate: float) -> str:
+    c, above = onset.candidate, onset.above_neutral
+    if c.effect is not None:
+        value = (c.effect.amplitude.neutral or 0.0) + above
+        size = f"{100.0 * value:.2g} % of" if c.unit == "1" else f"{value_text(value, c.unit)} of"
+    else:
+        assert c.parameter is not None  # noqa: S101 - a candidate is either
+        nominal = c.parameter.nominal
+        change = np.expm1(above) if c.parameter.logarithmic else above / nominal if nominal else None
+        by = f"{abs(change):.0%}".replace("%", " %") if change is not None else value_text(abs(above), c.unit)
+        size = f"{by} {'more' if above > 0.0 else 'less'}"
+    seen = f", which samples at {rate:g} Hz show lower" if onset.frequency > rate / 2.0 else ""
+    return f"{size} {_words(c).removeprefix('the figure of ')} on (at {onset.frequency:.3g} Hz{seen})"
 
 
 def _words(c: Candidate) -> str:

@@ -594,7 +594,7 @@ class ChannelOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SelfOscillationOptions:
-    """When the stated valve oscillates by itself and the measured one does not."""
+    """When the stated valve oscillates by itself and the measured one does not, or the other way round."""
 
     step: float = option(0.5, "1", "prior deviations of a figure to either side, for the gradient", JUDGEMENT)
     reach: float = option(
@@ -604,6 +604,25 @@ class SelfOscillationOptions:
     share: float = option(
         0.3, "1", "share of the stated valve's motion there from which the measured one oscillates too", JUDGEMENT
     )
+    line_share: float = option(
+        0.2, "1", "share of a reading's mean square that the line of an oscillation has", "a steady one: 0.4 and more"
+    )
+    line_width: float = option(0.05, "1", "half of its width, per frequency", "it goes a little with the command")
+    least_periods: float = option(10.0, "1", "periods of it in a record", JUDGEMENT)
+    input_share: float = option(
+        0.05, "1", "what an input does there, per most of it, from which it may be what drives the valve", JUDGEMENT
+    )
+    least_lines: float = option(
+        0.5, "1", "share of the channels that could tell an oscillation, in all records, which have its line", JUDGEMENT
+    )
+    least_size: float = option(
+        0.3, "1", "size of it per motion of the stated valve in all records, and of the stated one's there per its own",
+        "ripple and hum: 0.01",
+    )
+    amounts: tuple[float, ...] = option(
+        (1.0, 2.0, 4.0, 8.0, 16.0), "1", "times the typical amplitude of a candidate that may cause it", JUDGEMENT
+    )
+    bisections: int = option(6, "1", "halvings of the interval in which it begins to", "to 1 % of the amplitude")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ Symbols
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit
 from valvesim.identification.noise_estimation import evaluated_under_own_noise
-from valvesim.identification.predictor import at_rest_together
+from valvesim.identification.predictor import ModelVariant, RecordPredictor, at_rest_together
 from valvesim.identification.study import PreparedSession, Study
 
 
@@ -61,9 +62,16 @@ def _growth_of_most_stable(prepared: PreparedSession) -> float:
 
 
 def _least_stable_mode(prepared: PreparedSession, point: np.ndarray) -> tuple[float, float]:
-    """The growth rate (1/s) and the frequency (Hz) of the least stable mode at rest where the records begin."""
-    variant, least = prepared.nominal.at(point), (-np.inf, 0.0)
-    posed = [predictor.posed(variant) for predictor in prepared.predictors]
+    return least_stable_mode(prepared.predictors, prepared.nominal.at(point))
+
+
+def least_stable_mode(predictors: Sequence[RecordPredictor], variant: ModelVariant) -> tuple[float, float]:
+    """The growth rate (1/s) and the frequency (Hz) of the least stable mode of a variant at rest where records begin.
+
+    Raises SolveError, InputError where it has no state at rest.
+    """
+    least = (-np.inf, 0.0)
+    posed = [predictor.posed(variant) for predictor in predictors]
     for one, rest in zip(posed, at_rest_together(posed), strict=True):
         A = np.zeros((len(rest), len(rest)))
         one.compiled.jacobian(rest, one.under.first_inputs, one.knots[0], A)

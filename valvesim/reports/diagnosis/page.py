@@ -15,6 +15,7 @@ from valvesim.diagnosis.result import (
     CHANNEL_APART,
     MISREAD,
     NO_DISCREPANCY,
+    OSCILLATES,
     OTHER_VALVE,
     RECORDS_APART,
     UNKNOWN,
@@ -71,6 +72,7 @@ REASON_WORDS = {
     RECORDS_APART: "Records that do not belong together",
     OTHER_VALVE: "Not the stated valve",
     MISREAD: "Channels, not the valve",
+    OSCILLATES: "The valve oscillates by itself",
     CHANNEL_APART: "One channel apart",
 }  # words of the banner in place of the verdict's
 DIAGNOSIS_DPI = 140  # of the pictures: sharp on paper too
@@ -134,7 +136,7 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
                      else "These records show none of the candidates well enough to set an alarm level."),
         ),
         _shifts(diagnosis.shifts), _noise(diagnosis.noise),
-        _limits(() if diagnosis.reason in (OTHER_VALVE, MISREAD) else diagnosis.detection_limits),
+        _limits(() if diagnosis.reason in (OTHER_VALVE, MISREAD, OSCILLATES) else diagnosis.detection_limits),
         section("Notes", Bullets(diagnosis.notes)), _extended(diagnosis), _what_to_do(diagnosis), glossary(diagnosis),
     ]  # fmt: skip
 
@@ -338,8 +340,9 @@ def _extended(diagnosis: Diagnosis) -> Section:
 
 
 def _is_unfitted(diagnosis: Diagnosis) -> bool:
-    """Whether the records were told as another valve's, or their channels as misread, before anything was fitted."""
-    return diagnosis.reason in (OTHER_VALVE, MISREAD) and not diagnosis.shifts
+    """Whether the records were told as another valve's or an oscillating one's, or their channels as misread, before
+    anything was fitted."""
+    return diagnosis.reason in (OTHER_VALVE, MISREAD, OSCILLATES) and not diagnosis.shifts
 
 
 def _what_to_do(diagnosis: Diagnosis) -> Section:

@@ -1,0 +1,142 @@
+"""A measured valve that oscillates by itself where the stated one rests: told before anything is fitted, with what may
+have it do so.
+"""
+
+import datetime
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from bench_plant import draw_bench, write_bench_session
+
+import valvesim as vs
+from valvesim.diagnosis.wording import oscillation_words
+from valvesim.identification import measured_oscillation as module
+from valvesim.identification.candidates import Candidate
+from valvesim.identification.measured_oscillation import MeasuredOscillation, Onset, measured_oscillation
+from valvesim.identification.session_toml import load_session
+from valvesim.identification.study import prepare_session, with_records
+from valvesim.reports.diagnosis.page import write_report
+from valvesim.valve.catalogue import CATALOGUE
+
+OF_PLANT = 0.5  # of the flexures' stiffness is lost; the plant begins to oscillate at 0.4
+
+
+@pytest.fixture(scope="module")
+def squealing(tmp_path_factory):
+    """The folder of a session of a valve with cracked flexures, on a bench that ripples and warms."""
+    folder = tmp_path_factory.mktemp("squealing")
+    case, bench = draw_bench(
+        7104, "effect", name="flexure_stiffness_loss", imperfections=("ripple", "warming", "skew"), duration=0.3
+    )
+    (loss,) = (figures["loss"] for _, figures in case.hidden)
+    write_bench_session(case, bench, folder, OF_PLANT / loss)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("healthy")
+    case, bench = draw_bench(2946369, "none", imperfections=("ripple",), duration=0.3)
+    write_bench_session(case, bench, folder)
+    return prepare_session(load_session(folder))
+
+
+def with_few_candidates(monkeypatch):
+    own = module.candidates_of
+    few = ("flexure_stiffness_loss", "coil_turns_loss", "parameter:armature_damping", "sensor_bias")
+    monkeypatch.setattr(module, "candidates_of", lambda *args: tuple(c for c in own(*args) if c.name in few))
+
+
+def test_a_valve_that_oscillates_by_itself_is_told_with_what_may_cause_it(squealing, monkeypatch, tmp_path):
+    with_few_candidates(monkeypatch)
+    monkeypatch.setattr("valvesim.diagnosis.diagnose.fit_coarse_to_fine", None)  # nothing is fitted
+    stages = []
+    found = vs.diagnose(squealing, progress=lambda stage, share: stages.append(stage))
+    assert (found.verdict, found.reason) == ("unknown", "oscillates") and not found.extension_offered
+    assert "oscillates by itself, at 1" in found.summary and "% of flexure stiffness loss on" in found.summary
+    assert "less armature damping on" in found.notes[1] and "coil" not in found.summary + found.notes[1]
+    assert [one.label for one in found.what_to_do] == ["the oscillation", "flexure_stiffness_loss"]
+    assert "what may have the valve oscillate" in stages
+    write_report(found, tmp_path, valve="-", date=datetime.date(2026, 1, 1))
+    page = (tmp_path / "report.html").read_text()
+    assert "The valve oscillates by itself" in page and "stated model" in page and "refitted model" not in page
+
+
+def test_it_begins_where_the_plant_does(squealing, monkeypatch):
+    with_few_candidates(monkeypatch)
+    found = measured_oscillation(prepare_session(load_session(squealing)))
+    onsets = {one.candidate.label: one for one in found.onsets}
+    flexure = onsets["flexure_stiffness_loss"]
+    assert 0.35 < flexure.above_neutral < OF_PLANT and flexure.frequency > found.frequency  # it falls with the loss
+    assert found.records >= 3 and set(onsets) == {"flexure_stiffness_loss", "parameter:armature_damping"}
+
+
+def hum(t, y, k):
+    return y + 0.3 * y.std() * np.sqrt(2.0) * np.sin(2.0 * np.pi * 50.0 * t)
+
+
+def sine(t, y, k):
+    return y.mean() + 3.0 * y.std() * np.sin(2.0 * np.pi * 110.0 * t)
+
+
+@pytest.mark.parametrize("read, is_driven, tells", [
+    (lambda t, y, k: y, False, False),
+    (hum, False, False),
+    (lambda t, y, k: 10.0 * y, False, False),
+    (lambda t, y, k: y + y.std() * np.random.default_rng(k).normal(size=len(t)), False, False),
+    (sine, True, False),
+    (sine, False, True),
+])  # fmt: skip
+def test_what_hums_is_noisy_or_driven_does_not_oscillate_by_itself(healthy, monkeypatch, read, is_driven, tells):
+    monkeypatch.setattr(module, "candidates_of", lambda *args: ())
+    records = []
+    for k, predictor in enumerate(healthy.predictors):
+        record = predictor.record
+        names = (*record.outputs, record.command) if is_driven else record.outputs
+        values = record.values | {name: read(record.time, record.values[name], k) for name in names}
+        records.append(replace(record, values=values))
+    assert (measured_oscillation(with_records(healthy, records, ())) is not None) == tells
+
+
+def test_a_stated_valve_that_oscillates_too_is_fitted(squealing, monkeypatch):
+    monkeypatch.setattr(module, "least_stable_mode", lambda predictors, variant: (1.0, 200.0))
+    assert measured_oscillation(prepare_session(load_session(squealing))) is None
+
+
+def test_a_stated_valve_whose_readings_have_that_line_is_fitted(squealing):
+    prepared = prepare_session(load_session(squealing))
+    reads = {predictor.record.name: predictor.record.values for predictor in prepared.predictors}
+    options, record = prepared.options.self_oscillation, prepared.predictors[0].record
+    line = module._strongest_line(record, record.outputs[0], options=options)
+    assert not module._is_its_own(line, reads, options=options)
+
+
+@pytest.mark.parametrize("onset, rate, seen", [(200.0, 1000.0, 200.0), (790.0, 1000.0, 210.0), (1300.0, 1000.0, 300.0)])
+def test_a_frequency_is_compared_as_samples_show_it(onset, rate, seen):
+    assert module._octaves(onset, seen, rate) == pytest.approx(0.0, abs=1e-12)
+    assert module._octaves(onset, 2.0 * seen, rate) == pytest.approx(1.0)
+
+
+def oscillating(*onsets, records=2):
+    return MeasuredOscillation(220.0, 1000.0, records, onsets, None, None)
+
+
+def test_what_may_cause_it_is_told_with_its_size_and_frequency():
+    def of_figure(name, nominal, above_neutral, *, logarithmic=False, unit="m"):
+        figure = SimpleNamespace(name=name, nominal=nominal, logarithmic=logarithmic, unit=unit, of_network=False)
+        return Onset(Candidate(f"parameter:{name}", parameter=figure), above_neutral, 750.0)
+
+    told, figures = oscillation_words(oscillating(
+        Onset(Candidate("flexure_stiffness_loss", CATALOGUE["flexure_stiffness_loss"]), 0.39, 261.0),
+        Onset(Candidate("spool_lap", CATALOGUE["spool_lap"]), 2e-5, 261.0),
+        of_figure("armature_arm", 0.02, 0.005), of_figure("null_gap_difference", 0.0, -2e-5),
+        of_figure("armature_damping", 1e-3, np.log(0.5), logarithmic=True),
+    ))  # fmt: skip
+    assert "at 220 Hz in 2 records" in told and "from 39 % of flexure stiffness loss on (at 261 Hz)" in told
+    assert "0.02 mm of spool lap" in told and "are in the notes" in told
+    assert "25 % more armature arm on (at 750 Hz, which samples at 1000 Hz show lower)" in figures
+    assert "less null gap difference" in figures and "50 % less armature damping" in figures
+    (alone,) = oscillation_words(oscillating(records=1))
+    assert "in one record" in alone and alone.endswith("it would with none of the known causes")
