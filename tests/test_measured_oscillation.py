@@ -100,6 +100,24 @@ def test_what_hums_is_noisy_or_driven_does_not_oscillate_by_itself(healthy, monk
     assert (measured_oscillation(with_records(healthy, records, ())) is not None) == tells
 
 
+def test_a_pump_whose_ripple_goes_to_the_pilot_pressures_is_no_valve_that_oscillates(tmp_path):
+    """One of 20 bar was told as the valve's oscillation, for half of two channels was one pressure."""
+    case, bench = draw_bench(8202, "none", imperfections=("ripple",), duration=0.3)
+    assert case.channels == ("spool_position", "nozzle_pressure_1")
+    runs = tuple(replace(run, ripple=(2e6, 200.0, run.ripple[2])) for run in case.runs)
+    write_bench_session(replace(case, runs=runs), bench, tmp_path)
+    assert measured_oscillation(prepare_session(load_session(tmp_path))) is None
+
+
+def test_records_too_short_for_a_few_periods_tell_no_oscillation(healthy):
+    records = []
+    for predictor in healthy.predictors:
+        record, few = predictor.record, slice(0, 12)
+        values, usable = ({name: each[few] for name, each in of.items()} for of in (record.values, record.usable))
+        records.append(replace(record, time=record.time[few], values=values, usable=usable))
+    assert measured_oscillation(with_records(healthy, records, ())) is None
+
+
 def test_a_stated_valve_that_oscillates_too_is_fitted(squealing, monkeypatch):
     monkeypatch.setattr(module, "least_stable_mode", lambda predictors, variant: (1.0, 200.0))
     assert measured_oscillation(prepare_session(load_session(squealing))) is None

@@ -17,7 +17,7 @@ import numpy as np
 
 from valvesim.errors import InputError, SolveError, ValidityWarning
 from valvesim.identification.candidates import Candidate, candidates_of
-from valvesim.identification.channel_check import WITH_COMMAND
+from valvesim.identification.channel_check import FROM_ZERO
 from valvesim.identification.fit import Fit, with_shapes
 from valvesim.identification.noise_estimation import evaluated_under_own_noise
 from valvesim.identification.options import SelfOscillationOptions
@@ -64,7 +64,7 @@ def measured_oscillation(
     prepared: PreparedSession, progress: Callable[[str, float], None] = lambda stage, share: None
 ) -> MeasuredOscillation | None:
     """How the measured valve oscillates by itself; None where it does not, where an input goes at the same frequency,
-    or where the stated valve does so too.
+    where the stated valve does so too, or where no channel tells its motion: pressures go with a supply that ripples.
 
     `progress(stage, share)` is called while causes are looked for. Raises SolveError where the stated valve cannot be
     run.
@@ -72,9 +72,15 @@ def measured_oscillation(
     options = prepared.options.self_oscillation
     records = [predictor.record for predictor in prepared.predictors]
     is_driven = partial(_is_driven, most=_largest_inputs(records), options=options)
-    channels = [(record, name) for record in records for name in record.outputs if name in WITH_COMMAND]
+    channels = [(record, name) for record in records for name in record.outputs if name in FROM_ZERO]
     strongest = [_strongest_line(record, name, options=options) for record, name in channels]
-    lines = [one for one in strongest if one.share > options.line_share and not is_driven(one.record, one.frequency)]
+    lines = [
+        line
+        for line in strongest
+        if line.frequency > 0.0
+        and line.share > options.line_share
+        and not is_driven(line.record, line.frequency)
+    ]
     if not lines:
         return None
     frequency = float(np.median([line.frequency for line in lines]))
