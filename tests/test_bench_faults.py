@@ -189,6 +189,7 @@ def test_a_ripple_in_one_output_is_not_lost_beside_outputs_that_show_none():
         ((0.03e6, 0.9e6), (), ["a"]),  # the first explains nearly all
         ((0.5e6, 0.04e6, 0.01e6), (), ["a", "b"]),
         ((0.5e6, 0.4e6, 0.3e6), (), ["a", "b", "c"]),
+        ((0.9e6, 0.8e6, 0.7e6, 0.6e6, 0.4e6), (), ["a", "b", "c", "d", "e"]),  # few, until one explains much
         ((0.5e6, 0.4e6, 0.3e6), ("k",), ["k"]),  # what is known from elsewhere is gone on with, and nothing sought
     ],
 )
@@ -209,7 +210,7 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
         "is_adequate": lambda fit, *, options: False,
         "is_other_valve": lambda nominal, fit, *, options: False,
         "_tells_as_much": lambda fit, start, *, options: False,
-        "likeliest_starts": lambda nominal, scores: map(start_of, "abc"),
+        "likeliest_starts": lambda nominal, scores: map(start_of, "abc" if len(left) < 5 else "abcdef"),
         "fit_from_prior": fit_from,
         "continue_fit": fit_from,
         "score_test": lambda *_, **__: SimpleNamespace(linearised=(), columns=()),

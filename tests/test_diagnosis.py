@@ -635,6 +635,22 @@ def test_what_keeps_a_parameter_stretched_is_fitted_from_the_figures_of_a_best_t
     )
 
 
+def test_what_explains_most_and_keeps_a_figure_far_is_fitted_from_within_tolerance(monkeypatch):
+    """A hysteresis of d' 23 ended 217 above where it comes from there, and a weak coil was told beside it."""
+    asked = []
+
+    def from_prior(nominal, start, *, worthwhile):
+        asked.append(worthwhile)
+        return Fit(np.zeros(1), tuple(start), 1.0, (), np.zeros(1), 1.0)
+
+    monkeypatch.setattr(refits, "fit_from_prior", from_prior)
+    far = DIAGNOSIS.isolation.shifted + 1.0
+    best, pair = stretched(300.0, far, "magnetic_hysteresis"), stretched(200.0, far, "spool_lap", "entrained_air")
+    (anew,) = _from_best_point(stretched(900.0, far), [best], best.fit, options=DIAGNOSIS)
+    assert anew.label == "magnetic_hysteresis" and not anew.fit.point.any() and asked == [300.0]
+    assert _from_best_point(stretched(900.0, far), [best, pair], pair.fit, options=DIAGNOSIS) == []  # another search
+
+
 def test_the_base_is_fitted_again_where_a_hypothesis_explains_as_much_without_its_cause(monkeypatch):
     nominal, found = explained(1000.0), [stretched(200.0, 1.0, "spool_lap"), stretched(100.0, 2.0, "entrained_air")]
     without, ends = {1.0: 210.0, 2.0: 600.0}, 205.0
@@ -782,6 +798,12 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
     alone[other] = 51.0  # the cause that stood beside the figure is nothing without it
     assert effects_for_parameters(nominal, scores, [pair], BEFORE)[0][0].label == other
     chi_squares[other] = 95.0
+    monkeypatch.setattr(refits, "is_negligible", lambda member, share: member.candidate.name == other)
+    alone_from = lambda nominal, start, point, worthwhile: replace(pair.fit, fitted=start, chi_square=80.0)  # noqa: E731
+    monkeypatch.setattr(refits, "fit_hypothesis", alone_from)
+    # what comes to nothing in the figure's place has led the cause beside it where it explains more (130052)
+    assert effects_for_parameters(nominal, scores, [pair], BEFORE)[0][0].label == beside
+    monkeypatch.setattr(refits, "is_negligible", lambda member, share: False)
     assert effects_for_parameters(nominal, scores, [pair], BEFORE)[1] == BEFORE  # nothing is better: nothing to look at
     tried.clear()
     without = explained(90.0, beside)

@@ -146,10 +146,14 @@ def likeliest_cause(
     """The likeliest cause, fitted a little beside an inadequate nominal fit; the best of those `known` from elsewhere,
     where there are any, continued. None where none can be fitted.
 
-    Its fit begins from within tolerance: the cause may have carried figures of the nominal fit away.
+    Its fit begins from within tolerance: the cause may have carried figures of the nominal fit away. Few are tried
+    where one of these explains much.
     """
     fit = continue_fit(nominal, known[0]) if known else None
-    for start in likeliest_starts(nominal, scores) if not known else ():
+    much = (1.0 - options.isolation.much) * nominal.fit.chi_square
+    for k, start in enumerate(likeliest_starts(nominal, scores) if not known else ()):
+        if k > options.isolation.seconds and fit is not None and fit.chi_square < much:
+            break
         if fit is not None and _tells_as_much(fit, start, options=options):
             continue
         most = None if fit is None else fit.rows + _excess_to_beat(start, fit, options=options)

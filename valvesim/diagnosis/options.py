@@ -158,6 +158,13 @@ class IsolationOptions:
         "those that came near left up to 2.7; hysteresis and silting for strong friction 6 and 9",
     )
     seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)
+    most_starts: int = option(
+        12, "1", "single causes that are tried where the bench is looked at beside one and none explains much",
+        "a worn edge of d' 41 was the fifth",
+    )
+    much: float = option(
+        0.5, "1", "share of the nominal fit's chi-square that one explains of which few need be tried", JUDGEMENT
+    )
     second_share: float = option(0.8, "1", "share of the largest z from which they are", JUDGEMENT)
     unexplained_share: float = option(
         0.005, "1", "share of the explained chi-square that may stay behind for free terms", "no model is the plant"

@@ -132,10 +132,14 @@ def _from_best_point(
 ) -> list[FittedHypothesis]:
     """Those that keep a nuisance parameter far from nominal where the one that explains most does not, fitted from
     its figures, but for those that `alike_hypotheses` begins there; single causes from within tolerance too: the
-    nominal fit may have gone where there is no way back.
+    nominal fit may have gone where there is no way back. Where what explains most keeps one far too, it alone is fitted
+    from there.
     """
-    if not largest_shift(least) < options.isolation.shifted < largest_shift(nominal.fit):
+    if largest_shift(nominal.fit) <= options.isolation.shifted:
         return []
+    if largest_shift(least) >= options.isolation.shifted:
+        own = fit_from_prior(nominal, least.fitted, worthwhile=least.chi_square) if len(least.fitted) == 1 else None
+        return [] if own is None else [FittedHypothesis(own, options=options)]
     shifted = [one.fit.fitted for one in found if largest_shift(one.fit) > options.isolation.shifted]
     if is_adequate(least, options=options.identification):
         shifted = [start for start, _ in _within_reach(nominal, shifted, least, options=options)]
@@ -189,14 +193,22 @@ def fit_starts(
     for k, start in enumerate(starts):
         progress(k / len(starts))
         worthwhile = _largest_adequate_beside(nominal, [*others, *found], options=options)
-        fits = [fit := fit_hypothesis(nominal, start, point, worthwhile=worthwhile)]
-        if fit is None:
-            continue
-        if more := _without_negligible(fit, options.isolation.slight_share):
-            # from there, one alone may get where it could not before
-            fits.append(fit_hypothesis(nominal, more, fit.point, worthwhile=worthwhile))
-        found += [FittedHypothesis(one, options=options) for one in fits if one is not None]
+        fit = fit_hypothesis(nominal, start, point, worthwhile=worthwhile)
+        found += and_without_negligible(nominal, fit, worthwhile, options=options)
     return found
+
+
+def and_without_negligible(
+    nominal: NominalFit, fit: Fit | None, worthwhile: float | None, *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The hypothesis of a fit, if there is one, and where some of its candidates came to nothing, that of the others
+    fitted from there: one alone may get where it could not before.
+    """
+    if fit is None:
+        return []
+    more = _without_negligible(fit, options.isolation.slight_share)
+    alone = fit_hypothesis(nominal, more, fit.point, worthwhile=worthwhile) if more else None
+    return [FittedHypothesis(one, options=options) for one in (fit, alone) if one is not None]
 
 
 def _largest_adequate_beside(

@@ -17,6 +17,7 @@ from valvesim.diagnosis.model_selection import (
 )
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.refits import (
+    and_without_negligible,
     comes_near,
     fit_starts,
     from_other_sought_shapes,
@@ -219,10 +220,8 @@ def effects_for_parameters(
     likeliest = [starts[k] for k in order if falls[k] > without]
     worthwhile = largest_worthwhile_beside(nominal, best, options=scores.options)
     fits = [fit_from_prior(nominal, start, worthwhile=worthwhile) for start in likeliest]
-    merged = distinct(
-        [*found, *[FittedHypothesis(fit, options=scores.options) for fit in fits if fit is not None]],
-        options=scores.options,
-    )
+    more = [one for fit in fits for one in and_without_negligible(nominal, fit, worthwhile, options=scores.options)]
+    merged = distinct([*found, *more], options=scores.options)
     if merged[0] is not found[0]:  # what was beside the figure may do without either
         merged = reduced_hypotheses(nominal, merged, options=scores.options)
     final = final if merged[0] is found[0] else score_test(nominal, merged[0].fit, options=scores.options)

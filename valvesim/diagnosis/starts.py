@@ -135,7 +135,7 @@ def typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedC
 
 
 def likeliest_starts(nominal: NominalFit, scores: ScoreTest) -> Iterator[tuple[FittedCandidate, ...]]:
-    """Few single starts, likeliest first: by linear answers the plainest of the best, which is fitted with few figures;
+    """Single starts, likeliest first: by linear answers the plainest of the best, which is fitted with few figures;
     then, for far off these answers may miss it, what explains most when it is simulated, of the linear starts and of
     the effects of the valve at their typical amplitudes. After the first of these comes the plainer effect that it may
     be. Faults of sensors are linear in what they read: they are not simulated otherwise.
@@ -151,7 +151,7 @@ def likeliest_starts(nominal: NominalFit, scores: ScoreTest) -> Iterator[tuple[F
     simulated = [starts[k] for k in np.argsort(-falls, kind="stable") if falls[k] > 0.0]
     plainer = _of_name(simulated, simulated[0][0].candidate.plainest) if simulated else []
     for start in (*simulated[:1], *plainer, *simulated[1:]):
-        if start[0].candidate.name not in given and len(given) < scores.options.isolation.seconds + 1:
+        if start[0].candidate.name not in given and len(given) < scores.options.isolation.most_starts:
             given.add(start[0].candidate.name)
             yield start
 
