@@ -150,9 +150,9 @@ def likeliest_cause(
     where one of these explains much.
     """
     fit = continue_fit(nominal, known[0]) if known else None
-    much = (1.0 - options.isolation.much) * nominal.fit.chi_square
+    enough = (1.0 - options.isolation.enough_share) * nominal.fit.chi_square
     for k, start in enumerate(likeliest_starts(nominal, scores) if not known else ()):
-        if k > options.isolation.seconds and fit is not None and fit.chi_square < much:
+        if k > options.isolation.seconds and fit is not None and fit.chi_square < enough:
             break
         if fit is not None and _tells_as_much(fit, start, options=options):
             continue

@@ -162,7 +162,7 @@ class IsolationOptions:
         12, "1", "single causes that are tried where the bench is looked at beside one and none explains much",
         "a worn edge of d' 41 was the fifth",
     )
-    much: float = option(
+    enough_share: float = option(
         0.5, "1", "share of the nominal fit's chi-square that one explains of which few need be tried", JUDGEMENT
     )
     second_share: float = option(0.8, "1", "share of the largest z from which they are", JUDGEMENT)
