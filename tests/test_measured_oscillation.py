@@ -54,14 +54,29 @@ def test_a_valve_that_oscillates_by_itself_is_told_with_what_may_cause_it(squeal
     monkeypatch.setattr("valvesim.diagnosis.diagnose.fit_coarse_to_fine", None)  # nothing is fitted
     stages = []
     found = vs.diagnose(squealing, progress=lambda stage, share: stages.append(stage))
-    assert (found.verdict, found.reason) == ("unknown", "oscillates") and not found.extension_offered
-    assert "oscillates by itself, at 1" in found.summary and "% of flexure stiffness loss on" in found.summary
+    assert (found.verdict, found.reason) == ("ambiguous", "oscillates") and not found.extension_offered
+    flexure, figure, unknown = found.candidates
+    assert flexure.label == "flexure_stiffness_loss" and flexure.location in found.location
+    assert figure.label == "parameter:armature_damping" and unknown.names == ("unknown",)
+    assert flexure.probability > figure.probability > unknown.probability
+    assert sum(one.probability for one in found.candidates) == pytest.approx(1.0)
+    assert "supply pressure" in found.no_test and found.next_test is None
+    assert found.summary.startswith("The measured valve oscillates by itself, at 1")
+    assert "% of flexure stiffness loss on" in found.summary
     assert "less armature damping on" in found.notes[1] and "coil" not in found.summary + found.notes[1]
     assert [one.label for one in found.what_to_do] == ["the oscillation", "flexure_stiffness_loss"]
     assert "what may have the valve oscillate" in stages
     write_report(found, tmp_path, valve="-", date=datetime.date(2026, 1, 1))
     page = (tmp_path / "report.html").read_text()
+    assert found.to_dict()["candidates"][0]["deviance_fall"] is None and found.no_test in page
     assert "The valve oscillates by itself" in page and "stated model" in page and "refitted model" not in page
+
+
+def test_where_nothing_known_has_it_oscillate_none_is_named(squealing, monkeypatch):
+    monkeypatch.setattr(module, "candidates_of", lambda *args: ())
+    found = vs.diagnose(squealing)
+    assert (found.verdict, found.reason, found.candidates) == ("unknown", "oscillates", ())
+    assert "with none of the known causes" in found.summary and len(found.what_to_do) == 1
 
 
 def test_it_begins_where_the_plant_does(squealing, monkeypatch):

@@ -11,6 +11,7 @@ from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_width,
     odds_against_noise,
+    rarity_penalty,
     temperature_of,
     tempered_deviances,
 )
@@ -18,6 +19,7 @@ from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.power import detected_amplitude
 from valvesim.diagnosis.result import CandidateAnswer, DetectionLimit, Score, Shift
 from valvesim.diagnosis.score_test import ScoreTest
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.study import Study
@@ -62,10 +64,36 @@ def candidate_answers(
         )
         for one, weight in zip([*found, FittedHypothesis(nominal.fit, options=options)], weights[:-1], strict=True)
     ]
-    nothing = CandidateAnswer(names=("unknown",), label="none of the known causes", location="", deviance_fall=0.0,
-                              probability=float(weights[-1]), in_set=not in_set or bool(unknown_reason))  # fmt: skip
+    nothing = _unknown(float(weights[-1]), not in_set or bool(unknown_reason))
     ranked = sorted([*answers, nothing], key=lambda a: -a.probability)
     return [a for a in ranked if a.in_set or a.probability > 1e-3]
+
+
+def candidates_by_prior(candidates: Sequence[Candidate], *, options: DiagnosisOptions) -> list[CandidateAnswer]:
+    """Candidates that may be the cause, none of them fitted: their probabilities are those before any record, likeliest
+    first, beside what is in no catalogue.
+    """
+    penalties = np.array([*(rarity_penalty(c, options=options) for c in candidates), options.selection.unknown_penalty])
+    weights = np.exp(-0.5 * penalties) / np.exp(-0.5 * penalties).sum()
+    answers = [
+        CandidateAnswer(
+            names=(c.name,), label=c.label, location=c.location(), probability=float(weight), deviance_fall=np.nan
+        )
+        for c, weight in zip(candidates, weights[:-1], strict=True)
+    ]
+    return sorted([*answers, _unknown(float(weights[-1]), True)], key=lambda answer: -answer.probability)
+
+
+def _unknown(probability: float, in_set: bool) -> CandidateAnswer:
+    """What is in no catalogue, as an answer."""
+    return CandidateAnswer(
+        names=("unknown",),
+        label="none of the known causes",
+        location="",
+        deviance_fall=0.0,
+        probability=probability,
+        in_set=in_set,
+    )
 
 
 def detection_limits(scores: ScoreTest, level: float) -> tuple[DetectionLimit, ...]:

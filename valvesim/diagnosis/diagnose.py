@@ -9,7 +9,7 @@ leave. A cause is named only where nothing else explains the data nearly as well
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from valvesim.diagnosis.advice import advice_on_causes, advice_on_oscillation, a
 from valvesim.diagnosis.answer_tables import (
     CHANNEL_UNITS,
     candidate_answers,
+    candidates_by_prior,
     detection_limits,
     error_table,
     parameter_shifts,
@@ -84,9 +85,7 @@ def diagnose(
     if (oscillates := self_oscillation(prepared)) is not None:
         return _before_any_fit(oscillates, OTHER_VALVE, _oscillates(oscillates), options=options)
     if (measured := measured_oscillation(prepared, progress)) is not None:
-        advice = advice_on_oscillation([onset.candidate for onset in measured.onsets])
-        because, *more = oscillation_words(measured)
-        return _before_any_fit(measured, OSCILLATES, because, more, advice, options=options)
+        return _oscillating(measured, options=options)
     if (misread := misread_channels(prepared)) is not None:
         return _before_any_fit(misread, MISREAD, "; ".join(misread.words), options=options)
     nominal, known = fit_coarse_to_fine(
@@ -265,6 +264,23 @@ def _oscillates(found: SelfOscillation) -> str:
     return (
         f"the stated valve oscillates by itself, at {found.frequency:.3g} Hz from rest, and the readings do not: are "
         "its figures right?"
+    )
+
+
+def _oscillating(found: MeasuredOscillation, *, options: DiagnosisOptions) -> Diagnosis:
+    """What may have a measured valve oscillate by itself: an answer set of causes, none of which was fitted."""
+    causes = [onset.candidate for onset in found.onsets]
+    because, *more = oscillation_words(found)
+    answer = _before_any_fit(found, OSCILLATES, because, more, advice_on_oscillation(causes), options=options)
+    if not causes:
+        return answer
+    candidates = candidates_by_prior(causes, options=options)
+    return replace(
+        answer,
+        verdict=AMBIGUOUS,
+        summary=f"{because[0].upper()}{because[1:]}.",
+        location=" or ".join(dict.fromkeys(one.location for one in candidates if one.location)),
+        candidates=tuple(candidates),
     )
 
 

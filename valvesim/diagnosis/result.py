@@ -98,6 +98,10 @@ NO_TEST = (
     "None of the tests that are thought of can be run with the likeliest and with what comes next: measure a further "
     "channel, or with less noise."
 )
+NEXT_AT_REST = (
+    "Find the supply pressure below which the oscillation stops, the command at rest: records from there can be "
+    "fitted, and tell more."
+)
 NOTHING_NEXT = "No test is proposed: nothing known comes next to the likeliest. Measure a further channel."
 
 
@@ -246,6 +250,8 @@ class Diagnosis(Shown):
         """Why an ambiguous answer has no next test, in words; "" where it has one, or nothing is to be told apart."""
         if self.verdict != AMBIGUOUS or self.next_test is not None:
             return ""
+        if self.reason == OSCILLATES:
+            return NEXT_AT_REST
         known = [one for one in self.candidates if one.in_set and one.names != (UNKNOWN,)]
         return NO_TEST if len(known) > 1 else NOTHING_NEXT
 
