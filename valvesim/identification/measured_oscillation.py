@@ -94,8 +94,8 @@ def measured_oscillation(
         return None
     if least_stable_mode(prepared.predictors, stated.variant(prepared.nominal))[0] > 0.0:  # it may be no other valve
         return None
-    rate, told = min(line.record.pace for line in lines), {line.record.name for line in lines}
-    return MeasuredOscillation(frequency, rate, len(told), _onsets(prepared, frequency, rate, progress), study, stated)
+    rate, count = min(line.record.pace for line in lines), len({line.record.name for line in lines})
+    return MeasuredOscillation(frequency, rate, count, _onsets(prepared, frequency, rate, progress), study, stated)
 
 
 def _is_its_own(line: _Line, reads: dict[str, dict[str, np.ndarray]], *, options: SelfOscillationOptions) -> bool:
