@@ -431,7 +431,8 @@ def more_by_truth(row: Row) -> float | None:
     if row.get("oracle_fall") is None:
         return None
     first = next((each for each in row["candidates"] if each["labels"]), {"deviance_fall": 0.0})
-    return row["oracle_fall"] - first["deviance_fall"]
+    more = row["oracle_fall"] - (first["deviance_fall"] or 0.0)
+    return more if np.isfinite(more) else None
 
 
 def _pairs_missed(done: Sequence[Row]) -> str:

@@ -157,8 +157,9 @@ def answer_lines(title: str, name: str, diagnosis: Diagnosis) -> list[str]:
         lines.append(f"| {trace.record}{role} | {before:.3f} | {after:.3f} | {METER_NOISE} |")
     lines += ["", "| hypothesis | probability | in the answer set | fall of the deviance |", "|---|---|---|---|"]
     for one in diagnosis.candidates:
-        inside = "yes" if one.in_set else "no"
-        lines.append(f"| {one.label} | {one.probability:.3f} | {inside} | {one.deviance_fall:.1f} |")
+        inside, fall = "yes" if one.in_set else "no", one.deviance_fall
+        fall = f"{fall:.1f}" if np.isfinite(fall) else "-"
+        lines.append(f"| {one.label} | {one.probability:.3f} | {inside} | {fall} |")
     if diagnosis.parameters:
         lines += ["", "| figure | estimate | 95 % interval |", "|---|---|---|"]
         for e in diagnosis.parameters:

@@ -31,9 +31,14 @@ def advice_on_causes(
 
 
 def advice_on_oscillation(causes: Sequence[Candidate]) -> tuple[WhatToDo, ...]:
-    """What to do about a valve that oscillates by itself: in general, and about each effect that may cause it."""
-    effects = {c.label: advice for c in causes if c.effect is not None and (advice := _of_candidate(c)) is not None}
-    return tuple(what_to_do(label, advice) for label, advice in {"the oscillation": OSCILLATION, **effects}.items())
+    """What to do about a valve that oscillates by itself: in general, and about each part that may cause it, effects
+    first.
+    """
+    by_part, found = dict[str, WhatToDo](), [what_to_do("the oscillation", OSCILLATION)]
+    for c in sorted(causes, key=lambda each: each.effect is None):
+        if (advice := _of_candidate(c)) is not None:
+            by_part.setdefault(advice.part, what_to_do(c.label, advice))
+    return (*found, *by_part.values())
 
 
 def advice_on_unknown(reason: str, odd: str, term: Term | None) -> tuple[WhatToDo, ...]:

@@ -38,9 +38,11 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateAnswer:
-    """A hypothesis that was fitted: the cause or the causes together, and how probable it is among all.
+    """A hypothesis: the cause or the causes together, and how probable it is among all.
 
     `in_set` tells whether it explains the data nearly as well as the best. Without `names` it is noise alone.
+    `deviance_fall` is NaN, null in JSON, where nothing was fitted (`OSCILLATES`): the probabilities are those before
+    any record.
     """
 
     names: tuple[str, ...]

@@ -82,10 +82,12 @@ def oscillation_words(found: MeasuredOscillation) -> tuple[str, ...]:
         [_onset_words(one, found.rate) for one in found.onsets if (one.candidate.effect is None) == of_figure]
         for of_figure in (False, True)
     )
-    beside = "; figures of its own that would have it do so are in the notes" if figures else ""
-    would = f"would from {' or from '.join(effects)}" if effects else "would with none of the known causes"
+    by_effect = f"it would from {' or from '.join(effects)}" if effects else "no known effect would have it do so"
+    by_figure = "figures of it that would, far from what is stated, are in the notes" if figures else "nor any figure"
+    if figures or not effects:
+        by_effect += f"; {by_figure}" if figures else f", {by_figure}"
     listed = (f"the stated valve would oscillate so from {', or from '.join(figures)}",) if figures else ()
-    return f"{told}; it {would}{beside}", *listed
+    return f"{told}; {by_effect}", *listed
 
 
 def _onset_words(onset: Onset, rate: float) -> str:
@@ -93,14 +95,15 @@ def _onset_words(onset: Onset, rate: float) -> str:
     if c.effect is not None:
         value = (c.effect.amplitude.neutral or 0.0) + above
         size = f"{100.0 * value:.2g} % of" if c.unit == "1" else f"{value_text(value, c.unit)} of"
+        on = "on" if above > 0.0 else "down"
     else:
         assert c.parameter is not None  # noqa: S101 - a candidate is either
         nominal = c.parameter.nominal
         change = np.expm1(above) if c.parameter.logarithmic else above / nominal if nominal else None
         by = f"{abs(change):.0%}".replace("%", " %") if change is not None else value_text(abs(above), c.unit)
-        size = f"{by} {'more' if above > 0.0 else 'less'}"
+        size, on = f"{by} {'more' if above > 0.0 else 'less'}", "on"
     seen = f", which samples at {rate:g} Hz show lower" if onset.frequency > rate / 2.0 else ""
-    return f"{size} {_words(c).removeprefix('the figure of ')} on (at {onset.frequency:.3g} Hz{seen})"
+    return f"{size} {_words(c).removeprefix('the figure of ')} {on} (at {onset.frequency:.3g} Hz{seen})"
 
 
 def _words(c: Candidate) -> str:

@@ -2,7 +2,7 @@
 the phase of such an oscillation, but where the equations at rest lose their stability tells what may have caused it.
 
 Symbols
-    S(f) spectrum of a reading or an input in a record, T the record's duration
+    c the stated valve's coefficients at 20 degC
     s the least stable eigenvalue (1/s) of the equations at rest: at the onset its real part passes zero
 """
 
@@ -16,19 +16,23 @@ from functools import partial
 import numpy as np
 
 from valvesim.errors import InputError, SolveError, ValidityWarning
-from valvesim.identification.candidates import Candidate, candidates_of
-from valvesim.identification.channel_check import FROM_ZERO
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, with_shapes
 from valvesim.identification.noise_estimation import evaluated_under_own_noise
 from valvesim.identification.options import SelfOscillationOptions
+from valvesim.identification.predictor import RecordPredictor, is_quasi_static
 from valvesim.identification.self_oscillation import least_stable_mode
 from valvesim.identification.session import Record
 from valvesim.identification.study import PreparedSession, Study
+from valvesim.valve.equations import AT_20, main_stage
+from valvesim.valve.parameters import Valve
 
 
 @dataclass(frozen=True, eq=False)
 class Onset:
-    """A candidate with whose amplitude above neutral the stated valve begins to oscillate, and its frequency (Hz)."""
+    """A candidate with whose amplitude above neutral the stated valve begins to oscillate in one of the records that
+    show an oscillation, and its frequency there (Hz).
+    """
 
     candidate: Candidate
     above_neutral: float
@@ -37,8 +41,8 @@ class Onset:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredOscillation:
-    """The frequency (Hz) at which readings oscillate in so many `records`, below half their `rate` (Hz), what would
-    have the stated valve do so, nearest frequency first, and that valve's fit at nominal in a study.
+    """The frequency (Hz) at which readings oscillate in so many `records`, as samples at a `rate` (Hz) show it, what
+    would have the stated valve do so, nearest frequency first, and that valve's fit at nominal in a study.
     """
 
     frequency: float
@@ -63,39 +67,55 @@ class _Line:
 def measured_oscillation(
     prepared: PreparedSession, progress: Callable[[str, float], None] = lambda stage, share: None
 ) -> MeasuredOscillation | None:
-    """How the measured valve oscillates by itself; None where it does not, where an input goes at the same frequency,
-    where the stated valve does so too, or where no channel tells its motion: pressures go with a supply that ripples.
+    """How the measured valve oscillates by itself; None where it does not, where the command or the supply go at the
+    same frequency, where the stated valve does so too, or where no channel tells its motion: pressures go with a supply
+    that ripples. Of records of several rates those of the highest are asked.
 
     `progress(stage, share)` is called while causes are looked for. Raises SolveError where the stated valve cannot be
     run.
     """
-    options = prepared.options.self_oscillation
-    records = [predictor.record for predictor in prepared.predictors]
+    options, full = prepared.options.self_oscillation, _full_travel(prepared.nominal.variant.valve)
+    moving = [one for one in prepared.predictors if not is_quasi_static(one.record, options=prepared.options)]
+    rate = max((one.record.pace for one in moving), default=0.0)
+    records = [one.record for one in moving if one.record.pace == rate]
     is_driven = partial(_is_driven, most=_largest_inputs(records), options=options)
-    channels = [(record, name) for record in records for name in record.outputs if name in FROM_ZERO]
+    channels = [(record, name) for record in records for name in record.outputs if name in full]
     strongest = [_strongest_line(record, name, options=options) for record, name in channels]
     lines = [
         line
         for line in strongest
-        if line.frequency > 0.0
-        and line.share > options.line_share
+        if line.share > options.line_share
+        and line.rms > options.least_travel * full[line.channel]
         and not is_driven(line.record, line.frequency)
     ]
     if not lines:
         return None
-    frequency = float(np.median([line.frequency for line in lines]))
+    frequency = sorted(line.frequency for line in lines)[len(lines) // 2]
     lines = [line for line in lines if abs(line.frequency / frequency - 1.0) < options.line_width]
     could_tell = sum(not is_driven(record, frequency) for record, _ in channels)
     if len(lines) < options.least_lines * could_tell:
         return None
     study, stated = evaluated_under_own_noise(prepared, np.zeros(len(prepared.nominal.parameters)))
-    reads = {record.name: read for record, read in zip(records, stated.readings, strict=True)}
+    reads = {one.record.name: read for one, read in zip(prepared.predictors, stated.readings, strict=True)}
     if np.mean([_is_its_own(line, reads, options=options) for line in lines]) < options.least_lines:
         return None
     if least_stable_mode(prepared.predictors, stated.variant(prepared.nominal))[0] > 0.0:  # it may be no other valve
         return None
-    rate, count = min(line.record.pace for line in lines), len({line.record.name for line in lines})
-    return MeasuredOscillation(frequency, rate, count, _onsets(prepared, frequency, rate, progress), study, stated)
+    names = {line.record.name for line in lines}
+    oscillating = [one for one in moving if one.record.name in names]
+    onsets = _onsets(prepared, oscillating, lambda onset: _octaves(onset, frequency, rate), progress)
+    return MeasuredOscillation(frequency, rate, len(names), onsets, study, stated)
+
+
+def _full_travel(valve: Valve) -> dict[str, float]:
+    """How far the channels that tell a valve's motion go at most, by name."""
+    c = valve.at(AT_20)
+    flow = main_stage(c.spool_stroke, valve.supply_pressure, 0.0, c)[0]
+    return {
+        "spool_position": float(c.spool_stroke),
+        "armature_angle": float(valve.null_gap / valve.nozzle_arm),
+        "load_flow": float(flow),
+    }
 
 
 def _is_its_own(line: _Line, reads: dict[str, dict[str, np.ndarray]], *, options: SelfOscillationOptions) -> bool:
@@ -108,11 +128,15 @@ def _is_its_own(line: _Line, reads: dict[str, dict[str, np.ndarray]], *, options
 
 
 def _strongest_line(record: Record, channel: str, *, options: SelfOscillationOptions) -> _Line:
+    """The strongest peak of a channel's spectrum in a record with periods enough; one of no size where none has."""
     good = record.usable[channel]
     values = np.interp(record.time, record.time[good], record.values[channel][good])
     frequency, power = _spectrum(record, values)
-    fast = frequency * record.duration > options.least_periods
-    return _line_at(float(frequency[np.argmax(np.where(fast, power, 0.0))]), record, channel, values, options=options)
+    padded = np.pad(power, 1)
+    peaks = (power >= padded[:-2]) & (power >= padded[2:]) & (frequency * record.duration > options.least_periods)
+    if not peaks.any():
+        return _Line(record, channel, 0.0, 0.0, 0.0)
+    return _line_at(float(frequency[np.argmax(np.where(peaks, power, 0.0))]), record, channel, values, options=options)
 
 
 def _line_at(
@@ -126,17 +150,26 @@ def _line_at(
 
 
 def _largest_inputs(records: Sequence[Record]) -> dict[str, float]:
-    """The largest absolute value of each input in any record."""
-    names = {name for record in records for name in record.inputs}
-    return {name: max(float(np.max(np.abs(r.values[name]))) for r in records if name in r.inputs) for name in names}
+    """The largest excursion of the commands from the middle of a record, and the largest supply pressure, by name. What
+    a load does, it may do for the valve oscillates.
+    """
+    most = dict[str, float]()
+    for record in records:
+        command = float(np.ptp(record.values[record.command])) / 2.0
+        most[record.command] = max(most.get(record.command, 0.0), command)
+        if "supply_pressure" in record.inputs:
+            supply = float(np.max(np.abs(record.values["supply_pressure"])))
+            most["supply_pressure"] = max(most.get("supply_pressure", 0.0), supply)
+    return most
 
 
 def _is_driven(
     record: Record, frequency: float, *, most: dict[str, float], options: SelfOscillationOptions
 ) -> bool:
-    """Whether an input of a record goes at a frequency (Hz), by a good part of the `most` that it is in any record."""
-    there = [_line_at(frequency, record, name, record.values[name], options=options) for name in record.inputs]
-    return any(line.rms > options.input_share * most[line.channel] for line in there)
+    """Whether an input of a record goes at a frequency (Hz), by a good part of the `most` that it does in any."""
+    there = [_line_at(frequency, record, name, record.values[name], options=options)
+             for name in record.inputs if name in most]  # fmt: skip
+    return any(line.rms > options.input_share * most[line.channel] > 0.0 for line in there)
 
 
 def _spectrum(record: Record, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -150,21 +183,31 @@ def _spectrum(record: Record, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _onsets(
-    prepared: PreparedSession, frequency: float, rate: float, progress: Callable[[str, float], None]
+    prepared: PreparedSession,
+    oscillating: Sequence[RecordPredictor],
+    octaves_off: Callable[[float], float],
+    progress: Callable[[str, float], None],
 ) -> tuple[Onset, ...]:
-    """What would have the stated valve begin to oscillate within half an octave of a frequency (Hz) as records at a
-    rate (Hz) show it, one of each label, nearest first.
+    """What would have the stated valve begin to oscillate in the records that do, less than half an octave off what
+    these show, one of each label, nearest first.
     """
-    found = dict[str, Onset]()
-    candidates = candidates_of(prepared.session, prepared.nominal)
-    in_valve = [c for c in candidates if c.effect is None or c.effect.reading is None]
+    found = list[Onset]()
+    in_valve = [c for c in prepared.candidates if _acts_in_valve(c)]
     for k, candidate in enumerate(in_valve):
         progress("what may have the valve oscillate", k / len(in_valve))
         for sign in (1.0,) if candidate.one_sided else (1.0, -1.0):
-            onset = _onset(prepared, candidate, sign)
-            if onset is not None and _octaves(onset.frequency, frequency, rate) < 0.5:
-                found.setdefault(candidate.label, onset)
-    return tuple(sorted(found.values(), key=lambda one: _octaves(one.frequency, frequency, rate)))
+            onset = _onset(prepared, oscillating, candidate, sign)
+            found += [onset] if onset is not None and octaves_off(onset.frequency) < 0.5 else []
+    nearest = dict[str, Onset]()
+    for onset in sorted(found, key=lambda one: octaves_off(one.frequency)):
+        nearest.setdefault(onset.candidate.label, onset)
+    return tuple(nearest.values())
+
+
+def _acts_in_valve(candidate: Candidate) -> bool:
+    if candidate.effect is not None:
+        return candidate.effect.reading is None
+    return candidate.parameter is not None and candidate.parameter.is_of_valve
 
 
 def _octaves(onset: float, frequency: float, rate: float) -> float:
@@ -173,14 +216,17 @@ def _octaves(onset: float, frequency: float, rate: float) -> float:
     return float(abs(np.log2(max(seen, 1e-9) / frequency)))
 
 
-def _onset(prepared: PreparedSession, candidate: Candidate, sign: float) -> Onset | None:
+def _onset(
+    prepared: PreparedSession, oscillating: Sequence[RecordPredictor], candidate: Candidate, sign: float
+) -> Onset | None:
     """Where the stated valve begins to oscillate with more and more of a candidate; None where it does not."""
     options = prepared.options.self_oscillation
-    limit = candidate.limits[1 if sign > 0.0 else 0]
+    mode_with = partial(_mode_with, prepared, oscillating, candidate)
+    most = prepared.options.fit.interior * abs(candidate.limits[1 if sign > 0.0 else 0])
+    amounts = np.unique([min(multiple * candidate.typical, most) for multiple in options.amounts])
     stable = 0.0
-    for multiple in options.amounts:
-        amount = sign * min(multiple * candidate.typical, abs(limit))
-        growth, frequency = _mode_with(prepared, candidate, amount)
+    for amount in sign * amounts[np.isfinite(amounts) & (amounts > 0.0)]:
+        growth, frequency = mode_with(amount)
         if growth > 0.0:
             break
         stable = amount
@@ -188,12 +234,14 @@ def _onset(prepared: PreparedSession, candidate: Candidate, sign: float) -> Onse
         return None
     for _ in range(options.bisections):
         middle = 0.5 * (stable + amount)
-        growth, own = _mode_with(prepared, candidate, middle)
+        growth, own = mode_with(middle)
         stable, amount, frequency = (middle, amount, frequency) if growth <= 0.0 else (stable, middle, own)
-    return Onset(candidate, amount, frequency) if frequency > 0.0 else None
+    return Onset(candidate, float(amount), frequency) if frequency > 0.0 else None
 
 
-def _mode_with(prepared: PreparedSession, candidate: Candidate, above_neutral: float) -> tuple[float, float]:
+def _mode_with(
+    prepared: PreparedSession, oscillating: Sequence[RecordPredictor], candidate: Candidate, above_neutral: float
+) -> tuple[float, float]:
     """Growth rate (1/s) and frequency (Hz) of the least stable mode of the stated valve with so much of a candidate;
     (-inf, 0) where it has no state at rest.
     """
@@ -202,6 +250,6 @@ def _mode_with(prepared: PreparedSession, candidate: Candidate, above_neutral: f
         with warnings.catch_warnings():  # far from any valve that was stated
             warnings.simplefilter("ignore", ValidityWarning)
             variant = with_shapes(candidate, above_neutral).apply_to(stated)
-            return least_stable_mode(prepared.predictors[:1], variant)
+            return least_stable_mode(oscillating, variant)
     except (SolveError, InputError):
         return -np.inf, 0.0

@@ -609,6 +609,9 @@ class SelfOscillationOptions:
     )
     line_width: float = option(0.05, "1", "half of its width, per frequency", "it goes a little with the command")
     least_periods: float = option(10.0, "1", "periods of it in a record", JUDGEMENT)
+    least_travel: float = option(
+        0.03, "1", "size of it per full travel of that part", "a meter's hum, at rest, is no motion"
+    )
     input_share: float = option(
         0.05, "1", "what an input does there, per most of it, from which it may be what drives the valve", JUDGEMENT
     )
@@ -622,7 +625,7 @@ class SelfOscillationOptions:
     amounts: tuple[float, ...] = option(
         (1.0, 2.0, 4.0, 8.0, 16.0), "1", "times the typical amplitude of a candidate that may cause it", JUDGEMENT
     )
-    bisections: int = option(6, "1", "halvings of the interval in which it begins to", "to 1 % of the amplitude")
+    bisections: int = option(6, "1", "halvings of the interval in which it begins to", "to 1.6 % of it")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -68,13 +68,15 @@ def _least_stable_mode(prepared: PreparedSession, point: np.ndarray) -> tuple[fl
 def least_stable_mode(predictors: Sequence[RecordPredictor], variant: ModelVariant) -> tuple[float, float]:
     """The growth rate (1/s) and the frequency (Hz) of the least stable mode of a variant at rest where records begin.
 
-    Raises SolveError, InputError where it has no state at rest.
+    Raises SolveError, InputError where it has no state at rest, or its equations make no sense there.
     """
     least = (-np.inf, 0.0)
     posed = [predictor.posed(variant) for predictor in predictors]
     for one, rest in zip(posed, at_rest_together(posed), strict=True):
         A = np.zeros((len(rest), len(rest)))
         one.compiled.jacobian(rest, one.under.first_inputs, one.knots[0], A)
+        if not np.isfinite(A).all():
+            raise SolveError("the equations at rest have no derivatives")
         s = max(np.linalg.eigvals(A), key=lambda each: each.real)
         least = max(least, (float(s.real), float(abs(s.imag)) / (2.0 * np.pi)))
     return least

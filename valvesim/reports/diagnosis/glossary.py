@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from valvesim.diagnosis.result import Diagnosis
 from valvesim.reports.html_page import Section, Terms, section
 
 
 def glossary(diagnosis: Diagnosis) -> Section:
     """The words that this page uses, and no others."""
-    several = len(diagnosis.candidates) > 1
+    are_fitted = all(np.isfinite(one.deviance_fall) for one in diagnosis.candidates)
+    several = len(diagnosis.candidates) > 1 and are_fitted
+    given = "given these records" if are_fitted else "before any record, for none of them could be fitted"
     words = {
         "Noise deviation": (
             "standard deviation of a sensor's noise. An error of 1 is noise alone; below that nothing can be seen.",
@@ -30,7 +34,7 @@ def glossary(diagnosis: Diagnosis) -> Section:
             several,
         ),
         "Probability": (
-            "among the candidates on this page, given these records; causes that nobody thought of are in it only as "
+            f"among the candidates on this page, {given}; causes that nobody thought of are in it only as "
             "'none of the known'.",
             diagnosis.candidates,
         ),

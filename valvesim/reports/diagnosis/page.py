@@ -190,6 +190,7 @@ def _answer_set(diagnosis: Diagnosis) -> Section:
     if len(candidates) < 2 and not several:
         return section(heading)
     ranked = sorted(candidates, key=lambda c: not c.in_set)  # the likeliest first, within each
+    most = max(MOST_CANDIDATES, sum(c.in_set for c in candidates))
 
     def told(c: CandidateAnswer) -> bool:
         return bool(np.isfinite(c.deviance_fall)) and c.names != (UNKNOWN,)
@@ -200,7 +201,7 @@ def _answer_set(diagnosis: Diagnosis) -> Section:
             c.location,
             number(c.deviance_fall, max(1.0, 0.01 * c.deviance_fall)) if told(c) else "",
         )
-        for c in ranked[:MOST_CANDIDATES]
+        for c in ranked[:most]
     ]  # fmt: skip
     headings = ("candidate", "probability", "answer", "where", "fall of deviance")
     above = "The data cannot tell the possible ones apart." if several else ""
