@@ -28,7 +28,7 @@ from valvesim.diagnosis.refits import (
 )
 from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts, typical_starts
-from valvesim.identification.fit import FittedCandidate, is_adequate, rescored
+from valvesim.identification.fit import Fit, FittedCandidate, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis, reductions_from_prior
 from valvesim.identification.nominal_fit import NominalFit, has_uncertain_inputs, unweighted
 
@@ -122,9 +122,11 @@ def with_other_pairs(
         return found, final
     near = is_adequate(best, options=final.options.identification)
     for member in best.fitted:
-        if near and not comes_near(nominal, best, (member,), options=final.options):
-            continue
-        alone = fit_hypothesis(nominal, (member,), best.point)
+        alone = _alone(member, found)
+        if alone is None or not is_adequate(alone, options=final.options.identification):
+            if near and not comes_near(nominal, best, (member,), options=final.options):
+                continue
+            alone = fit_hypothesis(nominal, (member,), best.point)
         if alone is None:
             continue
         more.append(FittedHypothesis(alone, options=final.options))
@@ -139,6 +141,12 @@ def with_other_pairs(
         return merged, final
     merged = reduced_hypotheses(nominal, merged, options=final.options)
     return merged, score_test(nominal, merged[0].fit, options=final.options)
+
+
+def _alone(member: FittedCandidate, found: Sequence[FittedHypothesis]) -> Fit | None:
+    """The best of the fits found with a candidate alone."""
+    fits = [one.fit for one in found if [c.label for c in one.candidates] == [member.candidate.label]]
+    return min(fits, key=lambda fit: fit.chi_square, default=None)
 
 
 def _beside(label: str, found: Sequence[FittedHypothesis]) -> frozenset[str]:
