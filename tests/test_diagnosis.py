@@ -705,7 +705,7 @@ def test_beside_each_of_two_causes_others_are_tried(monkeypatch):
     near.clear()  # where neither alone comes near the records beside neither another is sought
     tried.clear()
     assert with_other_pairs(None, [best], BEFORE) == ([best], BEFORE) and not tried
-    # unless it does by a fit of its own: a weak magnet was an armature's arm, and never tried beside the friction (203003)
+    # unless it does by a fit of its own: a weak magnet was never tried beside the friction (203003)
     with_other_pairs(None, [best, explained(150.0, "spool_lap")], BEFORE)
     assert ["spool_lap", "magnetic_hysteresis"] in tried and ["entrained_air", "magnetic_hysteresis"] not in tried
 
