@@ -431,7 +431,7 @@ def more_by_truth(row: Row) -> float | None:
     if row.get("oracle_fall") is None:
         return None
     first = next((each for each in row["candidates"] if each["labels"]), {"deviance_fall": 0.0})
-    more = row["oracle_fall"] - (first["deviance_fall"] or 0.0)
+    more = row["oracle_fall"] - first["deviance_fall"]
     return more if np.isfinite(more) else None
 
 

@@ -20,7 +20,7 @@ from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, with_shapes
 from valvesim.identification.noise_estimation import evaluated_under_own_noise
 from valvesim.identification.options import SelfOscillationOptions
-from valvesim.identification.predictor import RecordPredictor, is_quasi_static
+from valvesim.identification.predictor import ModelVariant, RecordPredictor, is_quasi_static
 from valvesim.identification.self_oscillation import least_stable_mode
 from valvesim.identification.session import Record
 from valvesim.identification.study import PreparedSession, Study
@@ -123,7 +123,8 @@ def _is_its_own(line: _Line, reads: dict[str, dict[str, np.ndarray]], *, options
     channel, and beside what it does there.
     """
     motion = float(np.std(np.concatenate([read[line.channel] for read in reads.values() if line.channel in read])))
-    there = _line_at(line.frequency, line.record, line.channel, reads[line.record.name][line.channel], options=options)
+    own = reads[line.record.name][line.channel]
+    there = _line_at(line.frequency, line.record, line.channel, _spectrum(line.record, own), options=options)
     return line.rms > options.least_size * motion and options.least_size * line.rms > there.rms
 
 
@@ -131,19 +132,25 @@ def _strongest_line(record: Record, channel: str, *, options: SelfOscillationOpt
     """The strongest peak of a channel's spectrum in a record with periods enough; one of no size where none has."""
     good = record.usable[channel]
     values = np.interp(record.time, record.time[good], record.values[channel][good])
-    frequency, power = _spectrum(record, values)
+    spectrum = frequency, power = _spectrum(record, values)
     padded = np.pad(power, 1)
     peaks = (power >= padded[:-2]) & (power >= padded[2:]) & (frequency * record.duration > options.least_periods)
     if not peaks.any():
         return _Line(record, channel, 0.0, 0.0, 0.0)
-    return _line_at(float(frequency[np.argmax(np.where(peaks, power, 0.0))]), record, channel, values, options=options)
+    peak = float(frequency[np.argmax(np.where(peaks, power, 0.0))])
+    return _line_at(peak, record, channel, spectrum, options=options)
 
 
 def _line_at(
-    frequency: float, record: Record, channel: str, values: np.ndarray, *, options: SelfOscillationOptions
+    frequency: float,
+    record: Record,
+    channel: str,
+    spectrum: tuple[np.ndarray, np.ndarray],
+    *,
+    options: SelfOscillationOptions,
 ) -> _Line:
-    """The line at a frequency (Hz) of what a channel reads, or would read, in a record (n,)."""
-    own, power = _spectrum(record, values)
+    """The line at a frequency (Hz) in the `_spectrum` of what a channel reads, or would read, in a record."""
+    own, power = spectrum
     near = np.abs(own - frequency) < max(options.line_width * frequency, 3.0 / record.duration)
     size = float(power[near].sum())
     return _Line(record, channel, frequency, float(np.sqrt(size)), size / max(float(power.sum()), 1e-300))
@@ -167,7 +174,7 @@ def _is_driven(
     record: Record, frequency: float, *, most: dict[str, float], options: SelfOscillationOptions
 ) -> bool:
     """Whether an input of a record goes at a frequency (Hz), by a good part of the `most` that it does in any."""
-    there = [_line_at(frequency, record, name, record.values[name], options=options)
+    there = [_line_at(frequency, record, name, _spectrum(record, record.values[name]), options=options)
              for name in record.inputs if name in most]  # fmt: skip
     return any(line.rms > options.input_share * most[line.channel] > 0.0 for line in there)
 
@@ -221,7 +228,8 @@ def _onset(
 ) -> Onset | None:
     """Where the stated valve begins to oscillate with more and more of a candidate; None where it does not."""
     options = prepared.options.self_oscillation
-    mode_with = partial(_mode_with, prepared, oscillating, candidate)
+    stated = prepared.nominal.at(np.zeros(len(prepared.nominal.parameters)))
+    mode_with = partial(_mode_with, stated, oscillating, candidate)
     most = prepared.options.fit.interior * abs(candidate.limits[1 if sign > 0.0 else 0])
     amounts = np.unique([min(multiple * candidate.typical, most) for multiple in options.amounts])
     stable = 0.0
@@ -240,12 +248,11 @@ def _onset(
 
 
 def _mode_with(
-    prepared: PreparedSession, oscillating: Sequence[RecordPredictor], candidate: Candidate, above_neutral: float
+    stated: ModelVariant, oscillating: Sequence[RecordPredictor], candidate: Candidate, above_neutral: float
 ) -> tuple[float, float]:
     """Growth rate (1/s) and frequency (Hz) of the least stable mode of the stated valve with so much of a candidate;
     (-inf, 0) where it has no state at rest.
     """
-    stated = prepared.nominal.at(np.zeros(len(prepared.nominal.parameters)))
     try:
         with warnings.catch_warnings():  # far from any valve that was stated
             warnings.simplefilter("ignore", ValidityWarning)

@@ -75,6 +75,7 @@ REASON_WORDS = {
     OSCILLATES: "The valve oscillates by itself",
     CHANNEL_APART: "One channel apart",
 }  # words of the banner in place of the verdict's
+TOLD_BEFORE_FIT = (OTHER_VALVE, MISREAD, OSCILLATES)  # reasons that may be told before anything is fitted
 DIAGNOSIS_DPI = 140  # of the pictures: sharp on paper too
 MEMORY_WORDS = {NONE: "none", LAG: "follows with a lag", PATH: "turns with the direction, as hysteresis does"}
 MOST_SHIFTS, MOST_CANDIDATES = 8, 8  # that are shown, largest first
@@ -136,7 +137,7 @@ def _sections(diagnosis: Diagnosis, pictures: dict[str, bytes]) -> list[Section]
                      else "These records show none of the candidates well enough to set an alarm level."),
         ),
         _shifts(diagnosis.shifts), _noise(diagnosis.noise),
-        _limits(() if diagnosis.reason in (OTHER_VALVE, MISREAD, OSCILLATES) else diagnosis.detection_limits),
+        _limits(() if diagnosis.reason in TOLD_BEFORE_FIT else diagnosis.detection_limits),
         section("Notes", Bullets(diagnosis.notes)), _extended(diagnosis), _what_to_do(diagnosis), glossary(diagnosis),
     ]  # fmt: skip
 
@@ -343,7 +344,7 @@ def _extended(diagnosis: Diagnosis) -> Section:
 def _is_unfitted(diagnosis: Diagnosis) -> bool:
     """Whether the records were told as another valve's or an oscillating one's, or their channels as misread, before
     anything was fitted."""
-    return diagnosis.reason in (OTHER_VALVE, MISREAD, OSCILLATES) and not diagnosis.shifts
+    return diagnosis.reason in TOLD_BEFORE_FIT and not diagnosis.shifts
 
 
 def _what_to_do(diagnosis: Diagnosis) -> Section:
