@@ -3,6 +3,7 @@
     .venv/bin/python benchmarks/hidden_effects.py run --workers 2  # the same again after a break: it goes on
     .venv/bin/python benchmarks/hidden_effects.py report           # docs/hidden_effects.md from what there is
     .venv/bin/python benchmarks/hidden_effects.py run --results new.jsonl  # another engine at the strengths of the old
+    .venv/bin/python benchmarks/hidden_effects.py beside --results new.jsonl  # what pairs show each, worked out anew
 
 A case is drawn by tests/hidden_plant.py, its strength tuned to a distance d', its session written to a folder, and
 diagnosed from that folder alone. Each case adds one line of JSON to the results. The table has seeds of its own
@@ -28,7 +29,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,7 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test  # noqa: E402
 from valvesim.identification.candidates import Candidate  # noqa: E402
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit  # noqa: E402
 from valvesim.identification.fit_jacobian import linearise_study  # noqa: E402
-from valvesim.identification.hypothesis_fit import fit_hypothesis  # noqa: E402
+from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis  # noqa: E402
 from valvesim.identification.linearised_record import LinearisedRecord  # noqa: E402
 from valvesim.identification.noise_model import NoiseModel  # noqa: E402
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_from  # noqa: E402
@@ -262,16 +263,24 @@ class Ruler:
         return float(np.sqrt(max(left - self._left_by_cause(case, study, nominal), 0.0)))
 
     def beside(self, case: Case, records: Records) -> tuple[float, ...]:
-        """d' of each of what is hidden beside the others, by fits to the noise-free records; () where the model lacks
-        one of them.
+        """d' of each of what is hidden beside the others, by fits to the noise-free records, in which peaks count as in
+        a diagnosis; () where the model lacks one of them.
+
+        Fits are continued from within tolerance too: one without the other that stops short would have that show more.
         """
         study = self._shown(case, records)
         fitted = true_extras(case, study)
         if fitted is None:
             return ()
         nominal = fit_nominal_from(study, evaluate_fit(study, np.zeros(self.J.shape[1]), ()))
-        all_left = self._left_by(fitted, study, nominal)
-        left = [self._left_by(tuple(one for one in fitted if one is not each), study, nominal) for each in fitted]
+
+        def left_by(some: tuple[FittedCandidate, ...]) -> float:
+            again = fit_from_prior(nominal, some)
+            begun = self._left_by(some, nominal.study, nominal)
+            return min(begun, again.chi_square) if again is not None else begun
+
+        all_left = left_by(fitted)
+        left = [left_by(tuple(one for one in fitted if one is not each)) for each in fitted]
         return tuple(float(np.sqrt(max(without - all_left, 0.0))) for without in left)
 
     def _shown(self, case: Case, records: Records) -> Study:
@@ -783,6 +792,25 @@ def _oracle(case: Case, nominal: NominalFit, fitted: tuple[FittedCandidate, ...]
 # ---------------------------------------------------------------- all of them
 
 
+def measure_beside(path: Path, workers: int) -> None:
+    """What each of a pair shows beside the other, worked out anew for the rows of a results file."""
+    rows = read_results(path)
+    pairs = [row for row in rows if row["kind"] == "pair" and row["outcome"] == "done"]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for row, found in zip(pairs, pool.map(_beside_of_row, pairs), strict=True):
+            print(f"{row['seed']}: {row['beside']} is {found}", flush=True)
+            row["beside"] = found
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
+
+
+def _beside_of_row(row: Row) -> tuple[float, ...]:
+    spec = Spec(**{field.name: row[field.name] for field in fields(Spec)})
+    with tempfile.TemporaryDirectory(prefix="valvesim_hidden_") as place, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        tuned = tuned_case(draw(spec.seed, spec.kind, name=spec.name), spec.target, row, Path(place) / "quiet")
+        return beside(tuned, Path(place) / "quiet")
+
+
 def read_results(path: Path) -> list[Row]:
     """The lines of a results file; a last line that was cut off by an interruption is left out."""
     rows = []
@@ -867,7 +895,7 @@ def _told(spec: Spec, row: Row) -> str:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="The full suite of hidden effects.")
-    parser.add_argument("what", choices=("run", "report"))
+    parser.add_argument("what", choices=("run", "report", "beside"))
     parser.add_argument("--cases", type=int, help="only the first so many of the list")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, help="only these")
     parser.add_argument("--seed-offset", type=int, default=TABLE_SEEDS, help="10000 while the diagnosis is worked on")
@@ -891,6 +919,8 @@ def main() -> None:
             earlier = {row["key"]: row | taken for row in read_results(options.strengths)}
             with_others = options.baselines, options.next_tests
             return run(chosen, options.results, earlier, options.workers, *with_others)
+        if options.what == "beside":
+            return measure_beside(options.results, options.workers)
     except KeyboardInterrupt:
         sys.exit(f"interrupted; what is done stands in {options.results}, the same command goes on from there")
     keys = {spec.key for spec in chosen}

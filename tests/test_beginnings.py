@@ -162,7 +162,10 @@ def test_what_hardly_helps_is_left_and_more_so_far_from_the_records(session):
 def test_what_is_little_behind_the_answer_set_of_the_beginnings_is_taken_along(monkeypatch, in_set, taken):
     """Half a deviation in evidence had left the truth behind, and the whole session named its rival for sure."""
     behind = {"a": 0.0, "b": 6.5, "c": 17.0, "d": 19.0}
-    found = [SimpleNamespace(label=label, evidence=by) for label, by in behind.items()]
-    isolation = SimpleNamespace(nominal=None, found=found, answer_set=[one for one in found if one.label in in_set])
+    found = [SimpleNamespace(label=label, evidence=by, fit=label) for label, by in behind.items()]
+    alike = [one for one in found if one.label in in_set]
+    isolation = SimpleNamespace(nominal=None, found=found, answer_set=alike, nearest=None)
     monkeypatch.setattr(leading_segments, "answer_set_width", lambda nominal, best: 6.0)
-    assert [one.label for one in leading_segments._taken_along(isolation, options=DIAGNOSIS)] == taken
+    assert leading_segments._taken_along(isolation, options=DIAGNOSIS) == taken
+    isolation.nearest = "far"  # another valve's: the whole is asked for that cause alone
+    assert leading_segments._taken_along(isolation, options=DIAGNOSIS) == ["far"]

@@ -502,13 +502,16 @@ def test_a_way_of_the_commands_that_promises_to_be_the_best_is_fitted_further(
     [
         ((10.0, -10.0, 10.0, 3.0, 40.0), 3e3, 1e6, True),
         ((10.0, -10.0, 9.0, 3.0, 10.0), 3e3, 1e6, False),  # the third is of a sensor: a cause may carry two there
-        ((10.0, -10.0, 10.0, 3.0, 40.0), 2e5, 1e6, False),  # they do not explain so much more
+        ((10.0, -10.0, 10.0, 3.0, 40.0), 2e4, 1.9e5, False),  # they do not explain so much more
         ((10.0, -10.0, 10.0, 3.0, 40.0), 10.0, 1e4, False),  # the cause comes near
+        ((10.0, -10.0, 10.0, 3.0, 40.0), 4e5, 2.1e5, True),  # it is a hundred variances off, as they are
+        ((10.0, -10.0, 10.0, 3.0, 40.0), 4e8, 1.9e5, False),
+        ((10.0, -10.0, 9.0, 3.0, 40.0), 4e5, 2.1e5, False),
     ],
 )
 def test_figures_at_their_limits_that_no_cause_could_stand_for_are_another_valve(monkeypatch, at, left, beside, other):
     rows, reach = 2e3, IDENTIFICATION.prior.reach
-    assert reach == 10.0
+    assert reach == 10.0 and DIAGNOSIS.detection.other_valve_left == 100.0
     parameters = [SimpleNamespace(is_of_valve=k < 4, sensor=None) for k in range(5)]
     study = SimpleNamespace(nominal=SimpleNamespace(parameters=parameters), options=IDENTIFICATION)
     fit = SimpleNamespace(point=np.array(at), chi_square=left + rows, rows=rows)

@@ -571,6 +571,37 @@ def iterated(monkeypatch):
     return count
 
 
+@pytest.mark.parametrize("error", [SolveError, InputError])
+def test_a_fit_ends_at_figures_a_little_beyond_which_no_valve_can_be_run(iterated, monkeypatch, error):
+    """A clearance that is open at all temperatures of a record, and closed by a hundredth of a degree more (found)."""
+
+    def stepped(study, fit, jacobian, enough):
+        return replace(fit, chi_square=fit.chi_square - 1e3, predicted_reduction=4e3), jacobian
+
+    def none_beyond(study, fit):
+        raise error("the radial clearance closes")
+
+    monkeypatch.setattr(hypothesis_fit, "linearise_fit", none_beyond)
+    assert iterated(stepped, lambda fit: 2.0, 2.0) == 1
+
+
+@pytest.mark.parametrize("error", [SolveError, InputError])
+def test_a_nominal_fit_ends_before_figures_a_little_beyond_which_no_valve_can_be_run(biased, monkeypatch, error):
+    def none_beyond(study, fit):
+        raise error("the radial clearance closes")
+
+    study = biased[0].study
+    start = nominal_fit.linearise_nominal(study, evaluated(study, np.zeros(len(study.nominal.parameters)), ()))
+    known = start.linearised, start.columns
+    further = nominal_fit.robust_start(study, start.fit, known=known)
+    assert further[0].chi_square < start.fit.chi_square
+    assert nominal_fit._converge(start, 2.0).fit.chi_square < start.fit.chi_square
+    monkeypatch.setattr(nominal_fit, "linearise_fit", none_beyond)
+    fit, *own = nominal_fit.robust_start(study, start.fit, known=known)
+    assert fit is start.fit and tuple(own) == known
+    assert nominal_fit._converge(start, 2.0) is start
+
+
 @pytest.mark.parametrize("promise, linearisations", [(100.0, 2), (4000.0, None)])
 def test_a_fit_that_cannot_come_near_by_what_it_promises_is_given_up(iterated, promise, linearisations):
     def stepped(study, fit, jacobian, enough):

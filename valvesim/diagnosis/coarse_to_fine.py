@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from valvesim.diagnosis.isolation import Isolation, isolate
-from valvesim.diagnosis.model_selection import FittedHypothesis, answer_set_width
+from valvesim.diagnosis.model_selection import answer_set_width
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.bad_samples import (
@@ -53,7 +53,7 @@ def fit_coarse_to_fine(
             chosen = with_input_errors(chosen, point)
             nominal = fit_nominal_near(chosen, point, full_weight=not segments.study.weights)
             known = _taken_along(isolation, options=options)
-            fits = [replace(one.fit, point=one.fit.point[:p]) for one in known if one.fit.fitted]
+            fits = [replace(fit, point=fit.point[:p]) for fit in known if fit.fitted]
             return _without_bad_samples(nominal), fits
     nominal = fit_nominal(prepared, lambda share: progress(stage, share))
     if is_adequate(nominal.fit, options=prepared.options):
@@ -67,16 +67,19 @@ def fit_coarse_to_fine(
     return _without_outliers(nominal), ()
 
 
-def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[FittedHypothesis]:
+def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[Fit]:
     """The answer set of records' beginnings and what is not in it by little, for the rest may tell otherwise; the
     likeliest where nothing is.
     """
+    if isolation.nearest is not None:
+        return [isolation.nearest]
     if not isolation.answer_set:
-        return list(isolation.found[: options.coarse_to_fine.taken_along])
+        return [one.fit for one in isolation.found[: options.coarse_to_fine.taken_along]]
     best = isolation.answer_set[0]
     worst = best.evidence + options.coarse_to_fine.taken_width * answer_set_width(isolation.nominal, best)
     known = [one.label for one in isolation.answer_set]
-    return [*isolation.answer_set, *(o for o in isolation.found if o.evidence < worst and o.label not in known)]
+    behind = [one for one in isolation.found if one.evidence < worst and one.label not in known]
+    return [one.fit for one in (*isolation.answer_set, *behind)]
 
 
 def _without_bad_samples(nominal: NominalFit) -> NominalFit:

@@ -154,8 +154,8 @@ def beyond_reach(study: Study, point: np.ndarray) -> np.ndarray:
 
 def is_other_valve(nominal: NominalFit, likeliest: Fit, *, options: DiagnosisOptions) -> bool:
     """Whether these records are of another valve than the stated one: neither the nominal fit nor the `likeliest` cause
-    from within the tolerances comes near them, or figures at their limits, of several parts of the valve, explain far
-    more than this does.
+    from within the tolerances comes near them, or figures of several parts of the valve are at their limits and explain
+    far more than this does, or this is far from the records, too.
     """
     fit, study = nominal.fit, nominal.study
     if all(is_inadequate(nominal, one, options=options) for one in (fit, likeliest)):
@@ -163,7 +163,8 @@ def is_other_valve(nominal: NominalFit, likeliest: Fit, *, options: DiagnosisOpt
     of_valve = np.array([p.is_of_valve for p in study.nominal.parameters])
     left = max(fit.chi_square - fit.rows, fit.rows)
     many = np.count_nonzero(at_limit(fit, study) & of_valve) >= options.detection.other_valve_figures
-    return bool(many and likeliest.chi_square - likeliest.rows > options.detection.other_valve_ratio * left)
+    most = min(options.detection.other_valve_ratio * left, options.detection.other_valve_left * likeliest.rows)
+    return bool(many and likeliest.chi_square - likeliest.rows > most)
 
 
 def rests_on_limits(final: ScoreTest) -> float:

@@ -93,10 +93,11 @@ class Isolation:
     """Where an isolation ended: `nominal` the nominal fit in the end, `scores` what it leaves, `final` what the best
     of the hypotheses `found` (best first) leaves; `answer_set` among them, and why an unknown cause is in it too,
     if it is; whether there is an alarm, and the `level` that the candidates' z had to pass; `bench` what the bench did,
-    in words, and what to do about it; `is_other_valve` whether these are records of another valve than the stated one,
-    so that no cause was sought; `joint_errors` errors of the instruments that explain it together, instead of causes or
-    as well as those of the answer set; `second_level` the z that a second cause had to pass; `channel` the channel that
-    does not go with the others, where that was asked: no cause was sought where its response explains it.
+    in words, and what to do about it; `nearest` the cause that comes nearest where these are records of another valve
+    than the stated one, so that none was sought; `joint_errors` errors of the instruments that explain it together,
+    instead of causes or as well as those of the answer set; `second_level` the z that a second cause had to pass;
+    `channel` the channel that does not go with the others, where that was asked: no cause was sought where its response
+    explains it.
     """
 
     nominal: NominalFit
@@ -108,10 +109,15 @@ class Isolation:
     alarm: bool
     level: float
     bench: tuple[WhatToDo, ...] = ()
-    is_other_valve: bool = False
+    nearest: Fit | None = None
     joint_errors: JointErrors | None = None
     second_level: float = np.inf
     channel: ChannelApart | None = None
+
+    @property
+    def is_other_valve(self) -> bool:
+        """Whether these are records of another valve than the stated one."""
+        return self.nearest is not None
 
 
 def isolate(
@@ -137,7 +143,7 @@ def isolate(
         nominal, scores, beside = _with_bench(nominal, scores, known, options=options)
     level = scores.level(options.detection.false_alarm)
     if beside and is_other_valve(nominal, beside[0], options=options):
-        return Isolation(nominal, scores, scores, [], [], "", True, level, (), is_other_valve=True)
+        return Isolation(nominal, scores, scores, [], [], "", True, level, nearest=beside[0])
     bench = told_faults(scores, options=options)
     if bench and detect(scores)[0] and _may_be_bench(nominal, scores, options=options):
         return Isolation(nominal, scores, scores, [], [], "", False, level, bench)

@@ -253,7 +253,10 @@ def _iterate_to_end(
 def _iterate(
     study: Study, fit: Fit, jacobian: np.ndarray, ending: Callable[[Fit], float], linearisations: int, good: float
 ) -> Fit:
-    """Levenberg-Marquardt with the Jacobian taken anew where it no longer holds; with the Occam factor in the end."""
+    """Levenberg-Marquardt with the Jacobian taken anew where it no longer holds; with the Occam factor in the end.
+
+    It ends as well where no valve can have figures a little further on.
+    """
     for iteration in range(1, linearisations + 1):
         new, updated = levenberg_marquardt(study, fit, jacobian, ending(fit))
         enough = ending(new)  # far off, where a fit begins, more is negligible
@@ -262,7 +265,10 @@ def _iterate(
         hopeless = iteration > 1 and fit.chi_square - hoped * fit.predicted_reduction > good
         if fit.predicted_reduction < enough or stuck or hopeless or iteration == linearisations:
             break
-        jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
+        try:
+            jacobian = jacobian_of(study, fit, *linearise_fit(study, fit))
+        except (SolveError, InputError):
+            break
     H, _ = normal_equations(fit, updated, options=study.options)
     return replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
 

@@ -606,7 +606,8 @@ def robust_start(
     part.
 
     A leakage peak in the wrong place does not tell which way it should move; the rest of the record does. Given back
-    are the fit and its linearisation, see `linearise_study`; that of the start may be `known`.
+    are the fit and its linearisation, see `linearise_study`; that of the start may be `known`. It ends before figures
+    a little beyond which no valve can be run.
     """
     linearised, columns = known or linearise_fit(study, fit)
     for iteration in range(study.options.fit.robust_linearisations):
@@ -621,8 +622,12 @@ def robust_start(
         )
         if near.chi_square > (1.0 - study.options.fit.robust_ftol) * start.chi_square:
             break
-        fit = rescored(study, near)
-        linearised, columns = linearise_fit(study, fit)
+        further = rescored(study, near)
+        try:
+            linearised, columns = linearise_fit(study, further)
+        except (SolveError, InputError):
+            break
+        fit = further
     return fit, linearised, columns
 
 
@@ -637,7 +642,7 @@ def _converge(
 
     What steps have gained is kept and linearised again, unless it is next to nothing: a first step that brings less
     than `enough` may stand before as much again. It ends as well where an adequate fit is no longer in sight, or one
-    that leaves no more than `most_left` beyond the noise.
+    that leaves no more than `most_left` beyond the noise, and before figures a little beyond which no valve can be run.
     """
     options = nominal.study.options.fit
     for iteration in range(options.nominal_linearisations):
@@ -650,7 +655,10 @@ def _converge(
         hopeless = fit.chi_square - fit.rows - hoped > most_left
         if gained < max(0.1 * enough, least, options.adequate_pace * beyond) or hopeless:
             break
-        nominal = linearise_nominal(nominal.study, fit)
+        try:
+            nominal = linearise_nominal(nominal.study, fit)
+        except (SolveError, InputError):
+            break
     return nominal
 
 
