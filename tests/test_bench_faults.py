@@ -909,6 +909,24 @@ def test_what_a_cause_explains_as_well_is_no_gain_of_the_bench():
     assert max(gain(noise, wave)) < 20.0
 
 
+@pytest.mark.parametrize("hidden, fitted, causes, expected", [
+    ((1.0, 0.6, 0.0), 0, 2, True), ((1.0, 0.6, 0.0), 1, 2, False), ((1.0, 0.6, 0.0), 0, 1, False),
+    ((1.0, 0.0, 0.6), 0, 2, False), ((0.0, 0.0, 1.0), 0, 2, False), ((0.0, 0.0, 0.0), 0, 2, False),
+])  # fmt: skip
+def test_two_causes_that_explain_more_than_one_beside_an_error_of_the_bench_are_no_such_error(
+    hidden, fitted, causes, expected
+):
+    """A return pressure beside air was told as air and a load pressure that is off (pair 204501)."""
+    rng = np.random.default_rng(2)
+    J, shown = rng.normal(size=(500, 3)), rng.normal(size=(500, 3))
+    error = shown[:, 2] + 0.7 * shown[:, 0]  # which acts a little like the first cause
+    columns = np.column_stack([shown[:, :2], error])
+    residual = columns @ hidden + rng.normal(size=500)
+    predicted = linear_reductions(J, SimpleNamespace(point=np.zeros(3), residual=residual), columns)
+    more = bench_faults._two_causes_explain_more(predicted, fitted, range(causes), [2], options=DIAGNOSIS)
+    assert more is expected
+
+
 @pytest.mark.parametrize("shows, joint, alone, beyond, feature, joins", [
     (45.0, 30.0, 41.0, "", "", ["a", "b"]), (45.0, 30.0, 39.0, "", "", []),  # as good as a cause, at odds of 20 to 1
     (10.0, 0.0, 12.0, "", "", []), (500.0, 30.0, 505.0, "", "", ["a", "b"]),  # no alarm; however strong

@@ -46,8 +46,8 @@ from valvesim.diagnosis.result import (
 from valvesim.diagnosis.second_cause import (
     effects_for_parameters,
     start_keys,
+    with_fits_from_prior,
     with_other_pairs,
-    with_singles_from_prior,
 )
 from valvesim.diagnosis.starts import _joint_reductions
 from valvesim.diagnosis.wording import OTHERWISE, location_text, summary_text
@@ -848,24 +848,47 @@ def test_afresh_a_better_single_cause_takes_the_place_of_what_was_found(monkeypa
         second_cause, "score_test", lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit)
     )
     monkeypatch.setattr(second_cause, "with_second_cause", lambda nominal, final, found: (found, final))
-    found, final = with_singles_from_prior(nominal, scores, 4.0, [old], BEFORE)
+    found, final = with_fits_from_prior(nominal, scores, 4.0, [old], BEFORE)
     assert tried == ["spool_lap", "entrained_air"] and found[0].label == "spool_lap" and final.fit is found[0].fit
-    found, final = with_singles_from_prior(nominal, scores, 4.0, [], BEFORE)
+    found, final = with_fits_from_prior(nominal, scores, 4.0, [], BEFORE)
     assert [one.label for one in found] == ["spool_lap"] and final.fit is found[0].fit
     tried.clear()  # what was fitted from there in the place of a parameter is not fitted again
     keys = start_keys([old.fit.fitted, (replace(new.fit.fitted[0], above_neutral=1e-9),)])
-    assert with_singles_from_prior(nominal, scores, 4.0, [old], BEFORE, keys)[0][0].label == "spool_lap"
+    assert with_fits_from_prior(nominal, scores, 4.0, [old], BEFORE, keys)[0][0].label == "spool_lap"
     assert tried == ["spool_lap"]
     chi_squares["spool_lap"] = 950.0
-    assert with_singles_from_prior(nominal, scores, 4.0, [old], BEFORE) == ([old], BEFORE)
+    assert with_fits_from_prior(nominal, scores, 4.0, [old], BEFORE) == ([old], BEFORE)
     chi_squares["spool_lap"] = 990.0
-    assert 1000.0 - 990.0 < DIAGNOSIS.selection.minimum_gain * 4.0**2 and with_singles_from_prior(
+    assert 1000.0 - 990.0 < DIAGNOSIS.selection.minimum_gain * 4.0**2 and with_fits_from_prior(
         nominal, scores, 4.0, [], BEFORE
     ) == (
         [],
         BEFORE,
     )
     assert DIAGNOSIS.isolation.shifted > 2.0  # beyond a tolerance
+
+
+def test_afresh_the_best_pair_is_fitted_too_for_its_fit_may_have_stopped_short(monkeypatch):
+    """A clogging and a backlash had stopped 65 above where they end from within tolerance, and nothing was named."""
+    pair = explained(900.0, "fixed_orifice_clogging", "feedback_ball_backlash")
+    alone = explained(940.0, "fixed_orifice_clogging")
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=1500.0, point=pair.fit.point))
+    scores = SimpleNamespace(options=DIAGNOSIS, z=lambda: np.zeros(2))
+
+    def afresh(nominal, start):
+        return replace(pair.fit, fitted=tuple(start), chi_square=835.0 if len(start) > 1 else 940.0)
+
+    monkeypatch.setattr(second_cause, "single_starts", lambda scores, fall, share: [alone.fit.fitted])
+    monkeypatch.setattr(second_cause, "bearable_beside_bench", lambda scores: 0.0)
+    monkeypatch.setattr(second_cause, "typical_starts", lambda nominal, scores: [])
+    monkeypatch.setattr(second_cause, "fit_from_prior", afresh)
+    monkeypatch.setattr(
+        second_cause, "score_test", lambda nominal, fit, **_: SimpleNamespace(options=DIAGNOSIS, fit=fit)
+    )
+    monkeypatch.setattr(second_cause, "with_second_cause", lambda nominal, final, found: (found, final))
+    found, final = with_fits_from_prior(nominal, scores, 4.0, [pair, alone], BEFORE)
+    assert [one.label for one in found] == [pair.label, alone.label]
+    assert found[0].fit.chi_square == 835.0 and final.fit is found[0].fit
 
 
 # ---------------------------------------------------------------- the answer in words

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from valvesim.identification.fit_jacobian import added_jacobian_of, all_candidat
 from valvesim.identification.hypothesis_fit import continue_fit, continue_from, fit_from_prior, fit_hypothesis
 from valvesim.identification.input_choice import chi_square_of_way
 from valvesim.identification.input_waves import (
+    LinearReductions,
     fitted_waves,
     linear_reductions,
     outstanding_frequencies,
@@ -571,11 +573,34 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
     for each in known:
         meters = {p.sensor.channel if p.sensor is not None else "" for p in each}
         more = options.selection.answer_ratio if meters == {drifting} else -options.selection.answer_ratio
-        if meters != {beyond} and beside(each, fitted).gain > shows + more:
+        if meters == {beyond} or beside(each, fitted).gain <= shows + more:
+            continue
+        own = [place[p.name] for p in each]
+        if not _two_causes_explain_more(predicted, fitted, range(fitted, most), own, options=options):
             break
     else:
         return None
     return next(beside(each, fitted) for each in hypotheses if known[0][0].name in [p.name for p in each])
+
+
+def _two_causes_explain_more(
+    predicted: LinearReductions,
+    fitted: int,
+    causes: Sequence[int],
+    own: Sequence[int],
+    *,
+    options: DiagnosisOptions,
+) -> bool:
+    """Whether two of some `causes` are likelier than one of them beside an error of the bench, the parameters of which
+    are `own` (both by their columns), by the linear answers. So many are `fitted`: beside one, a second is weighed
+    against the error as it is.
+    """
+    pairs = list(combinations(causes, options.isolation.most_causes))
+    if fitted or not pairs:
+        return False
+    with_error = max(predicted.reduction(own, [cause]) for cause in causes) - len(own)
+    rarity = options.selection.answer_ratio  # of a second cause
+    return max(predicted.reduction(free=pair) for pair in pairs) > with_error + rarity + options.selection.answer_ratio
 
 
 def _meter_beyond_tolerance(scores: ScoreTest) -> str | None:

@@ -65,9 +65,9 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.second_cause import (
     at_full_weight,
     effects_for_parameters,
+    with_fits_from_prior,
     with_other_pairs,
     with_second_cause,
-    with_singles_from_prior,
     without_corrections_begun,
     without_corrections_of_laws,
 )
@@ -477,7 +477,7 @@ def _verified(
         kept = without_corrections_of_laws(nominal, found, options=scores.options)
         final = final if kept[0] is found[0] else score_test(nominal, kept[0].fit, options=scores.options)
         found = kept
-        if nominal.study.weights and not is_adequate(nominal.fit, options=scores.options.identification):
+        if nominal.study.weights:
             full, found, final = at_full_weight(nominal, found, final)
             if full is not nominal:  # what is told of scores, limits and terms is of the fit that stands
                 nominal, scores = full, score_test(full, full.fit, options=scores.options)
@@ -488,7 +488,7 @@ def _verified(
         and (not found or unexplained_share(nominal, final) > bearable)
         and _one_within_law_error(nominal, found, options=scores.options) is None
     ):
-        found, final = with_singles_from_prior(nominal, scores, level, found, final, tried)
+        found, final = with_fits_from_prior(nominal, scores, level, found, final, tried)
     return nominal, scores, found, final
 
 

@@ -155,7 +155,7 @@ def _beside(label: str, found: Sequence[FittedHypothesis]) -> frozenset[str]:
     return frozenset[str]().union(*(pair for pair in pairs if label in pair))
 
 
-def with_singles_from_prior(
+def with_fits_from_prior(
     nominal: NominalFit,
     scores: ScoreTest,
     level: float,
@@ -163,8 +163,8 @@ def with_singles_from_prior(
     final: ScoreTest,
     tried: Set[tuple] = frozenset(),
 ) -> tuple[list[FittedHypothesis], ScoreTest]:
-    """The found with single candidates fitted from where no nuisance parameter is far from nominal, if one of these
-    is better.
+    """The found with single candidates, and the best if it is a pair, fitted from where no nuisance parameter is far
+    from nominal, if one of these is better: a pair may have begun where there is no way back, too.
 
     Starts that were `tried` from there under the same nominal fit (`start_keys`) are not fitted again: what they have
     come to is among the found.
@@ -177,6 +177,7 @@ def with_singles_from_prior(
         starts.setdefault(start[0].candidate.label, start)
     chosen = list(starts.values())[: scores.options.isolation.singles]
     new = [start for start in chosen if not start_keys([start]) <= tried]
+    new += [one.fit.fitted for one in found[:1] if len(one.candidates) > 1]
     fits = [fit for start in new if (fit := fit_from_prior(nominal, start)) is not None]
     merged = distinct(
         [
@@ -239,8 +240,8 @@ def effects_for_parameters(
 def at_full_weight(
     nominal: NominalFit, found: list[FittedHypothesis], final: ScoreTest
 ) -> tuple[NominalFit, list[FittedHypothesis], ScoreTest]:
-    """The answer set refitted with all samples at full weight, where its best can follow the peaks that a nominal
-    fit far off cannot, and where what the inputs do is known to the microseconds that a peak takes.
+    """The answer set refitted with all samples at full weight, where its best can follow the peaks that the nominal
+    fit cannot, and where what the inputs do is known to the microseconds that a peak takes.
 
     What tells a second cause from none may be in them.
     """
