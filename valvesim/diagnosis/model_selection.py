@@ -171,6 +171,18 @@ def width_beside(
     return max(answer_set_width(nominal, best, more), answer_set_width(nominal, other, more))
 
 
+def width_beside_smaller(
+    nominal: NominalFit, larger: FittedHypothesis, smaller: FittedHypothesis, more: float = 0.0
+) -> float:
+    """What a hypothesis may explain beyond a smaller one that it holds, for that to explain the data nearly as well:
+    what a plant does otherwise than any model, or what may be left over at most, by the law of either. `more` is what
+    the larger would explain besides in further records.
+    """
+    options = larger.options
+    share = max(options.detection.doubtful_share, larger.law_error, smaller.law_error)
+    return max(options.selection.second_gain, share * (_explained(nominal, larger) + more))
+
+
 def temperature_of(nominal: NominalFit, best: FittedHypothesis) -> float:
     """The temperature of a tempered posterior: the model is not the plant, so that differences count less."""
     return answer_set_width(nominal, best) / best.options.selection.answer_ratio
@@ -251,14 +263,14 @@ def answer_set_of(
         return min(second, gain - options.selection.answer_ratio) if gain > second else second
 
     def is_near(one: FittedHypothesis) -> bool:
+        behind = one.least_chi_square - best.least_chi_square
+        if len(one.candidates) < most and one.is_within(best):
+            return behind < width_beside_smaller(nominal, best, one)
         if one.tempered(temperature) - least < width:
             return True
         if len(one.candidates) > most:
             return best.is_within(one) and one.gain_beyond(best) > least_gain(best)
-        behind = one.least_chi_square - best.least_chi_square
-        return behind < width_beside(nominal, best, one) or (
-            len(one.candidates) < most and one.is_within(best) and behind < options.selection.second_gain
-        )
+        return behind < width_beside(nominal, best, one)
 
     near = [one for one in found if is_near(one)]
     # what a better one says already, and something more besides, is no rival of it, unless there must be something more
@@ -302,7 +314,7 @@ def nested_levels(
         even = level**2 + len(larger.fit.layout) - len(larger.fit.fitted)
         return even + options.answer_ratio, even, options.minimum_gain * level**2
     second = least_gain_of_second(nominal, smaller, second_level, more)
-    return max(options.second_gain, answer_set_width(nominal, larger, more)), second, second
+    return width_beside_smaller(nominal, larger, smaller, more), second, second
 
 
 def null_hypothesis_beside(
