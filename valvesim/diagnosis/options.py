@@ -63,7 +63,7 @@ class DetectionOptions:
         100.0,
         "1",
         "variances of the noise at a row that the likeliest cause leaves then, whatever they leave",
-        "the likeliest of 26 bench sessions and of a worn edge that shows by 629 deviations left 0 to 28",
+        "the likeliest of 12 bench sessions and of a worn edge that shows by 629 deviations left 0 to 28",
     )
     draws: int = option(20_000, "1", "draws by which the alarm level is found", "a quantile of 0.005 to 10 %")
 
