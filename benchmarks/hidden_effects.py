@@ -793,7 +793,9 @@ def _oracle(case: Case, nominal: NominalFit, fitted: tuple[FittedCandidate, ...]
 
 
 def measure_beside(path: Path, workers: int) -> None:
-    """What each of a pair shows beside the other, worked out anew for the rows of a results file."""
+    """What each of a pair shows beside the other, worked out anew for the rows of a results file, which is written once
+    all are done.
+    """
     rows = read_results(path)
     pairs = [row for row in rows if row["kind"] == "pair" and row["outcome"] == "done"]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
@@ -919,10 +921,10 @@ def main() -> None:
             earlier = {row["key"]: row | taken for row in read_results(options.strengths)}
             with_others = options.baselines, options.next_tests
             return run(chosen, options.results, earlier, options.workers, *with_others)
-        if options.what == "beside":
-            return measure_beside(options.results, options.workers)
     except KeyboardInterrupt:
         sys.exit(f"interrupted; what is done stands in {options.results}, the same command goes on from there")
+    if options.what == "beside":
+        return measure_beside(options.results, options.workers)
     keys = {spec.key for spec in chosen}
     rows = {row["key"]: row for row in read_results(options.results) if row["key"] in keys}
     if not rows:

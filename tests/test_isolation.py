@@ -41,7 +41,7 @@ def nominal(chi_square, weights=()):
     return SimpleNamespace(study=study, fit=Fit(np.zeros(1), (), chi_square, (), np.zeros(1), 5000.0))
 
 
-@pytest.mark.parametrize("left", [90_000.0, 5_100.0])  # what a second cause shows may be at peaks alone: named without
+@pytest.mark.parametrize("left", [90_000.0, 5_100.0])  # far from the records, or near them but for peaks
 def test_where_the_nominal_fit_is_exchanged_its_own_score_test_takes_the_place_of_the_old(monkeypatch, left):
     weighted, full = nominal(left, ["leakage"]), nominal(95_000.0)
     best = hypothesis(5000.0, "spool_lap")

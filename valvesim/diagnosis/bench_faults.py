@@ -570,15 +570,16 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
         return None
     known = [f.parameters for f in _known_faults(study) if all(p.name in place for p in f.parameters)]
     beyond, drifting = _meter_beyond_tolerance(scores), _drifting_meter(scores)
-    for each in known:
-        meters = {p.sensor.channel if p.sensor is not None else "" for p in each}
+
+    def explains_alarm(fault: tuple[NuisanceParameter, ...]) -> bool:
+        meters = {p.sensor.channel if p.sensor is not None else "" for p in fault}
         more = options.selection.answer_ratio if meters == {drifting} else -options.selection.answer_ratio
-        if meters == {beyond} or beside(each, fitted).gain <= shows + more:
-            continue
-        own = [place[p.name] for p in each]
-        if not _two_causes_explain_more(predicted, fitted, range(fitted, most), own, options=options):
-            break
-    else:
+        if meters == {beyond} or beside(fault, fitted).gain <= shows + more:
+            return False
+        own = [place[p.name] for p in fault]
+        return not _two_causes_explain_more(predicted, fitted, range(fitted, most), own, options=options)
+
+    if not any(map(explains_alarm, known)):
         return None
     return next(beside(each, fitted) for each in hypotheses if known[0][0].name in [p.name for p in each])
 

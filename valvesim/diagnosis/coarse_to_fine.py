@@ -69,7 +69,8 @@ def fit_coarse_to_fine(
 
 def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[Fit]:
     """The answer set of records' beginnings and what is not in it by little, for the rest may tell otherwise; the
-    likeliest where nothing is.
+    likeliest where nothing is. Where they are another valve's, the cause that comes nearest: the whole is to bear that
+    out.
     """
     if isolation.nearest is not None:
         return [isolation.nearest]
