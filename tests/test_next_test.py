@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from valvesim.diagnosis import experiment_design, joint_refit
-from valvesim.diagnosis.experiment_design import ExperimentPower, design, nested_rival, rival_beside, simulate_library
+from valvesim.diagnosis.experiment_design import (
+    ExperimentPower,
+    SimulatedExperiment,
+    design,
+    nested_rival,
+    rival_beside,
+    simulate_library,
+)
 from valvesim.diagnosis.experiments import Experiment, experiment_values, library
 from valvesim.diagnosis.joint_refit import joint_distance
 from valvesim.diagnosis.model_selection import FittedHypothesis, least_gain_of_second, nested_levels
@@ -300,7 +307,7 @@ def test_a_refit_that_leaves_more_than_was_foreseen_is_not_finished(nominal, fit
 def test_an_experiment_is_proposed_by_refits_that_are_simulated(nominal, fits, found, monkeypatch):
     tried = []
 
-    def follows(nominal, predictor, true, wrong, replicates, most):
+    def follows(nominal, predictor, true, wrong, replicates, most=np.inf):
         tried.append(predictor.record.name)
         return 1e-3 if predictor.record.name in found.description else 50.0
 
@@ -311,11 +318,33 @@ def test_an_experiment_is_proposed_by_refits_that_are_simulated(nominal, fits, f
 
 
 def test_what_cannot_be_refitted_is_not_proposed(nominal, fits, monkeypatch):
-    def fails(*args, most):
+    def fails(*args, most=np.inf):
         raise SolveError("no valve has these figures")
 
     monkeypatch.setattr(experiment_design, "joint_distance", fails)
     assert designed(nominal, *fits, LABELS, plain_six, REFITTED).power == 0.0
+
+
+@pytest.mark.parametrize(("left", "is_sure"), [(0.0, True), (1e9, False), (None, False)])
+def test_what_the_likeliest_will_explain_is_by_refits_of_the_nominal_model(nominal, fits, monkeypatch, left, is_sure):
+    """A saturation explained 910,000 of a large chirp, where linear answers of the nominal model had foreseen 972: an
+    eddy current beside it was within what its law may err by.
+    """
+
+    def follows(nominal, predictor, true, wrong, replicates, most=np.inf):
+        if wrong is not nominal.fit:
+            return most
+        if left is None:
+            raise SolveError("no valve has these figures")
+        return left
+
+    def asked(more):
+        return 6.0 + 1e3 * more
+
+    monkeypatch.setattr(experiment_design, "joint_distance", follows)
+    monkeypatch.setattr(SimulatedExperiment, "explained", lambda self, repeats: 0.0)
+    found = designed(nominal, *fits, LABELS, asked, REFITTED)
+    assert found.power > DIAGNOSIS.design.power if is_sure else found.power < 0.01
 
 
 def test_a_long_session_is_not_refitted_for_an_experiment(nominal, fits, found, monkeypatch):

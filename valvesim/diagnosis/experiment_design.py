@@ -10,10 +10,11 @@ Symbols
     hang on what no model has right, and repeats do not tell it better; W = 1/(1/n + m^2) of each row
     d^2 = delta'W delta - delta'W A (P + A'W A)^-1 A'W delta: by so much the chi-square of the wrong one of the two will
     rise more than that of the true one, with deviation 2 d; of a test that is to be proposed no more than a refit by
-    the simulation leaves (`joint_distance`). The first is ahead by b in the session already, by the
-    chi-square and by the evidence, of which the one that helps less counts; w is what the answer set will ask for, no
-    model is the plant: the more there is to explain, the more, and n e^2 s's besides, which the plant will do otherwise
-    than any model of it; s what the readings move, e `DesignOptions.model_error`
+    the simulation leaves (`joint_distance`). The first is ahead by b in the session already, by the chi-square and by
+    the evidence, of which the one that helps less counts; w is what the answer set will ask for, no model is the plant:
+    the more the first explains beyond the nominal model the more (of a test that is to be proposed by refits of that,
+    too), and n e^2 s's besides, which the plant will do otherwise than any model of it; s what the readings move, e
+    `DesignOptions.model_error`
     power = p Phi((d^2 + b - w)/(2 d)) + (1 - p) Phi((d^2 - b - w)/(2 d)), p the probability of the first by what it is
     ahead, tempered as the answer set is; of two of which one holds the other see `nested_power`: it can follow the
     other in any test, so that d is what the smaller of them leaves
@@ -96,11 +97,18 @@ class SimulatedExperiment:
         return LinearisedRefit(self.nominal, readings, self.refit.A[:, : len(self.fit.point)], self.known[1])
 
     def explained(self, repeats: int) -> float:
-        """By how much more the fit explains than the nominal model, fitted again: at most what noise has in it, for a
-        fall beyond that is no measure.
-        """
-        delta = -self.beyond(self.nominal)
-        return min(_distance(self, self.base_refit, delta, repeats) ** 2, float(repeats * len(delta)))
+        """By how much more the fit explains than the nominal model, fitted again by linear answers."""
+        distance = _distance(self, self.base_refit, -self.beyond_nominal, repeats)
+        return min(distance**2, self.most_explained(repeats))
+
+    def most_explained(self, repeats: int) -> float:
+        """The most that counts of it: what noise has in it, for a fall beyond that is no measure."""
+        return float(repeats * len(self.beyond_nominal))
+
+    @cached_property
+    def beyond_nominal(self) -> np.ndarray:
+        """What the nominal model reads there more, white (rows,)."""
+        return self.beyond(self.nominal)
 
     def beyond(self, fit: Fit) -> np.ndarray:
         """What another fit reads there more, white (rows,)."""
@@ -315,13 +323,12 @@ def _with_best_refitted(
             break
         of_trial = next(one for one in tried if one.trial is best.trial)
         found = _refitted(nominal, of_trial, best, rival, options=options)
-        share = found.distance / best.distance
+        share, grows = found.distance / best.distance, found.more / best.more if best.more > 0.0 else 1.0
         for k, one in enumerate(known):
             if one is best:
                 known[k] = found
             elif one.trial is best.trial and not one.is_refitted:
-                power = rival.power(share * one.distance, one.more, one.repeats * of_trial.error)
-                known[k] = replace(one, distance=share * one.distance, power=power)
+                known[k] = _judged(of_trial, one.repeats, share * one.distance, grows * one.more, rival)
     return known
 
 
@@ -333,10 +340,17 @@ def _refitted(
     *,
     options: DiagnosisOptions,
 ) -> ExperimentPower:
-    """A judged trial by refits of session and experiment together, of whichever of the two may follow the other, while
-    any power is left; none where a refit fails.
+    """A judged trial by refits of session and experiment together, of the nominal model and of whichever of the two may
+    follow the other, while any power is left; none where one of the two cannot be refitted.
     """
-    n, found, fits = judged.repeats, replace(judged, is_refitted=True), (tried.fit, rival.fit)
+    n, fits = judged.repeats, (tried.fit, rival.fit)
+
+    def refitted(distance: float, more: float) -> ExperimentPower:
+        return replace(_judged(tried, n, distance, more, rival), is_refitted=True)
+
+    found = refitted(judged.distance, tried.most_explained(n))
+    if found.power < options.design.power:  # it depends on what the likeliest will explain
+        found = refitted(judged.distance, _explained_refitted(nominal, tried, n))
     for wrong, true, may_follow in zip(fits, reversed(fits), rival.refitted, strict=True):
         if not may_follow or found.power < options.design.uninformative_power:
             continue
@@ -345,8 +359,26 @@ def _refitted(
             distance = min(found.distance, left)
         except (SolveError, InputError):
             return replace(found, distance=0.0, power=0.0)
-        found = replace(found, distance=distance, power=rival.power(distance, found.more, n * tried.error))
+        found = refitted(distance, found.more)
     return found
+
+
+def _explained_refitted(nominal: NominalFit, tried: SimulatedExperiment, repeats: int) -> float:
+    """What the fit of a trial explains there beyond the nominal model once that is refitted to session and experiment
+    together; the most that counts where that cannot be simulated.
+    """
+    most = tried.most_explained(repeats)
+    try:
+        return min(joint_distance(nominal, tried.predictor, tried.fit, tried.nominal, repeats) ** 2, most)
+    except (SolveError, InputError):
+        return most
+
+
+def _judged(
+    tried: SimulatedExperiment, repeats: int, distance: float, more: float, rival: Rival
+) -> ExperimentPower:
+    power = rival.power(distance, more, repeats * tried.error)
+    return ExperimentPower(tried.trial, repeats, distance, power, more)
 
 
 def _simulated(
@@ -413,14 +445,13 @@ def _judge(
     def repeated(n: int) -> ExperimentPower:
         more, distance = tried.explained(n), np.inf
 
-        def judged(distance: float) -> ExperimentPower:
-            return ExperimentPower(tried.trial, n, distance, rival.power(distance, more, n * tried.error), more)
-
         if rival.refitted[0]:
             distance = _distance(tried, tried.refit, delta, n)
-        if rival.refitted[1] and (np.isinf(distance) or judged(distance).power >= useful):
+        if rival.refitted[1] and (
+            np.isinf(distance) or _judged(tried, n, distance, more, rival).power >= useful
+        ):
             distance = min(distance, _distance(tried, refit_of_rival(), -delta, n))
-        return judged(distance)
+        return _judged(tried, n, distance, more, rival)
 
     least, *more = options.design.replicates
     try:

@@ -153,28 +153,49 @@ def without_bursts(prepared: PreparedSession, fit: Fit, linearised: Sequence[Lin
     """The prepared session without bursts of noise in single channels: readings that go to and fro for some samples by
     many times what they do in the rest of the record, as a contactor or a welder next door makes them. They are told.
 
-    What a reading does next to a jump of the command, or at a peak of its own, tells of none.
+    What a reading does next to a jump of the command, or at a peak of its own, tells of none, nor does what goes to and
+    fro in the fit and not in the readings, or in every repeat of a test alike.
     """
-    options, records, notes = prepared.options, list[Record](), list[str]()
-    for predictor, linear, read in zip(prepared.predictors, linearised, fit.readings, strict=True):
-        record, curvature = predictor.record, linear.predictor.curvatures(linear.trajectory, linear.variant)
-        still = _away_from_jumps(record, options=options)
+    records = [predictor.record for predictor in prepared.predictors]
+    bursts = [
+        _bursts_of_record(prepared, record, linear, read)
+        for record, linear, read in zip(records, linearised, fit.readings, strict=True)
+    ]
+    cleaned, notes = list[Record](), list[str]()
+    for k, record in enumerate(records):
         usable = dict(record.usable)
-        for name in record.outputs:
-            sensor = prepared.session.sensors.get(name)
-            size = grown(prepared.noise_growth.get(name, 0.0), record.values[name])
-            left = np.where(usable[name], (record.values[name] - read[name]) / size, np.nan)
-            floor = np.hypot(sensor.resolution if sensor else 0.0, options.fit.peak_share * curvature[name] / size)
-            for start, end in _bursts(left, np.where(still, floor, np.inf), options=options):
-                usable[name] = usable[name].copy()
-                usable[name][start:end] = False
-                line = "" if record.path is None else f", {record.place(start)}"
-                notes.append(
-                    f"{record.name}{line}: {name} goes to and fro for {end - start} samples by far more than "
-                    "its noise; they are left out"
-                )
-        records.append(replace(record, usable=usable))
-    return with_records(prepared, records, notes) if notes else prepared
+        for name, start, end in bursts[k]:
+            if any(
+                other.test == record.test and channel == name and first < end and start < last
+                for j, other in enumerate(records) if j != k for channel, first, last in bursts[j]
+            ):  # fmt: skip
+                continue
+            usable[name] = usable[name].copy()
+            usable[name][start:end] = False
+            line = "" if record.path is None else f", {record.place(start)}"
+            notes.append(
+                f"{record.name}{line}: {name} goes to and fro for {end - start} samples by far more than its noise; "
+                "they are left out"
+            )
+        cleaned.append(replace(record, usable=usable))
+    return with_records(prepared, cleaned, notes) if notes else prepared
+
+
+def _bursts_of_record(
+    prepared: PreparedSession, record: Record, linear: LinearisedRecord, read: dict[str, np.ndarray]
+) -> list[tuple[str, int, int]]:
+    """The channel, first and one past the last sample of each burst in a record that a fit reads so."""
+    options, found = prepared.options, list[tuple[str, int, int]]()
+    curvature = linear.predictor.curvatures(linear.trajectory, linear.variant)
+    still = _away_from_jumps(record, options=options)
+    for name in record.outputs:
+        sensor, usable = prepared.session.sensors.get(name), record.usable[name]
+        size = grown(prepared.noise_growth.get(name, 0.0), record.values[name])
+        moved = np.where(usable, record.values[name] / size, np.nan)
+        floor = np.hypot(sensor.resolution if sensor else 0.0, options.fit.peak_share * curvature[name] / size)
+        runs = _bursts(moved - read[name] / size, moved, np.where(still, floor, np.inf), options=options)
+        found += [(name, start, end) for start, end in runs]
+    return found
 
 
 def without_beginnings(prepared: PreparedSession, fit: Fit) -> PreparedSession:
@@ -217,30 +238,40 @@ def _away_from_jumps(record: Record, *, options: IdentificationOptions) -> np.nd
     return still
 
 
-def _bursts(left: np.ndarray, floor: np.ndarray, *, options: IdentificationOptions) -> list[tuple[int, int]]:
-    """First and one past the last sample of each burst in residuals (n,), NaN where there is none, that may err by
-    `floor` (n,) at each sample, and turn by as much there and next to it; none where there are too many.
+def _bursts(
+    left: np.ndarray, moved: np.ndarray, floor: np.ndarray, *, options: IdentificationOptions
+) -> list[tuple[int, int]]:
+    """First and one past the last sample of each burst in residuals (n,) of readings `moved` (n,), NaN where there is
+    none, that may err by `floor` (n,) at each sample, and turn by as much there and next to it; none where there are
+    too many.
     """
     from scipy.ndimage import maximum_filter1d
 
-    turn = np.full(len(left), np.nan)
-    turn[1:-1] = np.diff(left, 2)
+    turn, turn_read = _turns(left), _turns(moved)
     floor = maximum_filter1d(floor, 3)
     read = np.isfinite(turn)
     if not read.any():
         return []
     common = 1.4826 * float(np.median(np.abs(turn[read])))
-    turn[~read] = 0.0
+    turn[~read] = turn_read[~read] = 0.0
     large = np.abs(turn) > options.noise.burst * np.hypot(common, floor)
     beside = options.noise.burst_beside
     bridged = np.convolve(large, np.ones(2 * beside + 1), "same") > 0.0
     found = []
     for start, end in runs_of(bridged):
-        own = turn[start:end]
-        to_and_fro = float(np.sum(own[1:] * own[:-1])) < -0.33 * float(np.sum(own**2))  # noise: -2/3
-        if np.count_nonzero(large[start:end]) >= options.noise.burst_samples and to_and_fro:
+        own, whole = turn[start:end], float(np.sum(turn[start:end] ** 2))
+        to_and_fro = float(np.sum(own[1:] * own[:-1])) < -0.33 * whole  # noise: -2/3
+        by_readings = float(own @ turn_read[start:end]) > 0.5 * whole  # by the fit: 0
+        if np.count_nonzero(large[start:end]) >= options.noise.burst_samples and to_and_fro and by_readings:
             found.append((max(int(start) - beside, 0), min(int(end) + beside, len(left))))
     return found if sum(b - a for a, b in found) <= options.noise.burst_share * len(left) else []
+
+
+def _turns(column: np.ndarray) -> np.ndarray:
+    """Second differences (n,) about each sample of (n,), NaN at the ends."""
+    turns = np.full(len(column), np.nan)
+    turns[1:-1] = np.diff(column, 2)
+    return turns
 
 
 def without_saturation(prepared: PreparedSession, study: Study, fit: Fit) -> PreparedSession:
