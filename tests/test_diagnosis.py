@@ -13,7 +13,7 @@ from marks import slow_but
 import valvesim as vs
 from valvesim.diagnosis import isolation, refits, second_cause
 from valvesim.diagnosis.advice import advice_on_unknown
-from valvesim.diagnosis.answer_tables import candidate_answers
+from valvesim.diagnosis.answer_tables import candidate_answers, probability_of_both
 from valvesim.diagnosis.conclusion import gain_of_term, term_explains_more, verdict_of
 from valvesim.diagnosis.detection import rests_on_limits, unexplained_share
 from valvesim.diagnosis.holdout_gain import holdout_gain
@@ -316,6 +316,21 @@ def test_a_rival_whose_own_law_may_err_by_what_it_is_behind_stands_beside_the_be
     best, rival = explained(1000.0, "spool_silting"), explained(2500.0 - near, "magnetic_hysteresis")
     assert width_beside(nominal, best, rival) == width_beside(nominal, rival, best)
     assert width_beside(nominal, best, rival) == pytest.approx(law_error * near)
+
+
+def test_two_causes_may_be_true_together_as_far_as_what_holds_both_is_likely():
+    lap, air = explained(1010.0, "spool_lap"), explained(1012.0, "entrained_air")
+    others = [explained(1011.0, "spool_lap", "magnetic_hysteresis"), explained(1011.0, "spool_coulomb_friction")]
+    nominal = SimpleNamespace(fit=replace(lap.fit, chi_square=1200.0, fitted=()))
+    for fall, least, most in ((0.0, 0.0, 0.1), (60.0, 0.5, 1.0)):
+        pair = explained(1010.0 - fall, "entrained_air", "spool_lap")
+        found = sorted([lap, air, pair, *others], key=lambda one: one.evidence)
+        answers = candidate_answers(nominal, found, found, 4.0, options=DIAGNOSIS)
+        of = {one.label: one.probability for one in answers}
+        both = probability_of_both(answers, found, lap, air)
+        assert least <= both < most
+        assert both == pytest.approx(of[pair.label] / (of[pair.label] + of[lap.label] + of[air.label]))
+        assert probability_of_both(answers, [lap, air, *others], lap, air) == 0.0
 
 
 def test_what_explains_too_little_stands_beside_noise_alone():

@@ -239,6 +239,13 @@ def test_a_lead_that_has_not_told_them_apart_yet_does_not_either(fits):
     assert separation_power(4.0, 12.0, (1.0, 5.0), 0.0) == pytest.approx(separation_power(4.0, 17.0))
 
 
+def test_no_experiment_leaves_one_of_two_causes_that_act_together(fits):
+    alone, beside = (rival_beside(*fits[:1], LABELS[1], fits[1], plain_six, None, both, options=EXACT).power
+                     for both in (0.0, 0.3))  # fmt: skip
+    for distance in (1.0, 3.0, 30.0):
+        assert beside(distance, 0.0, 0.0) == pytest.approx(0.7 * alone(distance, 0.0, 0.0))
+
+
 def test_the_power_rises_with_the_distance():
     powers = [separation_power(d, 6.0) for d in (0.0, 1.0, 2.45, 4.0, 8.0)]
     assert powers == sorted(powers) and powers[0] == 0.0 and powers[2] == pytest.approx(0.5, abs=0.01)

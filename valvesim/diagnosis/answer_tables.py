@@ -69,6 +69,21 @@ def candidate_answers(
     return [a for a in ranked if a.in_set or a.probability > 1e-3]
 
 
+def probability_of_both(
+    answers: Sequence[CandidateAnswer],
+    in_set: Sequence[FittedHypothesis],
+    first: FittedHypothesis,
+    other: FittedHypothesis,
+) -> float:
+    """The probability by the `answers` that two hypotheses of a set are true together, where one of them is or both
+    are: that of what holds the two.
+    """
+    held = {one.label for one in in_set if first.is_within(one) and other.is_within(one)}
+    both = sum(answer.probability for answer in answers if answer.label in held)
+    either = sum(answer.probability for answer in answers if answer.label in (first.label, other.label))
+    return both / (both + either)
+
+
 def candidates_by_prior(candidates: Sequence[Candidate], *, options: DiagnosisOptions) -> list[CandidateAnswer]:
     """Candidates that may be the cause, none of them fitted: their probabilities are those before any record, likeliest
     first, beside what is in no catalogue.

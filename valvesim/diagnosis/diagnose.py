@@ -22,6 +22,7 @@ from valvesim.diagnosis.answer_tables import (
     detection_limits,
     error_table,
     parameter_shifts,
+    probability_of_both,
     score_table,
 )
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
@@ -47,6 +48,7 @@ from valvesim.diagnosis.result import (
     OSCILLATES,
     OTHER_VALVE,
     UNKNOWN,
+    CandidateAnswer,
     Diagnosis,
     Gain,
     NextTest,
@@ -138,7 +140,7 @@ def _answer(isolation: Isolation) -> Diagnosis:
         gain_claimed=extension.is_claimed,
         extension_offered=extension.is_offered,
         detection_limits=detection_limits(isolation.scores, level),
-        next_test=_next_test(conclusion, extension.term),
+        next_test=_next_test(conclusion, candidates, extension.term),
         term=extension.term,
         shifts=parameter_shifts(study, extension.point),
         noise=_noise_found(study),
@@ -218,14 +220,18 @@ def _what_to_do(conclusion: Conclusion, term: Term | None) -> tuple[WhatToDo, ..
     return ()
 
 
-def _next_test(conclusion: Conclusion, term: Term | None) -> NextTest | None:
-    """The test that tells the answer set apart, or its one cause from the term that may stand in its place."""
+def _next_test(
+    conclusion: Conclusion, candidates: Sequence[CandidateAnswer], term: Term | None
+) -> NextTest | None:
+    """The test that tells the answer set apart, or its one cause from the term that may stand in its place; the
+    `candidates` are its answers, with their probabilities.
+    """
     if conclusion.verdict != AMBIGUOUS:
         return None
     nominal, recovered = conclusion.isolation.nominal, conclusion.recovered
     options = conclusion.isolation.scores.options
     first, *rest = conclusion.answer_set
-    rivals = [_rival(conclusion, first, other) for other in rest]
+    rivals = [_rival(conclusion, candidates, first, other) for other in rest]
     if not rivals and term is not None and recovered is not None:
         fit = recovered.as_fit(nominal.study)
 
@@ -236,7 +242,12 @@ def _next_test(conclusion: Conclusion, term: Term | None) -> NextTest | None:
     return _propose_experiment(nominal, first, rivals, options=options)
 
 
-def _rival(conclusion: Conclusion, first: FittedHypothesis, other: FittedHypothesis) -> Rival:
+def _rival(
+    conclusion: Conclusion,
+    candidates: Sequence[CandidateAnswer],
+    first: FittedHypothesis,
+    other: FittedHypothesis,
+) -> Rival:
     """Another hypothesis of the answer set as a rival of the likeliest."""
     isolation = conclusion.isolation
     nominal = isolation.nominal
@@ -248,6 +259,7 @@ def _rival(conclusion: Conclusion, first: FittedHypothesis, other: FittedHypothe
             other.fit,
             lambda more: width_beside(nominal, first, other, more),
             other.tempered(temperature) - first.tempered(temperature),
+            probability_of_both(candidates, conclusion.answer_set, first, other),
             options=isolation.scores.options,
         )
     smaller, larger = (first, other) if is_larger else (other, first)

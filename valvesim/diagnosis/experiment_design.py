@@ -167,12 +167,14 @@ def rival_beside(
     second: Fit,
     asked: Callable[[float], float],
     ahead: float | None = None,
+    both: float = 0.0,
     *,
     options: DiagnosisOptions,
 ) -> Rival:
     """A rival of another cause than the first's. `asked(more)` is the difference of chi-squares that tells them apart
     where the first explains so much more than in this session, and asked of the evidence likewise, in which the first
-    is `ahead` by so much (if it is not given, as in the chi-square).
+    is `ahead` by so much (if it is not given, as in the chi-square). `both` is the probability that the two causes act
+    together, of which no experiment leaves one.
     """
     from scipy.special import expit
 
@@ -182,7 +184,7 @@ def rival_beside(
     probability = float(expit(by_fit / (2.0 * temperature)))
 
     def power(distance: float, more: float, error: float) -> float:
-        return separation_power(distance, asked(more) + error, (lead[0], lead[1]), probability)
+        return (1.0 - both) * separation_power(distance, asked(more) + error, (lead[0], lead[1]), probability)
 
     return Rival(label, second, power)
 

@@ -342,7 +342,7 @@ class DesignOptions:
         8, "1", "experiments whose refits are predicted: those whose plain differences are largest", JUDGEMENT
     )
     refitted: int = option(
-        3, "1", "experiments whose refits are simulated: those that would be proposed by predicted ones", JUDGEMENT
+        5, "1", "experiments whose refits are simulated: those that would be proposed by predicted ones", JUDGEMENT
     )
     alternatives: int = option(
         2, "1", "members of the answer set from which an experiment is sought that tells the likeliest", JUDGEMENT
