@@ -633,6 +633,19 @@ def test_peaks_of_one_step_repeated_without_noise_are_not_saturated(session):
         assert record.usable["spool_position"].all()
 
 
+@pytest.mark.parametrize("noise, top, saturated", [(1e-3, 0.226, True), (1e-3, 1.0, False), (0.0, 0.226, False)])
+def test_peaks_of_one_step_that_end_alike_though_the_channel_has_noise_are_saturated(session, noise, top, saturated):
+    """An armature's angle at 30 bar, cut in two overshoots of three samples each, had a healthy valve `unknown`."""
+    k = np.arange(len(TIME)) % 80
+    step = np.where(k < 40, 1.0, -1.0)
+    overshooting = 0.2 * step * (1.0 + 0.3 * np.exp(-np.mod(k, 40) / 4.0) * np.sin(np.mod(k, 40) / 2.0))
+    scatter = noise * np.random.default_rng(5).normal(size=len(TIME))
+    read = np.minimum(np.round((overshooting + scatter) / 2e-4) * 2e-4, top)
+    (record,) = session("", a=columns(**{CURRENT: step, SPOOL: read})).records
+    assert np.array_equal(record.usable["spool_position"], (read < top) | (not saturated))
+    assert not saturated or 4 <= np.count_nonzero(read >= top) < 10
+
+
 def plateaus(noise, grid):
     """Levels of a step record, each with a sensor's noise on its grid, and the highest of them cut off."""
     levels = np.repeat([0.9, 0.1, 0.965, 0.4], len(TIME) // 4)

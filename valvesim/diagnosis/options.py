@@ -155,6 +155,10 @@ class IsolationOptions:
         "times the same share of its typical amplitude in which another law of the best's is tried first",
         "friction of different laws: 0.8 of it leaves twenty times as much",
     )
+    further_amount: float = option(
+        0.99, "1", "times the chi-square in the last amount that a further one must leave less than to be followed",
+        JUDGEMENT,
+    )
     nearly_as_much: float = option(
         2.0, "1", "times the chi-square of the best single cause up to which one whose law may err is as likely",
         "hysteresis of another law: 1.3 times what friction leaves of it",

@@ -386,7 +386,7 @@ def _in_amounts(
         times = end
         while min(left, key=left.__getitem__) == times:
             left[times * ratio] = chi_square_in(times * ratio)
-            if not left[times * ratio] < 0.99 * left[times]:
+            if not left[times * ratio] < options.isolation.further_amount * left[times]:
                 break
             times *= ratio
     return tried

@@ -237,7 +237,7 @@ def _ending(nominal: NominalFit) -> Callable[[Fit], float]:
 
     def enough(fit: Fit) -> float:
         explained = min(nominal.fit.chi_square - fit.chi_square, options.most_explained * fit.rows)
-        far_off = options.negligible_share * (fit.chi_square - largest_adequate(fit, options=nominal.study.options))
+        far_off = nominal.study.negligible_far_off(fit.chi_square, fit.rows)
         return max(options.hypothesis_ftol, options.relative_ftol * explained, far_off)
 
     return enough

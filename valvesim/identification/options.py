@@ -39,6 +39,9 @@ class AuditOptions:
     flat_samples: int = option(10, "1", "equal readings in a row at the extreme that make a flat top", JUDGEMENT)
     top_samples: int = option(3, "1", "equal readings in a row at the extreme that a step may leave there", JUDGEMENT)
     few_tops: int = option(4, "1", "readings at the extreme, and none next to it, that are saturated", JUDGEMENT)
+    alike_chance: float = option(
+        1e-3, "1", "chance that readings at the extreme are equal by noise: with less they are saturated", "noise"
+    )
     top_rests: int = option(3, "1", "other rests of the command that long, whose second half has noise", JUDGEMENT)
     stay_ratio: float = option(
         3.0, "1", "times as long as equal readings elsewhere that a channel stands where it is saturated or held",

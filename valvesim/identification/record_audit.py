@@ -412,7 +412,8 @@ def _crowded_top(
     """Whether far more readings stand at the very top for a few samples than at any value next to it.
 
     The crests of a sine come to two and a half times as many. Longer stays at the top are `_flat_top`'s. A few do where
-    nothing stands next to them and the commands there differ: without noise, peaks of one command end alike.
+    nothing stands next to them and the commands there differ, or the channel's noise had them differ: without, peaks of
+    one command end alike.
     """
     span = _span(records, sensor.channel)
     if _SIGN[sensor.channel] == 0.0 or span == 0.0:
@@ -427,8 +428,12 @@ def _crowded_top(
         below = np.append(below, np.round((top - values[usable]) / width, 6))
     beside, _ = np.histogram(below[below > 0.0], np.arange(6) + 1e-3)
     asked = _asked(records)
-    differ = bool(np.ptp(commands) > options.audit.flat_reach * asked)
-    alone = count >= options.audit.few_tops and differ and not beside.any()
+    few = count >= options.audit.few_tops and not beside.any()
+    alone = few and (
+        bool(np.ptp(commands) > options.audit.flat_reach * asked)
+        or _chance_of_equal(_rests(records, sensor, side, top, options=options), options=options) ** (count - 1)
+        < options.audit.alike_chance
+    )
     return alone or bool(count >= options.audit.flat_samples and count > options.audit.crowd_ratio * beside.max())
 
 
@@ -439,14 +444,11 @@ def _noiseless_top(
     rests: the plateau of a step, cut off. Noise of the size of its resolution shows in that no other rest of such a
     length has equal readings for nearly as long.
     """
-    audit, channel = options.audit, sensor.channel
-    stays, rests, asked = [0], list[np.ndarray](), _asked(records)
+    audit, channel, stays = options.audit, sensor.channel, [0]
     for record in records:
         values, usable = side * record.values[channel], record.usable[channel]
         stays += np.diff(_runs_at(values, top, usable)).ravel().tolist()
-        moved = np.abs(np.diff(record.values[record.command], prepend=np.nan)) > audit.least_motion * asked
-        rests += [values[a:b] for a, b in runs_of(usable & (values < top) & ~moved)]
-    longest = max(stays)
+    rests, longest = _rests(records, sensor, side, top, options=options), max(stays)
     bends = np.concatenate([np.abs(np.diff(values, 2)) for values in rests] or [np.empty(0)])
     if min(longest, len(bends)) < audit.flat_samples:
         return False
@@ -456,6 +458,25 @@ def _noiseless_top(
     equal = [int(np.max(np.diff(runs_of(np.diff(values) == 0.0)), initial=0)) + 1 for values in alike]
     noisy = sum(_has_noise(values) and _returns(values) for values in alike) >= audit.top_rests
     return noisy and sensor.resolution > 0.0 and longest > audit.stay_ratio * max(equal)
+
+
+def _rests(
+    records: Sequence[Record], sensor: Sensor, side: float, top: float, *, options: IdentificationOptions
+) -> list[np.ndarray]:
+    """What a channel reads, times the side, below its top wherever the command rests."""
+    rests, channel, asked = list[np.ndarray](), sensor.channel, _asked(records)
+    for record in records:
+        values, usable = side * record.values[channel], record.usable[channel]
+        moved = np.abs(np.diff(record.values[record.command], prepend=np.nan)) > options.audit.least_motion * asked
+        rests += [values[a:b] for a, b in runs_of(usable & (values < top) & ~moved)]
+    return rests
+
+
+def _chance_of_equal(rests: Sequence[np.ndarray], *, options: IdentificationOptions) -> float:
+    """The share of equal neighbours where a channel rests and shows its noise; 1 where it shows none."""
+    settled = [values[len(values) // 2 :] for values in rests if len(values) >= 2 * options.audit.flat_samples]
+    steps = [np.diff(values) for values in settled if _has_noise(values) and _returns(values)]
+    return float(np.mean(np.concatenate(steps) == 0.0)) if len(steps) >= options.audit.top_rests else 1.0
 
 
 def _span(records: Sequence[Record], channel: str) -> float:

@@ -49,9 +49,15 @@ class PreparedSession:
         """Reduction of the chi-square not worth a linearisation: a share of what a fit leaves beyond the noise, a
         larger one of what it leaves beyond adequate.
         """
+        least = self.options.fit.relative_ftol * max(chi_square - rows, 0.0)
+        return max(least, self.negligible_far_off(chi_square, rows))
+
+    def negligible_far_off(self, chi_square: float, rows: float) -> float:
+        """The share of what a fit leaves beyond adequate that is not worth a linearisation; below 0 where it is near
+        the records.
+        """
         fit = self.options.fit
-        least = fit.relative_ftol * max(chi_square - rows, 0.0)
-        return max(least, fit.negligible_share * (chi_square - fit.inadequate_ratio * rows))
+        return fit.negligible_share * (chi_square - fit.inadequate_ratio * rows)
 
     def with_nominal(self, nominal: NominalModel) -> Self:
         """The same with other nuisance parameters, or inputs that are told otherwise between their samples."""
