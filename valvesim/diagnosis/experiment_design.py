@@ -350,9 +350,7 @@ def _refitted(
     def refitted(distance: float, more: float) -> ExperimentPower:
         return replace(_judged(tried, n, distance, more, rival), is_refitted=True)
 
-    found = refitted(judged.distance, tried.most_explained(n))
-    if found.power < options.design.power:  # it depends on what the likeliest will explain
-        found = refitted(judged.distance, _explained_refitted(nominal, tried, n))
+    found = refitted(judged.distance, _explained_refitted(nominal, tried, n))
     for wrong, true, may_follow in zip(fits, reversed(fits), rival.refitted, strict=True):
         if not may_follow or found.power < options.design.uninformative_power:
             continue
@@ -446,7 +444,6 @@ def _judge(
 
     def repeated(n: int) -> ExperimentPower:
         more, distance = tried.explained(n), np.inf
-
         if rival.refitted[0]:
             distance = _distance(tried, tried.refit, delta, n)
         if rival.refitted[1] and (
