@@ -239,6 +239,19 @@ def test_a_lead_that_has_not_told_them_apart_yet_does_not_either(fits):
     assert separation_power(4.0, 12.0, (1.0, 5.0), 0.0) == pytest.approx(separation_power(4.0, 17.0))
 
 
+@pytest.mark.parametrize("near, smaller", [(1.0, True), (3.0, False)])
+def test_no_experiment_strikes_a_nozzle(nominal, near, smaller):
+    """A large chirp of the reference valve would, and is made smaller; of one with wide gaps it is not."""
+    session = nominal.study.session
+    wide = nominal_model_of(replace(session, valve=replace(session.valve, null_gap=near * session.valve.null_gap)))
+    asked = {one.description: one.shape for one in library(session, options=EXACT)}
+    for one in simulate_library(wide, wide.fit, options=EXACT):
+        trajectory = one.predictor.run(wide.fit.variant(wide.study.nominal))
+        share = np.max(np.abs(one.trial.shape)) / np.max(np.abs(asked[one.trial.description]))
+        assert trajectory.flapper_reach <= DIAGNOSIS.design.flapper_reach
+        assert 0.5 < share < 1.0 if smaller and "large" in one.trial.description else share == 1.0
+
+
 def test_no_experiment_leaves_one_of_two_causes_that_act_together(fits):
     alone, beside = (rival_beside(*fits[:1], LABELS[1], fits[1], plain_six, None, both, options=EXACT).power
                      for both in (0.0, 0.3))  # fmt: skip

@@ -389,16 +389,28 @@ def _simulated(
     *,
     options: DiagnosisOptions,
 ) -> SimulatedExperiment:
-    """A trial of a fit. Raises SolveError, InputError where it cannot be run."""
-    study = nominal.study
-    record, universe = experiment_record(study.session, trial), study.predictors[0].universe
-    predictor = prepare_record(study.session, record, universe, options=options.identification)
-    variant = first.variant(study.nominal)
-    readings = predictor.readings(predictor.run(variant), variant)
+    """A trial of a fit, with a command so small that the flapper keeps off the nozzles: these are not to be struck, and
+    no model has that right. Raises SolveError, InputError where it cannot be run.
+    """
+    study, variant, most = nominal.study, first.variant(nominal.study.nominal), options.design.flapper_reach
+    predictor = _prepared(study, trial, options=options)
+    trajectory = predictor.run(variant)
+    for _ in range(options.design.scalings):
+        if trajectory.flapper_reach <= most:
+            break
+        trial = trial.scaled(min(most / trajectory.flapper_reach, options.design.scaling))
+        predictor = _prepared(study, trial, options=options)
+        trajectory = predictor.run(variant)
+    readings = predictor.readings(trajectory, variant)
     still = {name: np.full_like(column, column.mean()) for name, column in readings.items()}
     motion = _difference(study, predictor, readings, still)
     error = options.design.model_error**2 * float(motion @ motion)
     return SimulatedExperiment(study, trial, predictor, first, readings, nominal.fit, error, known)
+
+
+def _prepared(study: Study, trial: Experiment, *, options: DiagnosisOptions) -> RecordPredictor:
+    record, universe = experiment_record(study.session, trial), study.predictors[0].universe
+    return prepare_record(study.session, record, universe, options=options.identification)
 
 
 def _difference(

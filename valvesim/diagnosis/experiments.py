@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,10 @@ class Experiment:
     oil: np.ndarray
     supply: float
     load: float
+
+    def scaled(self, share: float) -> Experiment:
+        """The same with a share of the command."""
+        return replace(self, shape=share * self.shape)
 
 
 def library(session: Session, *, options: DiagnosisOptions) -> tuple[Experiment, ...]:

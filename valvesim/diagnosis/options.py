@@ -355,6 +355,11 @@ class DesignOptions:
     full: float = option(0.9, "1", "share of the rated command of a full triangle and of a large chirp", JUDGEMENT)
     chirp: float = option(0.45, "1", "share of the rated command of a chirp", JUDGEMENT)
     small: float = option(0.06, "1", "share of the rated command of a small triangle about null", JUDGEMENT)
+    flapper_reach: float = option(
+        0.9, "1", "share of its gap by which the flapper may move towards a nozzle in an experiment", JUDGEMENT
+    )
+    scaling: float = option(0.85, "1", "share to which a command that exceeds it is made smaller at least", JUDGEMENT)
+    scalings: int = option(4, "1", "times that it is made smaller at most", JUDGEMENT)
     low_supply: float = option(0.4, "1", "share of the nominal supply pressure", JUDGEMENT)
     load: float = option(0.35, "1", "share of the nominal supply pressure that is load", JUDGEMENT)
     oil_margin: float = option(10.0, "delta_degC", "by which the oil may leave the range of the session", JUDGEMENT)

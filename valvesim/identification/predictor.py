@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from valvesim.channels import Inputs, Signals
+from valvesim.channels import Inputs, Signals, State
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.between_samples import (
     Deviations,
@@ -32,6 +32,7 @@ from valvesim.simulation.start import settled_from, state_at_rest
 from valvesim.simulation.temperature_knots import between, brackets, linear_interpolation, temperature_knots
 from valvesim.solver.codegen import CompiledModel, absent_coefficients, compile_model
 from valvesim.solver.partial_derivatives import CoefficientCourse, compile_derivatives
+from valvesim.valve.coefficients import Coefficients
 from valvesim.valve.effect import ActiveEffect, Effect, Reading
 from valvesim.valve.effects.sensors import sensor_lag
 from valvesim.valve.equations import Model
@@ -77,6 +78,13 @@ class Trajectory:
     path: TemperaturePath
     knots: np.ndarray
     under: RecordPredictor
+
+    @property
+    def flapper_reach(self) -> float:
+        """The largest share of its gap by which the flapper moves towards a nozzle; 1 where it touches."""
+        c = Coefficients(*self.knots.T[: len(Coefficients._fields)])
+        x_f = State(*self.fine.T[: len(State._fields)]).armature_angle * float(np.max(c.nozzle_arm))
+        return max(float(np.max(x_f) / np.min(c.null_gap_1)), float(np.max(-x_f) / np.min(c.null_gap_2)))
 
 
 @dataclass(frozen=True)
