@@ -1194,6 +1194,38 @@ def test_a_cause_that_explains_far_more_under_another_way_is_found_from_what_is_
     assert bench_faults.with_inputs_of_any_cause(nominal, best, [pair], options=DIAGNOSIS) is None
 
 
+@pytest.mark.parametrize(("there", "taken"), [(500.0, "lines"), (590.0, None)])
+def test_a_cause_that_shows_under_another_way_of_the_commands_explains_more_there_than_a_pair_here(
+    monkeypatch, there, taken
+):
+    """An eddy current's lag of 0.55 ms was a command held for 1 ms, beside two false figures of the armature (`poor`
+    213007).
+    """
+    study = SimpleNamespace(options=IDENTIFICATION)
+    nominal, start = SimpleNamespace(study=study), (SimpleNamespace(candidate="eddy"),)
+    ways = [SimpleNamespace(study=study, fit=SimpleNamespace(), name=name) for name in ("lines", "edges")]
+    left = {"lines": there, "edges": 700.0}
+
+    def fit(way, begun, few):
+        assert begun is start
+        return SimpleNamespace(chi_square=left[way.name], fitted=begun, predicted_reduction=0.0)
+
+    for name, stub in {
+        "under_other_inputs": lambda nominal: ways,
+        "score_test": lambda way, fit, *, options: SimpleNamespace(options=options, z=lambda: np.array([13.0])),
+        "single_starts": lambda scores, fall, share: [start],
+        "fit_from_prior": fit,
+        "_least_weights": lambda ways: {},
+        "_excess": lambda study, fit, weights: fit.chi_square,
+        "_fitted_under": lambda nominal, at: at.name,
+    }.items():
+        monkeypatch.setattr(bench_faults, name, stub)
+    pair = SimpleNamespace(chi_square=600.0)
+    found = bench_faults.with_inputs_of_likeliest_cause(nominal, pair, options=DIAGNOSIS)
+    assert (None if found is None else found[0]) == taken
+    assert found is None or found[1].fitted is start
+
+
 def test_an_input_that_nobody_measured_may_be_off_by_far_more_and_by_as_much_in_every_record(biased_session):
     """What all records are off by costs as much of the prior as one that is."""
     options, column = IDENTIFICATION.instrument, "supply_pressure"

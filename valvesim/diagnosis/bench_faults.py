@@ -27,7 +27,7 @@ from valvesim.diagnosis.detection import (
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.score_test import ScoreTest, score_test
-from valvesim.diagnosis.starts import likeliest_starts
+from valvesim.diagnosis.starts import likeliest_starts, single_starts
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.between_samples import Wave
 from valvesim.identification.candidates import Candidate
@@ -68,6 +68,7 @@ from valvesim.identification.nominal_fit import (
     NominalFit,
     assembled,
     fit_nominal_near,
+    has_chosen_inputs,
     has_implausible_delays,
     has_uncertain_inputs,
     linearise_nominal,
@@ -300,6 +301,55 @@ def with_inputs_of_any_cause(
     ways = under_other_inputs(nominal) if starts else []
     found = _way_beyond(nominal, best, ways, starts, options=options)
     return None if found is None else (_fitted_under(nominal, found[0]), found[1])
+
+
+def with_inputs_of_likeliest_cause(
+    nominal: NominalFit, best: Fit, *, options: DiagnosisOptions
+) -> tuple[NominalFit, Fit] | None:
+    """The nominal fit under another way of its commands by which a single cause that shows there explains far more than
+    the best under this one, and the fit of that cause; None where none does.
+
+    A command that comes half a sample later acts like an eddy current: under the wrong way neither shows.
+    """
+    begun, weights = _begun_under_other_inputs(nominal, options=options)
+    found = _best_way(begun, _excess(nominal.study, best, weights), weights)
+    return None if found is None else (_fitted_under(nominal, found[0]), found[1])
+
+
+def cause_under_other_inputs(nominal: NominalFit, best: Fit, *, options: DiagnosisOptions) -> Candidate | None:
+    """Another cause that explains as much as the best, under another way of the commands than one that was read off the
+    records; None where there is none, or the commands go on straight lines.
+    """
+    if not has_chosen_inputs(nominal.study):
+        return None
+    begun, weights = _begun_under_other_inputs(nominal, options=options)
+    least, other = _excess(nominal.study, best, weights) + options.selection.answer_ratio, None
+    for way, fit in begun:
+        candidate = fit.fitted[0].candidate
+        alike = candidate.name == best.fitted[0].candidate.name
+        if alike or _excess(way.study, fit, weights) - fit.predicted_reduction > least:
+            continue
+        excess = _excess(way.study, continue_from(way, fit) or fit, weights)
+        if excess < least:
+            least, other = excess, candidate
+    return other
+
+
+def _begun_under_other_inputs(
+    nominal: NominalFit, *, options: DiagnosisOptions
+) -> tuple[list[tuple[NominalFit, Fit]], Weights]:
+    """The single causes that show most under each other way of the commands, fitted a little there, and the weights by
+    which the ways are held against each other.
+    """
+    ways = under_other_inputs(nominal)
+    starts = [(way, start) for way in ways for start in _likeliest_under(way, options=options)]
+    return _preliminary_fits(starts, options.isolation.near_linearisations), _least_weights([nominal, *ways])
+
+
+def _likeliest_under(way: NominalFit, *, options: DiagnosisOptions) -> list[tuple[FittedCandidate, ...]]:
+    """Starts of the single causes that show most under a way of the commands."""
+    scores = score_test(way, way.fit, options=options)
+    return single_starts(scores, scores.z() ** 2, options.isolation.single_share)[: options.isolation.seconds]
 
 
 def _at_typical(member: FittedCandidate) -> FittedCandidate:

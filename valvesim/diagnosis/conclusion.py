@@ -30,6 +30,7 @@ from valvesim.diagnosis.result import (
 )
 from valvesim.diagnosis.score_test import term_score_test
 from valvesim.diagnosis.term_entry import as_catalogue_entry
+from valvesim.diagnosis.wording import candidate_words
 from valvesim.identification.fit import Fit
 from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.study import Study
@@ -101,6 +102,9 @@ def conclude(isolation: Isolation) -> Conclusion:
     if isolation.joint_errors is not None and answer_set:
         what = "it" if len(answer_set[0].candidates) == 1 else "a part of it"
         doubts.append(f"errors of the instruments explain {what} as well ({isolation.joint_errors.words})")
+    if isolation.under_other_inputs is not None and answer_set:
+        words = candidate_words(isolation.under_other_inputs)
+        doubts.append(f"by another way of the commands between their samples {words} explains as much; sample faster")
     doubt = "; ".join(doubts)
     verdict, reason, because = verdict_of(isolation.alarm, answer_set, doubt), "", ""
     if verdict == UNKNOWN and recovered is None and not odd and channel is not None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from valvesim.diagnosis.bench_faults import (
     JointErrors,
+    cause_under_other_inputs,
     joint_instrument_errors,
     likeliest_cause,
     told_faults,
@@ -23,6 +24,7 @@ from valvesim.diagnosis.bench_faults import (
     with_faults_beside_cause,
     with_inputs_of_any_cause,
     with_inputs_of_cause,
+    with_inputs_of_likeliest_cause,
     with_inputs_of_one_cause,
     without_instrument_errors,
 )
@@ -73,6 +75,7 @@ from valvesim.diagnosis.second_cause import (
 )
 from valvesim.diagnosis.starts import is_of_one_effect, start_points
 from valvesim.errors import InputError, SolveError
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, evaluate_fit, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import continue_from, evaluated_beside
 from valvesim.identification.nominal_fit import (
@@ -97,7 +100,8 @@ class Isolation:
     than the stated one, so that none was sought; `joint_errors` errors of the instruments that explain it together,
     instead of causes or as well as those of the answer set; `second_level` the z that a second cause had to pass;
     `channel` the channel that does not go with the others, where that was asked: no cause was sought where its response
-    explains it.
+    explains it; `under_other_inputs` another cause that explains as much as the one that was found, where the commands
+    go otherwise between their samples.
     """
 
     nominal: NominalFit
@@ -113,6 +117,7 @@ class Isolation:
     joint_errors: JointErrors | None = None
     second_level: float = np.inf
     channel: ChannelApart | None = None
+    under_other_inputs: Candidate | None = None
 
     @property
     def is_other_valve(self) -> bool:
@@ -150,6 +155,10 @@ def isolate(
     isolation = _isolated(nominal, scores, progress, known, beside, options=options)
     if not known:
         isolation = _or_one_cause_under_other_inputs(isolation, progress, options=options)
+    if [len(one.candidates) for one in isolation.answer_set] == [1]:
+        best = isolation.answer_set[0].fit
+        rival = cause_under_other_inputs(isolation.nominal, best, options=options)
+        isolation = replace(isolation, under_other_inputs=rival)
     errors = None if isolation.answer_set else joint_instrument_errors(isolation.scores, options=options)
     if errors is not None and not isolation.alarm:
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
@@ -189,6 +198,8 @@ def _or_one_cause_under_other_inputs(
     if under is None and isolation.found and not isolation.answer_set:
         causes = [one.fit for one in isolation.found]
         under = with_inputs_of_any_cause(isolation.nominal, best, causes, options=options)
+    if under is None and isolation.found and (len(members) > 1 or not isolation.answer_set):
+        under = with_inputs_of_likeliest_cause(isolation.nominal, best, options=options)
     if under is None:
         return isolation
     nominal, fit = under

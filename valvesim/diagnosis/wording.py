@@ -66,7 +66,7 @@ def _first_labels(labels: Sequence[str], most: int = 2) -> str:
 
 def cause_words(one: FittedHypothesis) -> str:
     """A hypothesis in words: `sensor_bias@load_flow` as "sensor bias of load flow"."""
-    return " together with ".join(map(_words, one.candidates))
+    return " together with ".join(map(candidate_words, one.candidates))
 
 
 def oscillation_words(found: MeasuredOscillation) -> tuple[str, ...]:
@@ -103,10 +103,11 @@ def _onset_words(onset: Onset, rate: float) -> str:
         by = f"{abs(change):.0%}".replace("%", " %") if change is not None else value_text(abs(above), c.unit)
         size, on = f"{by} {'more' if above > 0.0 else 'less'}", "on"
     seen = f", which samples at {rate:g} Hz show lower" if onset.frequency > rate / 2.0 else ""
-    return f"{size} {_words(c).removeprefix('the figure of ')} {on} (at {onset.frequency:.3g} Hz{seen})"
+    return f"{size} {candidate_words(c).removeprefix('the figure of ')} {on} (at {onset.frequency:.3g} Hz{seen})"
 
 
-def _words(c: Candidate) -> str:
+def candidate_words(c: Candidate) -> str:
+    """A candidate in words."""
     if c.parameter is not None and c.parameter.of_network:
         return f"{OTHERWISE} ({heat_words(c.parameter.name.removeprefix(NETWORK))})"
     words = (("parameter:", "the figure of "), ("@", " of "), ("_", " "), ("[", ", "), ("]", ""), ("=", " "))

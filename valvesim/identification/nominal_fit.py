@@ -291,6 +291,11 @@ def with_input_choice(prepared: Prepared, choice: InputChoice, known: Study | No
     return replace(found, spread=known.spread if known is not None else input_spread(found))
 
 
+def has_chosen_inputs(study: Study) -> bool:
+    """Whether the commands go otherwise between their samples than on straight lines, by what the readings say."""
+    return _without_choice(study)[1].name != STRAIGHT.name
+
+
 def _without_choice(study: Study) -> tuple[Study, InputChoice]:
     """A session without what was taken of its commands between their samples, and what that was."""
     model = study.nominal
