@@ -1226,6 +1226,42 @@ def test_a_cause_that_shows_under_another_way_of_the_commands_explains_more_ther
     assert found is None or found[1].fitted is start
 
 
+@pytest.mark.parametrize(
+    ("there", "promised", "name", "told"),
+    [
+        (605.0, 0.0, "eddy", True),
+        (607.0, 0.0, "eddy", False),
+        (630.0, 40.0, "eddy", True),
+        (500.0, 0.0, "damping", False),
+    ],
+)
+def test_another_cause_that_explains_as_much_under_another_way_of_the_commands_is_told(
+    monkeypatch, there, promised, name, told
+):
+    """Of an eddy current a figure of the armature's damping was named for sure, under commands that were taken as held
+    (`poor` 213016, with its next test).
+    """
+    study, candidate = SimpleNamespace(options=IDENTIFICATION), SimpleNamespace(name=name)
+    way = SimpleNamespace(study=study)
+    begun = SimpleNamespace(
+        chi_square=there, predicted_reduction=promised, fitted=(SimpleNamespace(candidate=candidate),)
+    )
+    ended = SimpleNamespace(chi_square=there - promised)
+    best = SimpleNamespace(chi_square=600.0, fitted=(SimpleNamespace(candidate=SimpleNamespace(name="damping")),))
+    for key, stub in {
+        "_begun_under_other_inputs": lambda nominal, *, options: ([(way, begun)], {}),
+        "_excess": lambda study, fit, weights: fit.chi_square,
+        "continue_from": lambda way, fit: ended,
+        "has_chosen_inputs": lambda study: study is nominal.study,
+    }.items():
+        monkeypatch.setattr(bench_faults, key, stub)
+    nominal = SimpleNamespace(study=study)
+    found = bench_faults.cause_under_other_inputs(nominal, best, options=DIAGNOSIS)
+    assert found is (candidate if told else None)
+    monkeypatch.setattr(bench_faults, "has_chosen_inputs", lambda study: False)
+    assert bench_faults.cause_under_other_inputs(nominal, best, options=DIAGNOSIS) is None
+
+
 def test_an_input_that_nobody_measured_may_be_off_by_far_more_and_by_as_much_in_every_record(biased_session):
     """What all records are off by costs as much of the prior as one that is."""
     options, column = IDENTIFICATION.instrument, "supply_pressure"

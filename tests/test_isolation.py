@@ -12,6 +12,7 @@ from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis, distinct
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
+from valvesim.diagnosis.result import AMBIGUOUS, CAUSE
 from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
@@ -95,6 +96,7 @@ def beside_none(nominal, scores, cause, known, *, options):
 @pytest.fixture(autouse=True)
 def inputs_are_all_measured(monkeypatch):
     monkeypatch.setattr(isolation, "with_assumed_inputs", lambda nominal, scores, options: (nominal, scores))
+    monkeypatch.setattr(isolation, "cause_under_other_inputs", lambda nominal, best, options: None)
 
 
 @pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e8, False)])
@@ -274,6 +276,36 @@ def test_before_two_causes_are_told_one_is_tried_under_the_other_ways_of_the_com
     ended = isolation._or_one_cause_under_other_inputs(first, lambda *_: None, options=DIAGNOSIS)
     assert ended is (under if pair and stands else first)
     assert asked == ([(other, other, [], [again.fit])] if pair else [])
+
+
+@pytest.mark.parametrize("pair, stands", [(True, True), (True, False), (False, True)])
+def test_a_cause_that_shows_under_another_way_of_the_commands_is_tried_against_a_pair_or_none(
+    monkeypatch, pair, stands
+):
+    base, other, again = nominal(9000.0), nominal(9100.0), hypothesis(4990.0, "eddy_current_lag")
+    both = hypothesis(5000.0, "spool_lap", "entrained_air")
+    scores = score_test_of(base, base.fit)
+    first = isolation.Isolation(base, scores, scores, [both], [both] if pair else [], "", True, 4.0)
+    under = replace(first, nominal=other, found=[again], answer_set=[again] if stands else [])
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    for name in ("one", "any"):
+        monkeypatch.setattr(isolation, f"with_inputs_of_{name}_cause", lambda *given, options: None)
+    monkeypatch.setattr(
+        isolation, "with_inputs_of_likeliest_cause", lambda nominal, best, *, options: (other, again.fit)
+    )
+    monkeypatch.setattr(isolation, "_isolated", lambda *given, options: under)
+    ended = isolation._or_one_cause_under_other_inputs(first, lambda *_: None, options=DIAGNOSIS)
+    assert ended is (under if stands else first)
+
+
+def test_a_cause_that_another_one_equals_under_another_way_of_the_commands_is_in_doubt(monkeypatch):
+    best, base = hypothesis(4900.0, "spool_lap"), nominal(9000.0)
+    scores, other = SimpleNamespace(options=DIAGNOSIS), hypothesis(4900.0, "eddy_current_lag").candidates[0]
+    monkeypatch.setattr(conclusion, "is_inadequate", lambda nominal, fit, options: False)
+    sure = isolation.Isolation(base, scores, scores, [best], [best], "", True, 4.0)
+    assert (conclusion.conclude(sure).verdict, conclusion.conclude(sure).doubt) == (CAUSE, "")
+    doubted = conclusion.conclude(replace(sure, under_other_inputs=other))
+    assert doubted.verdict == AMBIGUOUS and "eddy current lag explains as much" in doubted.doubt
 
 
 @pytest.mark.parametrize("joins", [True, False])
