@@ -338,7 +338,7 @@ def cause_under_other_inputs(nominal: NominalFit, best: Fit, *, options: Diagnos
 def _begun_under_other_inputs(
     nominal: NominalFit, *, options: DiagnosisOptions
 ) -> tuple[list[tuple[NominalFit, Fit]], Weights]:
-    """The single causes that show most under each other way of the commands, fitted a little there, and the weights by
+    """The single cause that shows most under each other way of the commands, fitted a little there, and the weights by
     which the ways are held against each other.
     """
     ways = under_other_inputs(nominal)
@@ -347,9 +347,9 @@ def _begun_under_other_inputs(
 
 
 def _likeliest_under(way: NominalFit, *, options: DiagnosisOptions) -> list[tuple[FittedCandidate, ...]]:
-    """Starts of the single causes that show most under a way of the commands."""
+    """The start of the single cause that shows most under a way of the commands, if any does."""
     scores = score_test(way, way.fit, options=options)
-    return single_starts(scores, scores.z() ** 2, options.isolation.single_share)[: options.isolation.seconds]
+    return single_starts(scores, scores.z() ** 2, options.isolation.single_share)[:1]
 
 
 def _at_typical(member: FittedCandidate) -> FittedCandidate:
