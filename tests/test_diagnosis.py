@@ -740,9 +740,12 @@ def test_how_much_a_fit_from_the_prior_may_leave_beside_the_best(least, nominal,
     assert largest_worthwhile_beside(base, explained(least, "spool_lap").fit, options=DIAGNOSIS) == most
 
 
+NEAR = SimpleNamespace(options=OPTIONS, negligible_far_off=lambda chi_square, rows: 0.0)
+
+
 def test_a_fit_that_has_not_settled_is_tried_from_elsewhere_until_it_has(monkeypatch):
     asked, much = [], 3.0 * OPTIONS.fit.hypothesis_ftol
-    nominal = SimpleNamespace(study=SimpleNamespace(options=OPTIONS), fit=explained(120.0).fit)
+    nominal = SimpleNamespace(study=NEAR, fit=explained(120.0).fit)
 
     def unsettled(chi_square, predicted_reduction):
         return replace(explained(chi_square, "spool_lap").fit, predicted_reduction=predicted_reduction)
@@ -771,7 +774,7 @@ def test_a_fit_that_never_settles_is_given_up_after_so_many_restarts(monkeypatch
     monkeypatch.setattr(refits, "fit_hypothesis", fit_hypothesis)
     monkeypatch.setattr(refits, "fit_from_prior", lambda nominal, fitted: None)
     unsettled = replace(explained(100.0, "spool_lap").fit, predicted_reduction=3.0 * OPTIONS.fit.hypothesis_ftol)
-    nominal = SimpleNamespace(study=SimpleNamespace(options=OPTIONS), fit=explained(120.0).fit)
+    nominal = SimpleNamespace(study=NEAR, fit=explained(120.0).fit)
     again = _restarted_within_tolerance(nominal, unsettled, options=DIAGNOSIS)
     assert len(asked) == len(again) == DIAGNOSIS.isolation.restarts
 
