@@ -253,8 +253,10 @@ def test_no_experiment_strikes_a_nozzle(nominal, near, smaller):
 
 
 def test_no_experiment_leaves_one_of_two_causes_that_act_together(fits):
-    alone, beside = (rival_beside(*fits[:1], LABELS[1], fits[1], plain_six, None, both, options=EXACT).power
-                     for both in (0.0, 0.3))  # fmt: skip
+    first, second = fits
+    alone, beside = (
+        rival_beside(first, LABELS[1], second, plain_six, both=both, options=EXACT).power for both in (0.0, 0.3)
+    )
     for distance in (1.0, 3.0, 30.0):
         assert beside(distance, 0.0, 0.0) == pytest.approx(0.7 * alone(distance, 0.0, 0.0))
 

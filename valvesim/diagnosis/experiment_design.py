@@ -330,7 +330,7 @@ def _with_best_refitted(
             if one is best:
                 known[k] = found
             elif one.trial is best.trial and not one.is_refitted:
-                known[k] = _judged(of_trial, one.repeats, share * one.distance, grows * one.more, rival)
+                known[k] = _experiment_power(of_trial, one.repeats, share * one.distance, grows * one.more, rival)
     return known
 
 
@@ -348,7 +348,7 @@ def _refitted(
     n, fits = judged.repeats, (tried.fit, rival.fit)
 
     def refitted(distance: float, more: float) -> ExperimentPower:
-        return replace(_judged(tried, n, distance, more, rival), is_refitted=True)
+        return replace(_experiment_power(tried, n, distance, more, rival), is_refitted=True)
 
     found = refitted(judged.distance, _explained_refitted(nominal, tried, n))
     for wrong, true, may_follow in zip(fits, reversed(fits), rival.refitted, strict=True):
@@ -374,7 +374,7 @@ def _explained_refitted(nominal: NominalFit, tried: SimulatedExperiment, repeats
         return most
 
 
-def _judged(
+def _experiment_power(
     tried: SimulatedExperiment, repeats: int, distance: float, more: float, rival: Rival
 ) -> ExperimentPower:
     power = rival.power(distance, more, repeats * tried.error)
@@ -459,10 +459,10 @@ def _judge(
         if rival.refitted[0]:
             distance = _distance(tried, tried.refit, delta, n)
         if rival.refitted[1] and (
-            np.isinf(distance) or _judged(tried, n, distance, more, rival).power >= useful
+            np.isinf(distance) or _experiment_power(tried, n, distance, more, rival).power >= useful
         ):
             distance = min(distance, _distance(tried, refit_of_rival(), -delta, n))
-        return _judged(tried, n, distance, more, rival)
+        return _experiment_power(tried, n, distance, more, rival)
 
     least, *more = options.design.replicates
     try:
