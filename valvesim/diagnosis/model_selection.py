@@ -107,7 +107,8 @@ def rarity_penalty(candidate: Candidate, *, options: DiagnosisOptions) -> float:
         of_material = candidate.parameter.of_material
         return options.selection.material_penalty if of_material else options.selection.parameter_penalty
     assert candidate.effect is not None  # noqa: S101 - a candidate is either
-    return options.selection.refined_penalty if candidate.effect.plainer else 0.0
+    rarer = candidate.effect.plainer and not candidate.effect.as_common
+    return options.selection.refined_penalty if rarer else 0.0
 
 
 def distinct(found: Sequence[FittedHypothesis], *, options: DiagnosisOptions) -> list[FittedHypothesis]:

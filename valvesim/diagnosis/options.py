@@ -229,7 +229,7 @@ class SelectionOptions:
         12.0, "1", "the same for one that the material has, and not how the part was made", JUDGEMENT
     )
     refined_penalty: float = option(
-        1.0, "1", "the same for an effect that is another, plainer one where its own feature does not show", JUDGEMENT
+        1.0, "1", "the same for a rarer effect that is another, plainer one where its feature does not show", JUDGEMENT
     )
     unknown_penalty: float = option(
         6.4,

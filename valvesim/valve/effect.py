@@ -119,7 +119,8 @@ class Effect(Shown):
     that carry it as a state; `reads_columns` says that `reading` takes many series at once, values (n_t, k).
     All see `p`, the parameters by name in SI, and must vanish at the neutral value. At least one is given.
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
-    `plainer` names the effect that this one is where its own feature does not show; of the two that is told first.
+    `plainer` names the effect that this one is where its own feature does not show; of the two that is told first, but
+    where this one is `as_common`: then what the readings say alone decides.
     `feature` names the coefficient, or of a sensor's effect the part of the `Reading`, whose changes are that feature:
     while it stands still, it is the plainer one.
     `advice` is what to do where it is found.
@@ -143,6 +144,7 @@ class Effect(Shown):
     channel: str = ""
     figure: str = ""
     plainer: str = ""
+    as_common: bool = False
     feature: str = ""
     law_error: float = 0.0
     figure_error: float = 0.0

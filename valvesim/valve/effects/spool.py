@@ -84,6 +84,7 @@ SPOOL = (
         doc="dry friction that falls with speed: -F z with z' = (v - |v| z/g)/d, g = k + (1-k) exp(-(v/v_s)^2)",
         location=_FRICTION_PLACE,
         plainer="spool_coulomb_friction",
+        as_common=True,  # oiled metal breaks loose harder than it slides (Armstrong-Helouvry et al. 1994)
         signature="stick and slip: steps at slow reversal, less loss when moving",
         advice=Advice(
             part="spool and sleeve",
