@@ -422,13 +422,13 @@ def test_what_leaves_more_than_a_model_may_stands_beside_none_of_the_known_cause
     answers = candidate_answers(nominal, [lap], [lap], 4.0, reason, options=DIAGNOSIS)
     assert [(a.label, a.in_set) for a in answers][:2] == [("spool_lap", True), ("none of the known causes", True)]
     assert answers[0].probability > answers[1].probability > 0.2
-    said = summary_text(AMBIGUOUS, [lap], None, unknown_reason=reason)
+    said = summary_text(AMBIGUOUS, [lap], None, doubt=f"none of the known causes: {reason}")
     assert said == f"Something is wrong, perhaps spool lap, or none of the known causes: {reason}."
     term = Term(
         port="pilot_flow", port_unit="m^3/s", variable="current", variable_unit="A", memory="none", at=(), value=(),
         deviation=(), formula="", formula_error=0.0,
     )  # fmt: skip
-    said = summary_text(AMBIGUOUS, [lap], term, unknown_reason=reason)
+    said = summary_text(AMBIGUOUS, [lap], term, doubt=f"none of the known causes: {reason}")
     acts = "if none of them, it acts like a term in the pilot flow that depends on the current"
     assert said.endswith(f"{reason}; {acts}.")
 

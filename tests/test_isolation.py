@@ -13,6 +13,7 @@ from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.model_selection import FittedHypothesis, distinct
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE
+from valvesim.diagnosis.wording import summary_text
 from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
 from valvesim.identification.fit import Fit, FittedCandidate
@@ -305,7 +306,13 @@ def test_a_cause_that_another_one_equals_under_another_way_of_the_commands_is_in
     sure = isolation.Isolation(base, scores, scores, [best], [best], "", True, 4.0)
     assert (conclusion.conclude(sure).verdict, conclusion.conclude(sure).doubt) == (CAUSE, "")
     doubted = conclusion.conclude(replace(sure, under_other_inputs=other))
-    assert doubted.verdict == AMBIGUOUS and "eddy current lag explains as much" in doubted.doubt
+    way = "eddy current lag, if the commands went another way between their samples (sample faster)"
+    assert (doubted.verdict, doubted.doubt) == (AMBIGUOUS, way)
+    errors = JointErrors(100.0, ("a meter is off",), 5080.0)
+    both = conclusion.conclude(replace(sure, under_other_inputs=other, joint_errors=errors)).doubt
+    beside = "none of the known causes: errors of the instruments explain it as well (a meter is off)"
+    assert both == f"{way}, or {beside}"
+    assert summary_text(AMBIGUOUS, [best], None, doubt=way) == f"Something is wrong, perhaps spool lap, or {way}."
 
 
 @pytest.mark.parametrize("joins", [True, False])
@@ -416,14 +423,14 @@ def test_where_even_the_best_leaves_much_over_none_is_the_answer(monkeypatch, le
 
 def test_what_the_plainer_of_two_leaves_that_fit_alike_is_looked_at_too(monkeypatch):
     base, plain = nominal(9000.0), hypothesis(4905.0, "spool_coulomb_friction")
-    fuller = hypothesis(4900.0, "spool_stribeck_friction")
+    fuller = hypothesis(4900.0, "spool_silting")
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "rival_terms", lambda nominal, final: [])
     monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: 0.01 * (final.fit is plain.fit))
     scores, final = score_test_of(base, base.fit), score_test_of(base, fuller.fit)
     judged = isolation.judged(isolation.Isolation(base, scores, final, [fuller, plain], [], "", True, 4.0))
     assert judged.found[0] is plain and judged.final.fit is plain.fit
-    assert [one.label for one in judged.answer_set] == ["spool_coulomb_friction", "spool_stribeck_friction"]
+    assert [one.label for one in judged.answer_set] == ["spool_coulomb_friction", "spool_silting"]
 
 
 @pytest.mark.parametrize("other, asked", [("spool_lap + entrained_air", True), ("spool_coulomb_friction", False)])

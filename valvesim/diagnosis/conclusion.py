@@ -36,6 +36,7 @@ from valvesim.identification.nominal_fit import NominalFit
 from valvesim.identification.study import Study
 
 FAR_OFF = "what fits these records best is not the stated valve nor a part that could take its place"
+OTHER_INPUTS = "the commands went another way between their samples (sample faster)"
 INADEQUATE = "the base model cannot come near these records: are they of this valve, with these units and signs?"
 
 
@@ -44,10 +45,10 @@ class Conclusion:
     """What an `isolation` comes to.
 
     `answer_set` holds the hypotheses that may be the cause, `best` is the likeliest of all that were fitted.
-    `unknown_reason` tells why the cause may be none of them, `doubt` adds errors of instruments to that, and
-    `recovered` is the term that would then be missing. `reason` is the verdict's where the answer is about something
-    else than a cause in the valve, `because` the same in words, and `odd` the test or the channel that does not go with
-    the others.
+    `unknown_reason` tells why the cause may be none of them, `doubt` what it may be besides, in words, of which errors
+    of instruments are one, and `recovered` is the term that would then be missing. `reason` is the verdict's where the
+    answer is about something else than a cause in the valve, `because` the same in words, and `odd` the test or the
+    channel that does not go with the others.
     """
 
     isolation: Isolation
@@ -102,10 +103,10 @@ def conclude(isolation: Isolation) -> Conclusion:
     if isolation.joint_errors is not None and answer_set:
         what = "it" if len(answer_set[0].candidates) == 1 else "a part of it"
         doubts.append(f"errors of the instruments explain {what} as well ({isolation.joint_errors.words})")
+    doubt = f"none of the known causes: {'; '.join(doubts)}" if doubts else ""
     if isolation.under_other_inputs is not None and answer_set:
-        words = candidate_words(isolation.under_other_inputs)
-        doubts.append(f"by another way of the commands between their samples {words} explains as much; sample faster")
-    doubt = "; ".join(doubts)
+        other = f"{candidate_words(isolation.under_other_inputs)}, if {OTHER_INPUTS}"
+        doubt = f"{other}, or {doubt}" if doubt else other
     verdict, reason, because = verdict_of(isolation.alarm, answer_set, doubt), "", ""
     if verdict == UNKNOWN and recovered is None and not odd and channel is not None:
         reason, because, odd = CHANNEL_APART, channel.words, channel.name

@@ -23,10 +23,10 @@ def summary_text(
     in_set: Sequence[FittedHypothesis],
     term: Term | None,
     inadequate: str = "",
-    unknown_reason: str = "",
+    doubt: str = "",
     errors: str = "",
 ) -> str:
-    """The answer in one sentence; `inadequate` and `unknown_reason` say why nothing, or not all, is named; of a
+    """The answer in one sentence; `inadequate` says why nothing is named, `doubt` what it may be besides; of a
     healthy valve `inadequate` is what the bench did, and `errors` those of the instruments that none shows by itself.
     """
     if verdict == NO_DISCREPANCY and inadequate:
@@ -40,10 +40,9 @@ def summary_text(
         return f"The cause is {cause_words(in_set[0])}."
     if verdict == AMBIGUOUS:
         causes = [*(cause_words(one) for one in in_set if one.candidates)]
-        if unknown_reason:
+        if doubt:
             other = f"; if none of them, it acts like {_term_words(term)}" if term is not None else ""
-            beside = f"none of the known causes: {unknown_reason}{other}."
-            return f"Something is wrong, perhaps {' or '.join(causes)}, or {beside}"
+            return f"Something is wrong, perhaps {' or '.join(causes)}, or {doubt}{other}."
         if in_set[-1].candidates:
             return f"Something is wrong, and these cannot be told apart: {'; '.join(causes)}."
         return f"Something may be wrong, or noise alone shows it; it would be {' or '.join(causes)}."
