@@ -98,6 +98,7 @@ def beside_none(nominal, scores, cause, known, *, options):
 def inputs_are_all_measured(monkeypatch):
     monkeypatch.setattr(isolation, "with_assumed_inputs", lambda nominal, scores, options: (nominal, scores))
     monkeypatch.setattr(isolation, "cause_under_other_inputs", lambda nominal, best, options: None)
+    monkeypatch.setattr(isolation, "instrument_errors_are_idle", lambda scores, least_gain, options: False)
 
 
 @pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e8, False)])

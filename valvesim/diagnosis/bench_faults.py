@@ -9,7 +9,7 @@ What is told of it in the end goes by a Wald statistic, beside the cause that is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -570,7 +570,7 @@ def joint_instrument_errors(
     study = scores.study
     at = {p.name: k for k, p in enumerate(study.nominal.parameters)}
     errors = _error_names(study) & set(at)
-    together = wald_statistic(scores, [at[name] for name in errors])
+    together = _explained_by(scores, errors)
     if not errors or together <= least_gain + len(errors) or _faults_told(scores, options=options):
         return None
     faults = [fault for fault in _known_faults(study) if errors.issuperset(p.name for p in fault.parameters)]
@@ -588,6 +588,20 @@ def joint_instrument_errors(
     point = scores.fit.point - covariance[:, out] @ inverse_of(covariance[np.ix_(out, out)]) @ scores.fit.point[out]
     fewest = tuple(_fault_words(scores, faults[k], own, point) for k, own in kept.items())
     return JointErrors(together, fewest, scores.fit.chi_square + least)
+
+
+def instrument_errors_are_idle(scores: ScoreTest, least_gain: float, *, options: DiagnosisOptions) -> bool:
+    """Whether errors of the instruments are among the parameters of a fit and show nothing: together no more than
+    chance and `least_gain`, and none of what the bench did by itself.
+    """
+    errors = _error_names(scores.study) & {p.name for p in scores.study.nominal.parameters}
+    idle = bool(errors) and _explained_by(scores, errors) <= least_gain + len(errors)
+    return idle and not _faults_told(scores, options=options)
+
+
+def _explained_by(scores: ScoreTest, names: Collection[str]) -> float:
+    """The chi-square that parameters in the model explain together."""
+    return wald_statistic(scores, [k for k, p in enumerate(scores.study.nominal.parameters) if p.name in names])
 
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:

@@ -15,6 +15,7 @@ import numpy as np
 from valvesim.diagnosis.bench_faults import (
     JointErrors,
     cause_under_other_inputs,
+    instrument_errors_are_idle,
     joint_instrument_errors,
     likeliest_cause,
     told_faults,
@@ -82,8 +83,10 @@ from valvesim.identification.nominal_fit import (
     NominalFit,
     clipped_to_tolerance,
     distance_by_readings,
+    has_uncertain_inputs,
     linearise_nominal,
     refit_nominal,
+    unweighted,
     with_edges_tried,
     with_inputs_reviewed,
     with_inputs_tried,
@@ -164,6 +167,8 @@ def isolate(
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
     elif (other := _with_second_like_errors(isolation, progress, options=options)) is not None:
         isolation, errors = other
+    else:
+        isolation = _or_second_without_idle_errors(isolation, progress, options=options)
     if adequate and isolation.alarm and not isolation.answer_set:
         channel = channel_apart(*begun, options=options)
     bench = told_faults(isolation.final, options=options)
@@ -243,9 +248,7 @@ def _with_second_like_errors(
         return None
     best, study = isolation.found[0], nominal.study
     most = errors.evidence + best.evidence - best.fit.chi_square - options.selection.answer_ratio
-    plain = without_instrument_errors(nominal)
-    names = [p.name for p in study.nominal.parameters]
-    kept = [names.index(p.name) for p in plain.study.nominal.parameters]
+    plain, known = _without_errors(isolation)
     alone = replace(options, bench=replace(options.bench, most_faults=0))
     scores = score_test(plain, plain.fit, options=alone)
 
@@ -253,7 +256,6 @@ def _with_second_like_errors(
         """That of a hypothesis without errors, with the nuisance parameters' Occam factor, weighted as with them."""
         return one.evidence + rescored(study, one.fit).chi_square - one.fit.chi_square + nuisance_occam_factor(scores)
 
-    known = [replace(one.fit, point=one.fit.point[kept]) for one in isolation.answer_set]
     one = fit_starts(plain, [best.fit.fitted], known[0].point, options=alone)[:1]
     shows = [float(np.max(score_test(plain, each.fit, options=alone).z(), initial=0.0)) for each in one]
     if not one or shows[0] < level or evidence(one[0]) - shows[0] ** 2 > most:
@@ -263,6 +265,50 @@ def _with_second_like_errors(
     if likeliest is None or len(likeliest.candidates) == 1 or evidence(likeliest) > most:
         return None
     return other, errors
+
+
+def _or_second_without_idle_errors(
+    isolation: Isolation, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> Isolation:
+    """The isolation without errors of the instruments that show nothing beside its one cause, where a second cause does
+    without them and is likelier than they are with all samples at full weight; else as it was.
+
+    While inputs may be late, samples next to peaks count less, and what shows there alone is not seen.
+    """
+    nominal, level = isolation.nominal, isolation.second_level
+    one_cause = [len(one.candidates) for one in isolation.answer_set[:1]] == [1]
+    idle = one_cause and instrument_errors_are_idle(isolation.final, level**2, options=options)
+    if not idle or not has_uncertain_inputs(nominal.study):
+        return isolation
+    plain, known = _without_errors(isolation)
+    start, within, full = known[0].fitted, unweighted(nominal), unweighted(plain)
+    with_errors = fit_starts(within, [start], isolation.answer_set[0].fit.point, options=options)[:1]
+    without = fit_starts(full, [start], known[0].point, options=options)[:1]
+    if not with_errors or not without or not is_adequate(without[0].fit, options=options.identification):
+        return isolation
+
+    def evidence(one: FittedHypothesis, final: ScoreTest) -> float:
+        """That of a hypothesis with the Occam factor of the nuisance parameters, by one noise."""
+        by_one_noise = rescored(within.study, one.fit).chi_square - one.fit.chi_square
+        return one.evidence + by_one_noise + nuisance_occam_factor(final)
+
+    beside, left = (score_test(*one, options=options) for one in ((within, with_errors[0].fit), (full, without[0].fit)))
+    shows = float(np.max(left.z(), initial=0.0))
+    most = evidence(with_errors[0], beside) - options.selection.answer_ratio
+    if shows < level or evidence(without[0], left) - shows**2 > most:
+        return isolation
+    alone = replace(options, bench=replace(options.bench, most_faults=0))
+    other = _isolated(plain, score_test(plain, plain.fit, options=alone), progress, known, [], options=alone)
+    second = bool(other.answer_set) and len(other.answer_set[0].candidates) > 1
+    return other if second and evidence(other.answer_set[0], other.final) < most else isolation
+
+
+def _without_errors(isolation: Isolation) -> tuple[NominalFit, list[Fit]]:
+    """The nominal fit of an isolation without errors of the instruments, and the fits of its answer set likewise."""
+    plain = without_instrument_errors(isolation.nominal)
+    names = [p.name for p in isolation.nominal.study.nominal.parameters]
+    kept = [names.index(p.name) for p in plain.study.nominal.parameters]
+    return plain, [replace(one.fit, point=one.fit.point[kept]) for one in isolation.answer_set]
 
 
 def _with_bench(
