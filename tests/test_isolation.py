@@ -520,6 +520,43 @@ def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together
     assert seen[1:] == ([(plain, [alone.fit.fitted], 0)] if together is not None and shows > 3.5 else [])
 
 
+@pytest.mark.parametrize(
+    "idle, shows, by_errors, left, taken",
+    [
+        (False, 9.0, 4990.0, 4840.0, False),  # the bench is told something by itself, or all it did together shows
+        (True, 3.0, 4990.0, 4840.0, False),  # no second cause shows at full weight
+        (True, 9.0, 4830.0, 4840.0, False),  # errors of the instruments explain as much of the peaks
+        (True, 9.0, 4990.0, 4990.0, False),  # a second cause is found that explains too little
+        (True, 9.0, 4990.0, 4840.0, True),
+    ],
+)
+def test_errors_of_instruments_that_show_nothing_hide_no_second_cause(monkeypatch, idle, shows, by_errors, left, taken):
+    """A pinch beside a lag explains 14 where samples next to peaks count less, and 146 at full weight (pair 221517)."""
+    base, plain = nominal(9000.0, ["leakage"]), nominal(9100.0, ["leakage"])
+    alone, pair = hypothesis(4900.0, "spool_lap"), hypothesis(left, "spool_lap", "spool_thermal_pinch")
+    scores = score_test_of(base, base.fit)
+    beside_errors = isolation.Isolation(base, scores, scores, [alone], [alone], "", True, 4.0, second_level=3.5)
+    without = isolation.Isolation(plain, scores, scores, [pair, alone], [pair, alone], "", True, 4.0)
+    within, full = nominal(9000.0), nominal(9100.0)
+    for name, stub in {
+        "instrument_errors_are_idle": lambda scores, least_gain, options: idle,
+        "has_uncertain_inputs": lambda study: True,
+        "without_instrument_errors": lambda nominal: plain,
+        "unweighted": lambda one: within if one is base else full,
+        "fit_starts": lambda at, starts, point, *, options: [
+            hypothesis(by_errors if at is within else 4990.0, "spool_lap")
+        ],
+        "is_adequate": lambda fit, *, options: True,
+        "score_test": score_test_that_shows(shows),
+        "nuisance_occam_factor": lambda scores: 120.0,
+        "rescored": lambda study, fit: fit,
+        "_isolated": lambda *args, options: without,
+    }.items():
+        monkeypatch.setattr(isolation, name, stub)
+    found = isolation._or_second_without_idle_errors(beside_errors, lambda stage, share: None, options=DIAGNOSIS)
+    assert found is (without if taken else beside_errors)
+
+
 def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_others(monkeypatch):
     base, asked = nominal(9000.0), []
 
