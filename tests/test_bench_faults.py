@@ -363,7 +363,8 @@ def test_errors_of_instruments_that_explain_much_together_and_nothing_by_themsel
         gram=SimpleNamespace(total=total, parameters=4, prior_now=point),
     )  # fmt: skip
     found = bench_faults.joint_instrument_errors(scores, options=DIAGNOSIS)
-    by_chance = bench_faults.instrument_errors_are_idle(scores, DIAGNOSIS.bench.minimum_gain, options=DIAGNOSIS)
+    least_gain = DIAGNOSIS.bench.minimum_gain
+    by_chance = bench_faults.instrument_errors_are_insignificant(scores, least_gain, options=DIAGNOSIS)
     assert by_chance == (found is None and shift < 1.0)
     if explained is None:
         assert found is None

@@ -98,7 +98,7 @@ def beside_none(nominal, scores, cause, known, *, options):
 def inputs_are_all_measured(monkeypatch):
     monkeypatch.setattr(isolation, "with_assumed_inputs", lambda nominal, scores, options: (nominal, scores))
     monkeypatch.setattr(isolation, "cause_under_other_inputs", lambda nominal, best, options: None)
-    monkeypatch.setattr(isolation, "instrument_errors_are_idle", lambda scores, least_gain, options: False)
+    monkeypatch.setattr(isolation, "instrument_errors_are_insignificant", lambda scores, least_gain, options: False)
 
 
 @pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e8, False)])
@@ -539,7 +539,7 @@ def test_errors_of_instruments_that_show_nothing_hide_no_second_cause(monkeypatc
     without = isolation.Isolation(plain, scores, scores, [pair, alone], [pair, alone], "", True, 4.0)
     within, full = nominal(9000.0), nominal(9100.0)
     for name, stub in {
-        "instrument_errors_are_idle": lambda scores, least_gain, options: idle,
+        "instrument_errors_are_insignificant": lambda scores, least_gain, options: idle,
         "has_uncertain_inputs": lambda study: True,
         "without_instrument_errors": lambda nominal: plain,
         "unweighted": lambda one: within if one is base else full,
@@ -553,7 +553,8 @@ def test_errors_of_instruments_that_show_nothing_hide_no_second_cause(monkeypatc
         "_isolated": lambda *args, options: without,
     }.items():
         monkeypatch.setattr(isolation, name, stub)
-    found = isolation._or_second_without_idle_errors(beside_errors, lambda stage, share: None, options=DIAGNOSIS)
+    progress = lambda stage, share: None  # noqa: E731
+    found = isolation._or_second_without_insignificant_errors(beside_errors, progress, options=DIAGNOSIS)
     assert found is (without if taken else beside_errors)
 
 

@@ -9,7 +9,7 @@ What is told of it in the end goes by a Wald statistic, beside the cause that is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -569,9 +569,8 @@ def joint_instrument_errors(
     least_gain = options.bench.minimum_gain if least_gain is None else least_gain
     study = scores.study
     at = {p.name: k for k, p in enumerate(study.nominal.parameters)}
-    errors = _error_names(study) & set(at)
-    together = _explained_by(scores, errors)
-    if not errors or together <= least_gain + len(errors) or _faults_told(scores, options=options):
+    errors, together = _errors_together(scores)
+    if together <= least_gain + len(errors) or _faults_told(scores, options=options):
         return None
     faults = [fault for fault in _known_faults(study) if errors.issuperset(p.name for p in fault.parameters)]
     kept = {k: [at[p.name] for p in fault.parameters] for k, fault in enumerate(faults)}
@@ -590,18 +589,22 @@ def joint_instrument_errors(
     return JointErrors(together, fewest, scores.fit.chi_square + least)
 
 
-def instrument_errors_are_idle(scores: ScoreTest, least_gain: float, *, options: DiagnosisOptions) -> bool:
+def instrument_errors_are_insignificant(scores: ScoreTest, least_gain: float, *, options: DiagnosisOptions) -> bool:
     """Whether errors of the instruments are among the parameters of a fit and show nothing: together no more than
     chance and `least_gain`, and none of what the bench did by itself.
     """
-    errors = _error_names(scores.study) & {p.name for p in scores.study.nominal.parameters}
-    idle = bool(errors) and _explained_by(scores, errors) <= least_gain + len(errors)
-    return idle and not _faults_told(scores, options=options)
+    errors, together = _errors_together(scores)
+    by_chance = bool(errors) and together <= least_gain + len(errors)
+    return by_chance and not _faults_told(scores, options=options)
 
 
-def _explained_by(scores: ScoreTest, names: Collection[str]) -> float:
-    """The chi-square that parameters in the model explain together."""
-    return wald_statistic(scores, [k for k, p in enumerate(scores.study.nominal.parameters) if p.name in names])
+def _errors_together(scores: ScoreTest) -> tuple[set[str], float]:
+    """The errors of the instruments among the parameters of a fit, by name, and the chi-square that they explain
+    together.
+    """
+    parameters, errors = scores.study.nominal.parameters, _error_names(scores.study)
+    own = [k for k, p in enumerate(parameters) if p.name in errors]
+    return {parameters[k].name for k in own}, wald_statistic(scores, own)
 
 
 def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOptions) -> BenchHypothesis | None:

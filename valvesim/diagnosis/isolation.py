@@ -15,7 +15,7 @@ import numpy as np
 from valvesim.diagnosis.bench_faults import (
     JointErrors,
     cause_under_other_inputs,
-    instrument_errors_are_idle,
+    instrument_errors_are_insignificant,
     joint_instrument_errors,
     likeliest_cause,
     told_faults,
@@ -92,6 +92,7 @@ from valvesim.identification.nominal_fit import (
     with_inputs_tried,
 )
 from valvesim.identification.refinement import refined
+from valvesim.identification.study import Study
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +169,7 @@ def isolate(
     elif (other := _with_second_like_errors(isolation, progress, options=options)) is not None:
         isolation, errors = other
     else:
-        isolation = _or_second_without_idle_errors(isolation, progress, options=options)
+        isolation = _or_second_without_insignificant_errors(isolation, progress, options=options)
     if adequate and isolation.alarm and not isolation.answer_set:
         channel = channel_apart(*begun, options=options)
     bench = told_faults(isolation.final, options=options)
@@ -220,7 +221,7 @@ def _or_causes_like_errors(
     causes explain it by so few figures that they are likelier; else as it was.
     """
     nominal = without_instrument_errors(isolation.nominal)
-    alone = replace(options, bench=replace(options.bench, most_faults=0))
+    alone = _without_faults(options)
     scores = score_test(nominal, nominal.fit, options=alone)
     study, most = isolation.nominal.study, errors.evidence - options.selection.answer_ratio
     promised = options.isolation.most_causes * float(np.max(scores.z(), initial=0.0)) ** 2
@@ -229,9 +230,7 @@ def _or_causes_like_errors(
     other = _isolated(nominal, scores, progress, (), [], options=alone)
     if not other.answer_set:
         return isolation
-    best = other.answer_set[0]
-    evidence = best.evidence + rescored(study, best.fit).chi_square - best.fit.chi_square
-    return other if evidence + nuisance_occam_factor(other.scores) < most else isolation
+    return other if _evidence_under(study, other.answer_set[0], other.scores) < most else isolation
 
 
 def _with_second_like_errors(
@@ -249,12 +248,12 @@ def _with_second_like_errors(
     best, study = isolation.found[0], nominal.study
     most = errors.evidence + best.evidence - best.fit.chi_square - options.selection.answer_ratio
     plain, known = _without_errors(isolation)
-    alone = replace(options, bench=replace(options.bench, most_faults=0))
+    alone = _without_faults(options)
     scores = score_test(plain, plain.fit, options=alone)
 
     def evidence(one: FittedHypothesis) -> float:
-        """That of a hypothesis without errors, with the nuisance parameters' Occam factor, weighted as with them."""
-        return one.evidence + rescored(study, one.fit).chi_square - one.fit.chi_square + nuisance_occam_factor(scores)
+        """That of a hypothesis without errors, weighted as with them."""
+        return _evidence_under(study, one, scores)
 
     one = fit_starts(plain, [best.fit.fitted], known[0].point, options=alone)[:1]
     shows = [float(np.max(score_test(plain, each.fit, options=alone).z(), initial=0.0)) for each in one]
@@ -267,7 +266,7 @@ def _with_second_like_errors(
     return other, errors
 
 
-def _or_second_without_idle_errors(
+def _or_second_without_insignificant_errors(
     isolation: Isolation, progress: Callable[[str, float], None], *, options: DiagnosisOptions
 ) -> Isolation:
     """The isolation without errors of the instruments that show nothing beside its one cause, where a second cause does
@@ -277,8 +276,8 @@ def _or_second_without_idle_errors(
     """
     nominal, level = isolation.nominal, isolation.second_level
     one_cause = [len(one.candidates) for one in isolation.answer_set[:1]] == [1]
-    idle = one_cause and instrument_errors_are_idle(isolation.final, level**2, options=options)
-    if not idle or not has_uncertain_inputs(nominal.study):
+    insignificant = one_cause and instrument_errors_are_insignificant(isolation.final, level**2, options=options)
+    if not insignificant or not has_uncertain_inputs(nominal.study):
         return isolation
     plain, known = _without_errors(isolation)
     start, within, full = known[0].fitted, unweighted(nominal), unweighted(plain)
@@ -286,21 +285,29 @@ def _or_second_without_idle_errors(
     without = fit_starts(full, [start], known[0].point, options=options)[:1]
     if not with_errors or not without or not is_adequate(without[0].fit, options=options.identification):
         return isolation
-
-    def evidence(one: FittedHypothesis, final: ScoreTest) -> float:
-        """That of a hypothesis with the Occam factor of the nuisance parameters, by one noise."""
-        by_one_noise = rescored(within.study, one.fit).chi_square - one.fit.chi_square
-        return one.evidence + by_one_noise + nuisance_occam_factor(final)
-
     beside, left = (score_test(*one, options=options) for one in ((within, with_errors[0].fit), (full, without[0].fit)))
     shows = float(np.max(left.z(), initial=0.0))
-    most = evidence(with_errors[0], beside) - options.selection.answer_ratio
-    if shows < level or evidence(without[0], left) - shows**2 > most:
+    most = _evidence_under(within.study, with_errors[0], beside) - options.selection.answer_ratio
+    if shows < level or _evidence_under(within.study, without[0], left) - shows**2 > most:
         return isolation
-    alone = replace(options, bench=replace(options.bench, most_faults=0))
+    alone = _without_faults(options)
     other = _isolated(plain, score_test(plain, plain.fit, options=alone), progress, known, [], options=alone)
-    second = bool(other.answer_set) and len(other.answer_set[0].candidates) > 1
-    return other if second and evidence(other.answer_set[0], other.final) < most else isolation
+    second = next((one for one in other.answer_set[:1] if len(one.candidates) > 1), None)
+    is_likelier = second is not None and _evidence_under(within.study, second, other.final) < most
+    return other if is_likelier else isolation
+
+
+def _evidence_under(study: Study, one: FittedHypothesis, scores: ScoreTest) -> float:
+    """Minus twice the log evidence of a hypothesis by a study's noise and weights, with the Occam factor of the
+    nuisance parameters of a fit, to weigh it against one with other nuisance parameters.
+    """
+    reweighted = rescored(study, one.fit).chi_square - one.fit.chi_square
+    return one.evidence + reweighted + nuisance_occam_factor(scores)
+
+
+def _without_faults(options: DiagnosisOptions) -> DiagnosisOptions:
+    """Options by which no fault of the bench is looked for."""
+    return replace(options, bench=replace(options.bench, most_faults=0))
 
 
 def _without_errors(isolation: Isolation) -> tuple[NominalFit, list[Fit]]:
