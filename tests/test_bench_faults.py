@@ -14,17 +14,12 @@ from hypothesis import strategies as st
 import valvesim as vs
 from valvesim.diagnosis import apart, bench_faults, detection
 from valvesim.diagnosis.advice import BY_FIGURE, BY_PORT, advice_on_causes, advice_on_unknown
-from valvesim.diagnosis.bench_faults import (
-    BenchFault,
-    BenchHypothesis,
-    _clock_words,
-    _likeliest,
-    _shift_words,
-    _waves_apart,
-)
+from valvesim.diagnosis.bench_faults import BenchHypothesis, _likeliest
 from valvesim.diagnosis.conclusion import figures_at_limit
 from valvesim.diagnosis.detection import _is_stretched, is_other_valve
 from valvesim.diagnosis.holdout_gain import _change_interval
+from valvesim.diagnosis.joint_errors import without_instrument_errors
+from valvesim.diagnosis.known_faults import BenchFault
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
 from valvesim.diagnosis.score_test import score_test
@@ -32,7 +27,7 @@ from valvesim.diagnosis.wording import summary_text
 from valvesim.errors import SolveError
 from valvesim.identification import input_choice
 from valvesim.identification.between_samples import EdgeTime
-from valvesim.identification.fit import evaluate_fit, predict_readings, with_shapes
+from valvesim.identification.fit import evaluate_fit, predict_readings
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
 from valvesim.identification.input_choice import excess_after_jumps, searched_edges
 from valvesim.identification.input_waves import (
@@ -43,7 +38,6 @@ from valvesim.identification.input_waves import (
     outstanding_frequencies,
     tuned_waves,
     wave_parameters,
-    wave_words,
     with_parameters,
 )
 from valvesim.identification.instrument_errors import (
@@ -53,48 +47,23 @@ from valvesim.identification.instrument_errors import (
     contrasts,
     input_shifts,
     instrument_errors,
-    is_of_meter,
     meter_drifts,
-    meter_gains,
     meter_linearity,
-    meter_zeros,
 )
 from valvesim.identification.nominal_fit import _retuned, linearise_nominal
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as IDENTIFICATION
 from valvesim.identification.prior import largest_reading
 from valvesim.identification.refinement import refined
-from valvesim.identification.sensor_errors import active_in, reads_channel
-from valvesim.identification.session import Record, value_text
+from valvesim.identification.session import Record
 from valvesim.identification.study import prepare_session, with_records
-from valvesim.inputs import evaluate
 from valvesim.units import quantities
 from valvesim.valve.additive_term import PORTS
 from valvesim.valve.catalogue import CATALOGUE
-from valvesim.valve.effect import Reading, check_listed_once
+from valvesim.valve.effect import Reading
 
 TIME = np.arange(1000) / 1e3
 RECORDS = tuple(Record(name, TIME, {"spool_position": 0.0 * TIME, "current": TIME}, {"spool_position": TIME >= 0.0})
                 for name in ("a", "b"))  # fmt: skip
-
-
-def test_a_wave_has_any_amplitude_and_phase_in_each_record_and_is_told_by_its_amplitude():
-    wave = wave_parameters(RECORDS, "supply_pressure", 37.0, 1e6)
-    assert len({p.name for p in wave}) == 4 and {p.input.record for p in wave} == {"a", "b"}
-    assert wave_words(wave, np.array([3e5, 4e5, -4e5, 3e5])) == "the supply pressure ripples by 5 bar at 37 Hz"
-    first, second = (evaluate(p.input.command(1.0), np.array([0.1])) for p in wave[:2])
-    assert first**2 + second**2 == pytest.approx(1.0)
-    said = _shift_words("oil_temperature", growing=True)(np.array([1.0, -3.0]))
-    assert said.startswith("the oil temperature is off by up to 3 ") and said.endswith("within a record")
-
-
-def test_of_waves_too_close_to_be_told_apart_one_is_told():
-    waves = [
-        wave_parameters(RECORDS, column, frequency, 1e6)
-        for column, frequency in (("supply_pressure", 64.86), ("supply_pressure", 65.52), ("current", 65.52))
-    ]
-    nominal = SimpleNamespace(parameters=tuple(p for wave in waves for p in wave))
-    study = SimpleNamespace(nominal=nominal, session=SimpleNamespace(training=RECORDS))
-    assert _waves_apart(study) == [waves[0], waves[2]]
 
 
 def test_the_frequency_of_a_ripple_is_found_to_a_fraction_of_a_turn():
@@ -218,7 +187,7 @@ def test_the_bench_is_sought_beside_the_first_cause_that_explains_nearly_all(mon
         "_tuned_beside": lambda *_: None,
         "_likeliest": lambda *_, options: None,
         "with_inputs_beside": lambda at, beside: at,
-        "_best_inputs": lambda at, fit, few: (at, fit),
+        "best_inputs": lambda at, fit, few: (at, fit),
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
     cause = bench_faults.likeliest_cause(base, "scores", known, options=DIAGNOSIS)
@@ -251,7 +220,7 @@ def test_where_sensors_seem_late_beside_a_cause_the_ways_of_the_commands_are_run
         "_tuned_beside": lambda *_: None,
         "_likeliest": lambda *_, options: None,
         "with_inputs_beside": lambda at, beside: tried.append("linear") or at,
-        "_best_inputs": lambda at, fit, few: tried.append("run") or (at, fits[len(tried)]),
+        "best_inputs": lambda at, fit, few: tried.append("run") or (at, fits[len(tried)]),
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
     bench_faults.with_faults_beside_cause(base, "scores", fit, False, options=DIAGNOSIS)
@@ -284,7 +253,7 @@ def test_another_way_is_taken_where_the_cause_leaves_no_more_under_it(monkeypatc
         "_tuned_beside": lambda *_: None,
         "_likeliest": lambda *_, options: None,
         "with_inputs_beside": lambda at, beside: other,
-        "_fitted_under": lambda nominal, at: at,
+        "fitted_under": lambda nominal, at: at,
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
     at, _, found = bench_faults.with_faults_beside_cause(base, "scores", fit, False, options=DIAGNOSIS)
@@ -332,172 +301,6 @@ def test_a_cause_is_fitted_to_its_end_before_records_are_those_of_another_valve(
         monkeypatch.setattr(bench_faults, name, stub)
     _, _, fit = bench_faults.with_faults_beside_cause(base, "scores", started, False, options=DIAGNOSIS)
     assert bool(looked) is not told and fit is (ended or started)
-
-
-@pytest.mark.parametrize(
-    "shift, clock, explained",
-    [
-        (1.0, 0.05, 441.6),
-        (3.0, 0.0, None),  # one of them is told
-        (0.15, 0.15, None),  # together by chance, of so many
-    ],
-)
-def test_errors_of_instruments_that_explain_much_together_and_nothing_by_themselves_are_told(
-    monkeypatch, shift, clock, explained
-):
-    """The readings tell a shift and a clock apart a little, and see next to nothing of a drift."""
-    parameters = [SimpleNamespace(name=name, at=lambda t: t) for name in ("spool_mass", "shift", "clock", "drift")]
-    errors = parameters[1:]
-    study = SimpleNamespace(session=None, options=IDENTIFICATION, nominal=SimpleNamespace(parameters=parameters))
-    monkeypatch.setattr(bench_faults, "instrument_errors", lambda session, *, options: errors)
-    monkeypatch.setattr(bench_faults, "_known_faults", lambda study: [
-        BenchFault((p,), lambda values, own=p: f"{own.name} by {values[0]:.3f}", None)
-        for p in (*errors, SimpleNamespace(name="wave"))])  # fmt: skip
-    overlap = np.eye(4)
-    overlap[1:3, 1:3] = [[400.0, 396.0], [396.0, 400.0]]
-    total = np.zeros((5, 5))
-    total[1:, 1:] = overlap
-    point = np.array([0.0, shift, clock, 0.1])
-    scores = SimpleNamespace(
-        study=study, own=(), fit=SimpleNamespace(point=point, chi_square=1000.0),
-        gram=SimpleNamespace(total=total, parameters=4, prior_now=point),
-    )  # fmt: skip
-    found = bench_faults.joint_instrument_errors(scores, options=DIAGNOSIS)
-    least_gain = DIAGNOSIS.bench.minimum_gain
-    by_chance = bench_faults.instrument_errors_are_insignificant(scores, least_gain, options=DIAGNOSIS)
-    assert by_chance == (found is None and shift < 1.0)
-    if explained is None:
-        assert found is None
-        return
-    assert found.explained == pytest.approx(explained, abs=0.1)
-    assert found.fewest == (f"shift by {shift + clock * 396.0 / 401.0:.3f}",)
-    lost = clock**2 * (401.0 - 396.0**2 / 401.0) + 2.0 * 0.1**2
-    assert found.evidence == pytest.approx(1000.0 + lost + np.log(2.0 * 401.0))
-
-
-@pytest.mark.parametrize(
-    "left, best",
-    [
-        ((2e3, 1e3), 1),  # with fewer rows, and less of them
-        ((2e3, 1.99e3), 0),  # by less than chance
-        ((1e3, None), 0),  # under which it cannot be run
-    ],
-)
-def test_the_way_of_the_commands_by_which_a_cause_explains_far_more_is_taken(monkeypatch, left, best):
-    rows = (1e4, 1.2e4)
-    study = SimpleNamespace(options=IDENTIFICATION, weights={})
-    ways = [SimpleNamespace(study=study, way=k) for k in range(2)]
-    fits = [None if more is None else SimpleNamespace(chi_square=n + more, rows=n, way=k, predicted_reduction=0.0)
-            for k, (n, more) in enumerate(zip(rows, left, strict=True))]  # fmt: skip
-    monkeypatch.setattr(bench_faults, "under_other_inputs", lambda nominal: ways[1:])
-    monkeypatch.setattr(bench_faults, "fit_from_prior", lambda other, start, few: fits[other.way])
-    monkeypatch.setattr(bench_faults, "_excess", lambda study, fit, weights: fit.chi_square - fit.rows)
-    fits[0].fitted = ()
-    at, fit = bench_faults._best_inputs(ways[0], fits[0], 2)
-    assert (at.way, fit.way) == (best, best)
-
-
-@pytest.mark.parametrize(
-    "late, left, best",
-    [
-        (True, (3e3, 1e3), 2),
-        (True, (1e3, None), 1),
-        (True, (4.98e3, 4.98e3), None),  # by less than chance
-        (False, (1e3, 1e3), None),  # no sensor is later than it may be
-    ],
-)
-def test_the_ways_of_the_commands_are_run_again_beside_the_best_cause_from_its_figures(monkeypatch, late, left, best):
-    rows = 1e4
-    study = SimpleNamespace(options=IDENTIFICATION, weights={}, unweighted=lambda: study)
-    cause = SimpleNamespace(chi_square=rows + 5e3, rows=rows, point=None, fitted=())
-    ways = [SimpleNamespace(study=study, fit=SimpleNamespace(point=k), way=k) for k in range(3)]
-    fits = [
-        None if more is None else SimpleNamespace(chi_square=rows + more, rows=rows, way=k + 1, predicted_reduction=0.0)
-        for k, more in enumerate(left)
-    ]
-
-    def under_other(nominal, beside):
-        assert (nominal, beside) == (ways[0], cause)
-        return ways[1:]
-
-    for name, stub in {
-        "has_implausible_delays": lambda study, point: late,
-        "under_other_inputs": under_other,
-        "fit_from_prior": lambda other, start, few: fits[other.way - 1],
-        "_excess": lambda study, fit, weights: fit.chi_square - fit.rows,
-        "has_uncertain_inputs": lambda study: True,
-        "fit_nominal_near": lambda study, point, *, full_weight: (point, full_weight),
-    }.items():
-        monkeypatch.setattr(bench_faults, name, stub)
-    found = bench_faults.with_inputs_of_cause(ways[0], cause, options=DIAGNOSIS)
-    assert found == (None if best is None else ((best, False), fits[best - 1]))
-
-
-@pytest.mark.parametrize(
-    "pair, left, best",
-    [
-        (0.0, (90.0, -50.0, 80.0, 70.0), 1),
-        (0.0, (90.0, -50.0, 80.0, -60.0), 3),
-        (-70.0, (90.0, -50.0, 80.0, -60.0), None),  # both explain more than either does under any way
-        (0.0, (90.0, None, -5.0, 70.0), None),  # by no more than chance than under the way that is
-    ],
-)
-def test_one_cause_under_another_way_of_the_commands_is_held_against_two_under_this(monkeypatch, pair, left, best):
-    """A chirp taken as straight lines is too small: with an eddy current stood an armature twice as inert (970196)."""
-    rows = 1e4
-    study = SimpleNamespace(options=IDENTIFICATION, weights={}, unweighted=lambda: study)
-    both = SimpleNamespace(chi_square=rows + pair, rows=rows)
-    alone = [SimpleNamespace(chi_square=rows + more, rows=rows, fitted=k) for k, more in ((0, 90.0), (2, 20.0))]
-    ways = [SimpleNamespace(study=study, fit=SimpleNamespace(point=k), way=k) for k in range(3)]
-    excess = {(0, 1): left[0], (0, 2): left[1], (2, 1): left[2], (2, 2): left[3]}
-    fits = {
-        key: None if more is None else SimpleNamespace(chi_square=rows + more, rows=rows, predicted_reduction=0.0)
-        for key, more in excess.items()
-    }
-    for name, stub in {
-        "under_other_inputs": lambda nominal, beside: ways[1:],
-        "fit_from_prior": lambda other, start, few: fits[start, other.way],
-        "_excess": lambda study, fit, weights: fit.chi_square - fit.rows,
-        "has_uncertain_inputs": lambda study: True,
-        "fit_nominal_near": lambda study, point, *, full_weight: (point, full_weight),
-    }.items():
-        monkeypatch.setattr(bench_faults, name, stub)
-    found = bench_faults.with_inputs_of_one_cause(ways[0], both, alone, options=DIAGNOSIS)
-    ended = {1: (0, 2), 3: (2, 2)}
-    assert found == (None if best is None else ((2, False), fits[ended[best]]))
-
-
-@pytest.mark.parametrize(
-    "left, promised, ended, best",
-    [
-        ((4e3, 4e3), (10.0, 3.9e3), (None, 200.0), 1),  # it has stopped far short (991196)
-        ((4e3, 4e3), (3.9e3, 3.9e3), (100.0, 200.0), 0),  # so have both
-        ((4e3, 9e3), (10.0, 3.9e3), (None, None), 0),  # it promises less than the other leaves
-        ((4e3, 4.1e3), (10.0, 25.0), (None, None), 0),  # by less than chance
-    ],
-)
-def test_a_way_of_the_commands_that_promises_to_be_the_best_is_fitted_further(
-    monkeypatch, left, promised, ended, best
-):
-    rows, continued = 1e4, []
-
-    def fit(way, more, promise):
-        return SimpleNamespace(chi_square=rows + more, rows=rows, way=way, predicted_reduction=promise)
-
-    ways = [SimpleNamespace(study=SimpleNamespace(options=IDENTIFICATION), way=k) for k in range(2)]
-
-    def further(way, one):
-        continued.append(way.way)
-        return fit(way.way, ended[way.way], 0.0)
-
-    for name, stub in {
-        "fit_from_prior": lambda way, start, few: fit(way.way, left[way.way], promised[way.way]),
-        "continue_from": further,
-        "_excess": lambda study, fit, weights: fit.chi_square - fit.rows,
-    }.items():
-        monkeypatch.setattr(bench_faults, name, stub)
-    at, _ = bench_faults._best_way(bench_faults._preliminary_fits([(way, ()) for way in ways], 2), np.inf, {})
-    assert at.way == best and continued == [k for k in range(2) if ended[k] is not None]
 
 
 @pytest.mark.parametrize(
@@ -608,47 +411,6 @@ def test_contrasts_are_orthonormal_and_to_what_all_have_in_common(count):
     np.testing.assert_allclose(np.ones(count) @ ways, 0.0, atol=1e-12)
 
 
-def test_the_gain_of_a_meter_changes_between_records(biased_session):
-    """A range switched between records, by 1 %, was a material figure of the torque motor in oil of one temperature."""
-    gains = meter_gains(biased_session, "spool_position", IDENTIFICATION)
-    assert len(gains) == len(biased_session.training) - 1 and all(map(is_of_meter, gains))
-    words = bench_faults._gain_words("spool_position")
-    amounts = np.linspace(1e-3, 2e-3, len(gains))
-    by = 100.0 * np.ptp(contrasts(len(gains) + 1) @ amounts)
-    assert words(amounts) == f"the gain of spool_position moves by up to {by:.2g} % between records"
-
-
-def test_the_zero_of_a_meter_moves_between_records_and_is_told_by_how_much(biased_session):
-    """Of more than eight records as well: effects of one name may act so often on a channel."""
-    channel, records = "spool_position", biased_session.training
-    for count in (len(records), 12):
-        many = [replace(records[k % len(records)], name=f"record_{k}") for k in range(count)]
-        session = replace(biased_session, records=(*many, *biased_session.locked))
-        zeros = meter_zeros(session, channel, IDENTIFICATION)
-        assert len(zeros) == count - 1 and all(map(is_of_meter, zeros)) and len({p.name for p in zeros}) == count - 1
-        amounts = np.random.default_rng(3).normal(size=count - 1) * zeros[0].deviation
-        active = [p.sensor(bias=float(a)) for p, a in zip(zeros, amounts, strict=True)]
-        check_listed_once(active)
-        offsets = [
-            sum(float(active_in(a, r.name).values.bias) for a in active if reads_channel(a.effect, channel, r.name))
-            for r in many
-        ]
-        np.testing.assert_allclose(offsets, contrasts(count) @ amounts)
-        words = bench_faults._zero_words(channel)(amounts)
-        assert words == f"the zero of {channel} moves by up to {value_text(np.ptp(offsets), 'm')} between records"
-    (own,) = meter_zeros(biased_session, channel, IDENTIFICATION, records[:1])
-    assert active_in(own.sensor(bias=2e-6), records[0].name).values.bias == 2e-6
-    assert not reads_channel(own.sensor, channel, records[1].name)
-
-
-def test_a_meter_that_is_not_linear_is_told_as_the_bench_s_with_how_much(biased_session):
-    largest = largest_reading(biased_session, "spool_position")
-    words = bench_faults._linearity_words("spool_position", biased_session)
-    assert words(np.array([0.001, -0.004]) * largest) == (
-        "spool_position as read is off a straight line by up to 0.4 % of its largest reading"
-    )
-
-
 def test_a_sensor_beyond_its_tolerance_is_told_and_not_given_to_its_meter(biased_fit):
     scores = score_test(biased_fit, biased_fit.fit, options=DIAGNOSIS)
     likeliest = scores.candidates[int(np.argmax(scores.z()))]
@@ -747,7 +509,7 @@ def test_samples_next_to_peaks_count_less_where_an_input_is_fitted_and_fully_aga
     assert extended.study.weights
     names = [p.name for p in extended.study.nominal.parameters]
     assert names == [p.name for p in (*study.nominal.parameters, *errors)]
-    without = bench_faults.without_instrument_errors(extended)
+    without = without_instrument_errors(extended)
     assert without.study.nominal.parameters == study.nominal.parameters and without.study.weights
 
 
@@ -946,7 +708,7 @@ def test_what_the_bench_does_that_explains_an_alarm_as_well_as_a_cause_takes_its
     effect = SimpleNamespace(channel=beyond, feature=feature)
     gains = {(2, 0): 90.0, (2, 1): joint + 2.0, (1, 0): alone + 1.0, (1, 1): 0.0}  # by its columns, causes beside
     monkeypatch.setattr(bench_faults, "_hypotheses", lambda study, scores: [drifts])
-    monkeypatch.setattr(bench_faults, "_known_faults", lambda study: [BenchFault((p,), str, None) for p in drifts])
+    monkeypatch.setattr(bench_faults, "all_known_faults", lambda study: [BenchFault((p,), str, None) for p in drifts])
     monkeypatch.setattr(bench_faults, "added_jacobian_of", lambda study, linearised, added: np.array([[1.0, 2.0]]))
     monkeypatch.setattr(bench_faults, "_likeliest_causes", lambda study, scores, options: np.ones((1, 1)))
     predicted = SimpleNamespace(gain=lambda own, beside: gains[len(own), len(beside)] - 5.0 * (own == [2]))
@@ -1138,10 +900,6 @@ def test_a_valve_far_from_the_stated_one_is_told_without_a_search(tmp_path, monk
     assert "tolerances off" in found.summary and not found.gain_claimed
 
 
-def test_clocks_that_run_far_apart_are_told_without_powers_of_ten():
-    assert _clock_words(np.array([0.0, -1.26e-3])).endswith("by up to 1260 ppm")
-
-
 @pytest.mark.parametrize("name, left, told", [
     ("spool_stribeck_friction", 1.0, True), ("spool_coulomb_friction", 1.0, True), ("spool_silting", 1e3, False),
     ("magnetic_hysteresis", 1.0, False),
@@ -1153,116 +911,6 @@ def test_the_bench_is_looked_at_beside_one_of_the_laws_that_are_alike(name, left
     rows = 5000.0
     fit = SimpleNamespace(fitted=(member("spool_coulomb_friction"),), chi_square=left * rows, rows=rows)
     assert bench_faults._tells_as_much(fit, (member(name),), options=DIAGNOSIS) is told
-
-
-def test_ways_of_the_commands_are_judged_by_the_samples_that_count_under_all(monkeypatch):
-    """A hold makes readings peak at each of its samples: few of them counted, and it seemed to leave less."""
-    key, other = ("r", "flow"), ("r", "leakage")
-    weights = [{key: np.array([1.0, 0.2, 1.0])}, {}, {key: np.array([0.5, 1.0, 1.0]), other: np.ones(2)}]
-    ways = [SimpleNamespace(study=SimpleNamespace(weights=each)) for each in weights]
-    least = bench_faults._least_weights(ways)
-    assert set(least) == {key, other} and least[key].tolist() == [0.5, 0.2, 1.0] and least[other].tolist() == [1.0, 1.0]
-    assert bench_faults._least_weights(ways[1:2]) == {} and weights[0][key].tolist() == [1.0, 0.2, 1.0]
-
-
-@pytest.mark.parametrize("left, taken", [
-    ({"straight": 300.0, "smooth": 500.0}, "straight"), ({"straight": 900.0}, None),
-])  # fmt: skip
-def test_a_cause_that_explains_far_more_under_another_way_is_found_from_what_is_typical_of_it(
-    monkeypatch, left, taken
-):
-    """Under a hold the lag of a current loop had ended near none, and nothing was named (1310100)."""
-    candidate = SimpleNamespace(typical=5e-4, fixed=(), shapes=tuple)
-    ended = SimpleNamespace(fitted=(with_shapes(candidate, 1e-6),))
-    study = SimpleNamespace(options=IDENTIFICATION, weights={}, unweighted=lambda: study)
-    nominal = SimpleNamespace(study=study)
-    ways = [SimpleNamespace(study=study, fit=SimpleNamespace(point=name), name=name) for name in left]
-    begun = []
-
-    def fit(way, start, few):
-        begun.append(start[0].above_neutral)
-        return SimpleNamespace(chi_square=1e4 + left[way.name], rows=1e4, fitted=start, predicted_reduction=0.0)
-
-    for name, stub in {
-        "under_other_inputs": lambda nominal: ways,
-        "fit_from_prior": fit,
-        "_excess": lambda study, fit, weights: fit.chi_square - 1e4,
-        "_fitted_under": lambda nominal, at: at.name,
-    }.items():
-        monkeypatch.setattr(bench_faults, name, stub)
-    best = SimpleNamespace(chi_square=1e4 + 600.0, fitted=())
-    pair = SimpleNamespace(fitted=(*ended.fitted, *ended.fitted))
-    found = bench_faults.with_inputs_of_any_cause(nominal, best, [pair, ended], options=DIAGNOSIS)
-    assert (None if found is None else found[0]) == taken and begun == [candidate.typical] * len(left)
-    assert bench_faults.with_inputs_of_any_cause(nominal, best, [pair], options=DIAGNOSIS) is None
-
-
-@pytest.mark.parametrize(("there", "taken"), [(500.0, "lines"), (590.0, None)])
-def test_a_cause_that_shows_under_another_way_of_the_commands_explains_more_there_than_a_pair_here(
-    monkeypatch, there, taken
-):
-    """An eddy current's lag of 0.55 ms was a command held for 1 ms, beside two false figures of the armature (`poor`
-    213007).
-    """
-    study = SimpleNamespace(options=IDENTIFICATION)
-    nominal, start = SimpleNamespace(study=study), (SimpleNamespace(candidate="eddy"),)
-    ways = [SimpleNamespace(study=study, fit=SimpleNamespace(), name=name) for name in ("lines", "edges")]
-    left = {"lines": there, "edges": 700.0}
-
-    def fit(way, begun, few):
-        assert begun is start
-        return SimpleNamespace(chi_square=left[way.name], fitted=begun, predicted_reduction=0.0)
-
-    for name, stub in {
-        "under_other_inputs": lambda nominal: ways,
-        "score_test": lambda way, fit, *, options: SimpleNamespace(options=options, z=lambda: np.array([13.0])),
-        "single_starts": lambda scores, fall, share: [start],
-        "fit_from_prior": fit,
-        "_least_weights": lambda ways: {},
-        "_excess": lambda study, fit, weights: fit.chi_square,
-        "_fitted_under": lambda nominal, at: at.name,
-    }.items():
-        monkeypatch.setattr(bench_faults, name, stub)
-    pair = SimpleNamespace(chi_square=600.0)
-    found = bench_faults.with_inputs_of_likeliest_cause(nominal, pair, options=DIAGNOSIS)
-    assert (None if found is None else found[0]) == taken
-    assert found is None or found[1].fitted is start
-
-
-@pytest.mark.parametrize(
-    ("there", "promised", "name", "told"),
-    [
-        (605.0, 0.0, "eddy", True),
-        (607.0, 0.0, "eddy", False),
-        (630.0, 40.0, "eddy", True),
-        (500.0, 0.0, "damping", False),
-    ],
-)
-def test_another_cause_that_explains_as_much_under_another_way_of_the_commands_is_told(
-    monkeypatch, there, promised, name, told
-):
-    """Of an eddy current a figure of the armature's damping was named for sure, under commands that were taken as held
-    (`poor` 213016, with its next test).
-    """
-    study, candidate = SimpleNamespace(options=IDENTIFICATION), SimpleNamespace(name=name)
-    way = SimpleNamespace(study=study)
-    begun = SimpleNamespace(
-        chi_square=there, predicted_reduction=promised, fitted=(SimpleNamespace(candidate=candidate),)
-    )
-    ended = SimpleNamespace(chi_square=there - promised)
-    best = SimpleNamespace(chi_square=600.0, fitted=(SimpleNamespace(candidate=SimpleNamespace(name="damping")),))
-    for key, stub in {
-        "_begun_under_other_inputs": lambda nominal, *, options: ([(way, begun)], {}),
-        "_excess": lambda study, fit, weights: fit.chi_square,
-        "continue_from": lambda way, fit: ended,
-        "has_chosen_inputs": lambda study: study is nominal.study,
-    }.items():
-        monkeypatch.setattr(bench_faults, key, stub)
-    nominal = SimpleNamespace(study=study)
-    found = bench_faults.cause_under_other_inputs(nominal, best, options=DIAGNOSIS)
-    assert found is (candidate if told else None)
-    monkeypatch.setattr(bench_faults, "has_chosen_inputs", lambda study: False)
-    assert bench_faults.cause_under_other_inputs(nominal, best, options=DIAGNOSIS) is None
 
 
 def test_an_input_that_nobody_measured_may_be_off_by_far_more_and_by_as_much_in_every_record(biased_session):
@@ -1300,7 +948,7 @@ def test_what_nobody_measured_is_asked_first(monkeypatch, columns, left, taken):
     for name, stub in {
         "input_shifts": lambda session, column, growing, options: [column] * 4,
         "with_parameters": lambda study, shifts: study,
-        "has_uncertain_inputs": lambda study: True,
+        "is_at_full_weight": lambda study, extended: False,
         "fit_nominal_near": fit,
         "_at_weight_of": lambda nominal, better: nominal,
         "_gain_by_fault": lambda without, better: without.fit.chi_square - better.fit.chi_square,

@@ -8,8 +8,8 @@ import pytest
 
 from valvesim.diagnosis import conclusion, detection, isolation, refits, second_cause
 from valvesim.diagnosis.answer_tables import candidate_answers
-from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
+from valvesim.diagnosis.joint_errors import JointErrors
 from valvesim.diagnosis.model_selection import FittedHypothesis, distinct
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE

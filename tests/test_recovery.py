@@ -12,9 +12,9 @@ from valvesim.diagnosis import diagnose as diagnosing
 from valvesim.diagnosis import isolation as isolating
 from valvesim.diagnosis import score_test as score_testing
 from valvesim.diagnosis.answer_tables import error_table, parameter_shifts
-from valvesim.diagnosis.bench_faults import JointErrors
 from valvesim.diagnosis.channel_apart import ChannelApart
 from valvesim.diagnosis.isolation import Isolation
+from valvesim.diagnosis.joint_errors import JointErrors
 from valvesim.diagnosis.missing_term import recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis
 from valvesim.diagnosis.one_parameter_term import one_parameter_term

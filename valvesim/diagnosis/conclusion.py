@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.apart import odd_test
-from valvesim.diagnosis.bench_faults import told_faults
 from valvesim.diagnosis.detection import beyond_noise, beyond_reach, is_certain, is_inadequate
 from valvesim.diagnosis.isolation import Isolation
+from valvesim.diagnosis.known_faults import told_faults
 from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
 from valvesim.diagnosis.model_selection import FittedHypothesis, null_hypothesis_beside
 from valvesim.diagnosis.one_parameter_term import one_parameter_term

@@ -13,21 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.bench_faults import (
-    JointErrors,
-    cause_under_other_inputs,
-    instrument_errors_are_insignificant,
-    joint_instrument_errors,
     likeliest_cause,
-    told_faults,
     with_assumed_inputs,
     with_bench_faults,
     with_fault_left,
     with_faults_beside_cause,
-    with_inputs_of_any_cause,
-    with_inputs_of_cause,
-    with_inputs_of_likeliest_cause,
-    with_inputs_of_one_cause,
-    without_instrument_errors,
 )
 from valvesim.diagnosis.channel_apart import ChannelApart, channel_apart
 from valvesim.diagnosis.detection import (
@@ -41,6 +31,20 @@ from valvesim.diagnosis.detection import (
     nuisance_occam_factor,
     unexplained_share,
 )
+from valvesim.diagnosis.input_alternatives import (
+    cause_under_other_inputs,
+    with_inputs_of_any_cause,
+    with_inputs_of_cause,
+    with_inputs_of_likeliest_cause,
+    with_inputs_of_one_cause,
+)
+from valvesim.diagnosis.joint_errors import (
+    JointErrors,
+    instrument_errors_are_insignificant,
+    joint_instrument_errors,
+    without_instrument_errors,
+)
+from valvesim.diagnosis.known_faults import told_faults
 from valvesim.diagnosis.model_discrepancy import with_model_discrepancy
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
