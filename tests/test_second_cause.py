@@ -11,6 +11,7 @@ from valvesim.diagnosis.answer_tables import candidate_answers
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
+    answer_set_width,
     least_gain_of_second,
     odds_of_second,
     ranked,
@@ -147,6 +148,20 @@ def test_how_wide_the_prior_of_a_second_amplitude_is_does_not_count_but_its_shap
     wide = replace(wide, fit=replace(wide.fit, chi_square=4950.0))
     by_evidence = sorted([alone, wide, narrow], key=lambda one: one.evidence)
     assert ranked(nominal, by_evidence, LEVEL) == [narrow, wide, alone]
+
+
+@pytest.mark.parametrize("wald, err", [((400.0, 200.0), 40.0), ((), 200.0), ((400.0, 5000.0), 200.0)])
+def test_of_two_causes_the_law_of_each_may_err_by_what_it_explains_beside_the_other(wald, err):
+    """A weak magnet beside a hysteresis of d' 13 was told alone: a fifth of all that both explain had not counted (pair
+    222510).
+    """
+    pair = hypothesis(4000.0, "magnet_demagnetization", "magnetic_hysteresis", wald_statistics=wald)
+    nominal = SimpleNamespace(fit=SimpleNamespace(chi_square=5000.0))
+    law_error = CATALOGUE["magnetic_hysteresis"].law_error
+    assert law_error == 0.2 == pair.law_error and pair.law_may_leave(nominal.fit) == pytest.approx(err)
+    assert answer_set_width(nominal, pair) == pytest.approx(max(err, DIAGNOSIS.selection.answer_share * 1000.0))
+    alone = hypothesis(4200.0, "magnetic_hysteresis", wald_statistics=(100.0,))
+    assert alone.law_may_leave(nominal.fit) == pytest.approx(0.2 * 800.0)
 
 
 def test_of_two_seconds_the_likelier_goes_first_whether_or_not_the_temperature_has_put_it_behind_the_first():

@@ -556,3 +556,27 @@ def test_samples_count_in_full_where_the_best_can_follow_their_peaks_and_the_inp
         assert again is found and final is before
     else:
         assert again[0].fit.chi_square == ends and final.fit is again[0].fit
+
+
+def test_at_full_weight_a_second_cause_is_looked_for_beside_others_than_the_one_that_it_was_found_with(
+    fitted, monkeypatch
+):
+    """A hysteresis that only peaks of the leakage show was found beside the figure that does nearly as well as the
+    magnet (pair 222510).
+    """
+    full, asked = SimpleNamespace(**vars(NOMINAL), name="full"), []
+    pair, other = hypothesis(900.0, LAP, AIR), hypothesis(890.0, FRICTION, AIR)
+    monkeypatch.setattr(second_cause, "has_uncertain_inputs", lambda study: False)
+    monkeypatch.setattr(second_cause, "unweighted", lambda nominal: full)
+    monkeypatch.setattr(second_cause, "rescored", lambda study, fit: replace(fit, chi_square=1000.0))
+    monkeypatch.setattr(second_cause, "with_second_cause", lambda nominal, final, found: (found_with, final))
+    monkeypatch.setattr(
+        second_cause, "with_other_pairs", lambda nominal, found, final: asked.append(found) or ([other, *found], final)
+    )
+    fitted.ends |= {"spool_lap": 1000.0}
+    found = [hypothesis(1900.0, LAP)]
+    found_with = [pair, *found]
+    assert at_full_weight(NOMINAL, found, scores({AIR: 0.1}, found[0].fit))[1] == [other, pair, *found]
+    assert asked == [found_with]
+    found_with = found
+    assert at_full_weight(NOMINAL, found, scores({AIR: 0.1}, found[0].fit))[1] == found and len(asked) == 1

@@ -13,8 +13,16 @@ from scipy.optimize import lsq_linear
 from valvesim.errors import InputError, SolveError
 from valvesim.identification import hypothesis_fit, input_choice, least_squares, nominal_fit
 from valvesim.identification import study as studies
+from valvesim.identification.candidates import Candidate
 from valvesim.identification.down_weighting import down_weight_peaks
-from valvesim.identification.fit import Fit, FittedCandidate, moved_candidates, predict_readings, step_limits
+from valvesim.identification.fit import (
+    Fit,
+    FittedCandidate,
+    moved_candidates,
+    predict_readings,
+    step_limits,
+    with_shapes,
+)
 from valvesim.identification.fit import evaluate_fit as evaluated
 from valvesim.identification.fit_jacobian import linearise_fit, linearise_study
 from valvesim.identification.hypothesis_fit import continue_fit, fit_from_prior, fit_hypothesis, reductions_from_prior
@@ -29,6 +37,7 @@ from valvesim.identification.least_squares import (
     levenberg_marquardt,
     normal_equations,
     predict_reduction,
+    with_posterior,
 )
 from valvesim.identification.linearised_record import LinearisedRecord
 from valvesim.identification.noise_estimation import identify_noise
@@ -45,6 +54,7 @@ from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.predictor import RecordPredictor
 from valvesim.identification.session_toml import load_session
 from valvesim.identification.study import PreparedSession, Study, prepare_session, restricted_session
+from valvesim.valve.catalogue import CATALOGUE
 
 
 @pytest.fixture
@@ -560,7 +570,7 @@ def iterated(monkeypatch):
     monkeypatch.setattr(hypothesis_fit, "linearise_fit", lambda study, fit: linearised.append(1) or ((), ()))
     monkeypatch.setattr(hypothesis_fit, "jacobian_of", lambda study, fit, *linearised: np.zeros((2, 1)))
     monkeypatch.setattr(hypothesis_fit, "normal_equations", lambda *_, options: (np.eye(1), np.zeros(1)))
-    monkeypatch.setattr(hypothesis_fit, "occam_factor", lambda *_, options: 0.0)
+    monkeypatch.setattr(hypothesis_fit, "with_posterior", lambda H, fit, *, options: fit)
 
     def count(stepped, ending, rows):
         monkeypatch.setattr(hypothesis_fit, "levenberg_marquardt", stepped)
@@ -888,3 +898,35 @@ def test_normal_equations_without_a_solution_end_a_fit_and_no_more(biased, monke
     assert fit_hypothesis(nominal, (FittedCandidate(candidate, 0.3 * bias),)).chi_square == 1.0
     monkeypatch.setattr(hypothesis_fit, "_fit_robustly", unsolved)
     assert fit_hypothesis(nominal, (FittedCandidate(candidate, 0.3 * bias),)) is None
+
+
+@given(st.integers(0, 10_000), st.booleans())
+def test_a_wald_statistic_is_what_the_chi_square_would_be_larger_by_without_a_candidate(seed, shaped):
+    """Of equations that are linear it is so exactly, whatever else is fitted."""
+    dice = np.random.default_rng(seed)
+    effect = Candidate("effect", CATALOGUE["spool_stribeck_friction" if shaped else "spool_lap"])
+    members = (with_shapes(effect, 0.0), FittedCandidate(Candidate("other", CATALOGUE["entrained_air"]), 0.0))
+    fit = Fit(np.zeros(2), members, 0.0, (), np.zeros(0), 1.0)
+    own = [2 + k for k, (_, shape) in enumerate(fit.layout) if not shape]
+    shapes = [2 + k for k, (_, shape) in enumerate(fit.layout) if shape]
+    J, read = dice.normal(size=(40, 2 + len(fit.layout))), 5.0 * dice.normal(size=40)
+    prior = np.zeros(J.shape[1])
+    prior[:2], prior[shapes] = 1.0, OPTIONS.fit.shape_deviation**-2
+
+    def best(free):
+        H = J[:, free].T @ J[:, free] + np.diag(prior[free])
+        point = np.linalg.solve(H, J[:, free].T @ read)
+        return point, H, float(read @ read - point @ (J[:, free].T @ read))
+
+    everything = list(range(J.shape[1]))
+    point, H, least = best(everything)
+    fitted = tuple(replace(member, above_neutral=point[k]) for member, k in zip(members, own, strict=True))
+    told = with_posterior(H, replace(fit, point=point[:2], fitted=fitted), options=OPTIONS).wald_statistics
+    without = [best([k for k in everything if k != gone])[2] - least for gone in own]
+    np.testing.assert_allclose(told, without, rtol=1e-6)
+
+
+def test_what_nothing_is_known_of_has_a_wald_statistic_of_nothing():
+    member = FittedCandidate(Candidate("effect", CATALOGUE["entrained_air"]), 0.01)
+    fit = Fit(np.zeros(1), (member,), 0.0, (), np.zeros(0), 1.0)
+    assert with_posterior(np.diag([1.0, 0.0]), fit, options=OPTIONS).wald_statistics == (0.0,)

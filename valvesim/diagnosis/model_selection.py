@@ -77,13 +77,28 @@ class FittedHypothesis:
         """The share of what it explains by which another law of the same effect may do better: a recorder's filter,
         which makes several sensors late, is of any order.
         """
-        own = max((c.effect.law_error for c in self.candidates if c.effect is not None), default=0.0)
+        own = max(self._law_errors, default=0.0)
         together = len(self.candidates) > len(self._independent) == 1
         return max(own, self.options.selection.filter_law_error) if together else own
 
+    @property
+    def _law_errors(self) -> tuple[float, ...]:
+        """The `law_error` of each candidate by itself."""
+        return tuple(c.effect.law_error if c.effect is not None else 0.0 for c in self.candidates)
+
+    def law_error_of(self, explained: float) -> float:
+        """`law_error` of a chi-square that all explain together: of several causes, each errs by its share of what it
+        explains beside the others, where that is known.
+        """
+        beside = self.fit.wald_statistics
+        if len(self._independent) == 1 or len(beside) != len(self.candidates) or explained <= 0.0:
+            return self.law_error
+        return max(own * min(by / explained, 1.0) for own, by in zip(self._law_errors, beside, strict=True))
+
     def law_may_leave(self, nominal: Fit) -> float:
         """The chi-square that another law of the same effect may explain more, of what a nominal fit leaves."""
-        return self.law_error * (nominal.chi_square - self.fit.chi_square)
+        explained = nominal.chi_square - self.fit.chi_square
+        return self.law_error_of(explained) * explained
 
     @property
     def label(self) -> str:
@@ -160,7 +175,8 @@ def answer_set_width(nominal: NominalFit, best: FittedHypothesis, more: float = 
     """The difference of evidence up to which another hypothesis explains the data nearly as well as the best does.
     `more` is what the best would explain besides in further records.
     """
-    return asked_difference(_explained(nominal, best) + more, best.law_error, options=best.options.selection)
+    explained = _explained(nominal, best)
+    return asked_difference(explained + more, best.law_error_of(explained), options=best.options.selection)
 
 
 def width_beside(
@@ -179,9 +195,9 @@ def width_beside_smaller(
     what a plant does otherwise than any model, or what may be left over at most, by the law of either. `more` is what
     the larger would explain besides in further records.
     """
-    options = larger.options
-    share = max(options.detection.doubtful_share, larger.law_error, smaller.law_error)
-    return max(options.selection.second_gain, share * (_explained(nominal, larger) + more))
+    options, explained = larger.options, _explained(nominal, larger)
+    share = max(options.detection.doubtful_share, larger.law_error_of(explained), smaller.law_error_of(explained))
+    return max(options.selection.second_gain, share * (explained + more))
 
 
 def temperature_of(nominal: NominalFit, best: FittedHypothesis) -> float:
@@ -232,8 +248,8 @@ def odds_of_second(nominal: NominalFit, pair: FittedHypothesis, alone: FittedHyp
     what the law of the first may err by, no shape is fitted and its prior odds are even, the two are as likely. Each
     shape more takes up one of the chi-square by chance. How wide the prior of a second amplitude is does not count.
     """
-    law_error = max(alone.law_error, alone.options.selection.least_law_error)
-    may_err = law_error * (nominal.fit.chi_square - alone.fit.chi_square)
+    explained = nominal.fit.chi_square - alone.fit.chi_square
+    may_err = max(alone.law_error_of(explained), alone.options.selection.least_law_error) * explained
     shapes = sum(len(one.fit.layout) * sign - len(one.candidates) * sign for one, sign in ((pair, 1), (alone, -1)))
     rarer = pair.prior_penalty - alone.prior_penalty
     return pair.gain_beyond(alone) - max(least_gain_of_second(nominal, alone, level), may_err) - shapes - rarer
@@ -289,9 +305,9 @@ def least_gain_of_second(
     chance, and than what the best's law may err by shows of another cause. `more` is what the best would explain
     besides in further records.
     """
-    options = best.options
-    share = max(options.selection.least_law_error, min(best.law_error, options.detection.doubtful_share))
-    return max(level**2, share * (_explained(nominal, best) + more))
+    options, explained = best.options, _explained(nominal, best)
+    law_error = min(best.law_error_of(explained), options.detection.doubtful_share)
+    return max(level**2, max(options.selection.least_law_error, law_error) * (explained + more))
 
 
 def odds_against_noise(nominal: NominalFit, best: FittedHypothesis, level: float) -> float:

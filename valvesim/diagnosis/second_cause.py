@@ -259,5 +259,8 @@ def at_full_weight(
     if not again or not is_adequate(again[0].fit, options=final.options.identification):
         return nominal, found, final
     found = reduced_hypotheses(full, again, options=final.options)
+    causes = len(found[0].candidates)
     found, final = with_second_cause(full, score_test(full, found[0].fit, options=final.options), found)
+    if len(found[0].candidates) > causes:  # beside one of several alike, where the others may be likelier
+        found, final = with_other_pairs(full, found, final)
     return full, found, final

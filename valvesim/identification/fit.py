@@ -49,8 +49,9 @@ class Fit:
     penalised chi-square.
 
     `rows` is the chi-square that noise alone would leave, `predicted_reduction` what the linearised equations still
-    promise, `occam_factor` twice the log ratio of prior to posterior width (MacKay 1992). `trajectories` are kept
-    for `linearise_fit`.
+    promise, `occam_factor` twice the log ratio of prior to posterior width (MacKay 1992), `wald_statistics` by how much
+    the chi-square would be larger without each candidate by the linearised equations (Wald 1943), none where that is
+    not known. `trajectories` are kept for `linearise_fit`.
     """
 
     point: np.ndarray
@@ -61,6 +62,7 @@ class Fit:
     rows: float
     predicted_reduction: float = 0.0
     occam_factor: float = 0.0
+    wald_statistics: tuple[float, ...] = ()
     trajectories: tuple[Trajectory, ...] = ()
 
     @property
@@ -76,7 +78,7 @@ class Fit:
 
     def with_fitted(self, fitted: Sequence[FittedCandidate]) -> Fit:
         """The same nuisance parameters with other candidates; the trajectories are not theirs and are left."""
-        return replace(self, fitted=tuple(fitted), trajectories=())
+        return replace(self, fitted=tuple(fitted), wald_statistics=(), trajectories=())
 
     def variant(self, nominal: NominalModel) -> ModelVariant:
         """The valve and effects of this fit."""
@@ -147,7 +149,8 @@ def rescored(study: Study, fit: Fit) -> Fit:
     if not chi_square < study.options.fit.largest_chi_square:
         raise SolveError("the readings of this variant are beyond all sense")
     rows = study.expected_rows
-    return replace(fit, chi_square=chi_square, residual=residual, rows=rows, predicted_reduction=0.0, occam_factor=0.0)
+    scored = replace(fit, chi_square=chi_square, residual=residual, rows=rows)
+    return replace(scored, predicted_reduction=0.0, occam_factor=0.0, wald_statistics=())
 
 
 def shapes_and_defaults(member: FittedCandidate) -> list[tuple[float, float]]:

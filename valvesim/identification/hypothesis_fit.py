@@ -24,9 +24,9 @@ from valvesim.identification.least_squares import (
     bounded_step,
     levenberg_marquardt,
     normal_equations,
-    occam_factor,
     predict_reduction,
     solve_normal,
+    with_posterior,
 )
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance, robust_start
 from valvesim.identification.study import Study
@@ -139,7 +139,7 @@ def evaluated_beside(nominal: NominalFit, fit: Fit) -> Fit:
     """
     point = np.append(fit.point[: len(nominal.fit.point)], nominal.fit.point[len(fit.point) :])
     beside = evaluate_fit(nominal.study, point, fit.fitted, nominal.fit.trajectories)
-    return replace(beside, occam_factor=fit.occam_factor)
+    return replace(beside, occam_factor=fit.occam_factor, wald_statistics=fit.wald_statistics)
 
 
 def continue_from(nominal: NominalFit, fit: Fit, worthwhile: float | None = None) -> Fit | None:
@@ -206,8 +206,8 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int, worthwhile
         )
         fit = rescored(study, near)
         if worthwhile is not None and near.chi_square > worthwhile:
-            promised = near.predicted_reduction
-            return replace(fit, predicted_reduction=promised, occam_factor=near.occam_factor, trajectories=())
+            fit = replace(fit, occam_factor=near.occam_factor, wald_statistics=near.wald_statistics)
+            return replace(fit, predicted_reduction=near.predicted_reduction, trajectories=())
         linearised, columns = linearise_fit(study, fit)
     return _iterate_to_end(
         study,
@@ -270,7 +270,7 @@ def _iterate(
         except (SolveError, InputError):
             break
     H, _ = normal_equations(fit, updated, options=study.options)
-    return replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
+    return with_posterior(H, fit, options=study.options)
 
 
 def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...]) -> Fit | None:

@@ -18,6 +18,7 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit, evaluate_fit, moved_fit, shapes_and_defaults, step_limits
 from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.projection import inverse_of
 from valvesim.identification.study import Study
 
 SINGULAR = 1e-6  # of a Cholesky factor of scaled normal equations: below, some direction may not be seen
@@ -247,9 +248,9 @@ def normal_equations(
     return H, gradient
 
 
-def occam_factor(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -> float:
-    """The Occam factor of a fit (MacKay 1992): ln det of the posterior precision of the fitted candidates in units of
-    their priors, nuisance parameters marginalised.
+def with_posterior(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -> Fit:
+    """A fit with what its normal equations tell of the fitted candidates, nuisance parameters marginalised: the Occam
+    factor, ln det of their posterior precision in units of their priors (MacKay 1992), and the Wald statistic of each.
     """
     p, layout = len(fit.point), fit.layout
     scale = np.array([3.0 * e.candidate.typical if not shape else options.fit.shape_deviation for e, shape in layout])
@@ -257,4 +258,7 @@ def occam_factor(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -> 
     amplitude = np.array([1.0 if not shape else 0.0 for _, shape in layout])
     scaled = left * np.outer(scale, scale) + np.diag(amplitude)
     sign, value = np.linalg.slogdet(scaled)
-    return float(value) if sign > 0 else 0.0
+    variance = np.diag(inverse_of(left))[amplitude > 0.0]
+    known = zip(fit.fitted, variance, strict=True)
+    wald = tuple(member.above_neutral**2 / float(own) if own > 0.0 else 0.0 for member, own in known)
+    return replace(fit, occam_factor=float(value) if sign > 0 else 0.0, wald_statistics=wald)

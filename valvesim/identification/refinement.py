@@ -5,14 +5,12 @@ A fit ends where its own Jacobian, which may be some steps old, predicts little 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.fit import Fit
 from valvesim.identification.fit_jacobian import jacobian_of, linearise_fit
-from valvesim.identification.least_squares import levenberg_marquardt, normal_equations, occam_factor
+from valvesim.identification.least_squares import levenberg_marquardt, normal_equations, with_posterior
 from valvesim.identification.study import Study
 
 
@@ -33,7 +31,7 @@ def refined(study: Study, fit: Fit, known: np.ndarray | None = None) -> Fit:
         before, known = fit.chi_square, None
         fit, updated = levenberg_marquardt(study, fit, jacobian, enough)
         H, _ = normal_equations(fit, updated, options=study.options)
-        fit = replace(fit, occam_factor=occam_factor(H, fit, options=study.options))
+        fit = with_posterior(H, fit, options=study.options)
         if before - fit.chi_square < study.options.fit.refined_gain:
             break
     return fit
