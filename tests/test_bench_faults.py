@@ -881,7 +881,7 @@ def test_readings_the_other_way_round_are_told_without_a_search(tmp_path, monkey
         table = np.array([[float(v) for v in row.split(",")] for row in rows])
         table[:, [k for k, name in enumerate(header.split(",")) if name.split()[0] in case.channels]] *= -1.0
         np.savetxt(path, table, "%.10g", ",", header=header, comments="")
-    monkeypatch.setattr("valvesim.diagnosis.isolation._first_hypotheses", None)
+    monkeypatch.setattr("valvesim.diagnosis.isolation.first_hypotheses", None)
     found = vs.diagnose(tmp_path)
     assert found.reason == "misread_channels" and not found.extension_offered
 
@@ -894,7 +894,7 @@ def test_a_valve_far_from_the_stated_one_is_told_without_a_search(tmp_path, monk
     session = tmp_path / "session.toml"
     stated = 'spring_tube_stiffness = "20 N*m/rad"\nfeedback_rod_stiffness = "6000 N/m"\nnozzle_diameter = "0.5 mm"'
     session.write_text(session.read_text().replace("[[records]]", f"[valve]\n{stated}\n\n[[records]]", 1))
-    monkeypatch.setattr("valvesim.diagnosis.isolation._first_hypotheses", None)
+    monkeypatch.setattr("valvesim.diagnosis.isolation.first_hypotheses", None)
     found = vs.diagnose(tmp_path)
     assert (found.verdict, found.reason) == ("unknown", OTHER_VALVE) and not found.extension_offered
     assert "tolerances off" in found.summary and not found.gain_claimed

@@ -11,13 +11,14 @@ from hidden_plant import Run, draw, shortened, truth, write_session
 from marks import slow_but
 
 import valvesim as vs
-from valvesim.diagnosis import isolation, refits, second_cause
+from valvesim.diagnosis import first_hypotheses, refits, second_cause
 from valvesim.diagnosis.advice import advice_on_unknown
 from valvesim.diagnosis.answer_tables import candidate_answers, probability_of_both
 from valvesim.diagnosis.conclusion import gain_of_term, term_explains_more, verdict_of
 from valvesim.diagnosis.detection import rests_on_limits, unexplained_share
+from valvesim.diagnosis.first_hypotheses import _known_hypotheses, better_nominal
 from valvesim.diagnosis.holdout_gain import holdout_gain
-from valvesim.diagnosis.isolation import _better_nominal, _known_hypotheses, unknown_reason_of
+from valvesim.diagnosis.isolation import unknown_reason_of
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
@@ -568,10 +569,10 @@ def stretched(chi_square, most, *names):
 
 def test_what_is_known_from_elsewhere_and_cannot_be_fitted_here_is_left(monkeypatch):
     lap, air = explained(0.0, "spool_lap").fit, explained(0.0, "entrained_air").fit
-    monkeypatch.setattr(isolation, "evaluated_beside", lambda nominal, fit: replace(fit, chi_square=1.0))
-    monkeypatch.setattr(isolation, "answer_set_width", lambda nominal, best: 0.0)
+    monkeypatch.setattr(first_hypotheses, "evaluated_beside", lambda nominal, fit: replace(fit, chi_square=1.0))
+    monkeypatch.setattr(first_hypotheses, "answer_set_width", lambda nominal, best: 0.0)
     monkeypatch.setattr(
-        isolation,
+        first_hypotheses,
         "continue_from",
         lambda nominal, fit: None if fit.fitted == lap.fitted else replace(fit, chi_square=0.5),
     )
@@ -678,19 +679,19 @@ def test_the_base_is_fitted_again_where_a_hypothesis_explains_as_much_without_it
         assert fitted == ()
         return Fit(point, fitted, without[float(point[0])], (), np.zeros(1), 1.0)
 
-    monkeypatch.setattr(isolation, "evaluate_fit", evaluate_fit)
-    monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
-    monkeypatch.setattr(isolation, "refit_nominal", lambda nominal, fit, within: SimpleNamespace(
+    monkeypatch.setattr(first_hypotheses, "evaluate_fit", evaluate_fit)
+    monkeypatch.setattr(first_hypotheses, "rescored", lambda study, fit: fit)
+    monkeypatch.setattr(first_hypotheses, "refit_nominal", lambda nominal, fit, within: SimpleNamespace(
         study=None, fit=replace(fit, chi_square=ends)))  # fmt: skip
     nominal = SimpleNamespace(fit=nominal.fit, study=None)
     # not from the best, most of which needs its cause
-    better = _better_nominal(nominal, found, options=DIAGNOSIS)
+    better = better_nominal(nominal, found, options=DIAGNOSIS)
     assert better.fit.point == 1.0 and better.fit.chi_square == 205.0
     ends = 1001.0
-    assert _better_nominal(nominal, found, options=DIAGNOSIS) is None
-    assert _better_nominal(nominal, [], options=DIAGNOSIS) is None
+    assert better_nominal(nominal, found, options=DIAGNOSIS) is None
+    assert better_nominal(nominal, [], options=DIAGNOSIS) is None
     ends, without[1.0] = 205.0, 650.0
-    assert _better_nominal(nominal, found, options=DIAGNOSIS) is None
+    assert better_nominal(nominal, found, options=DIAGNOSIS) is None
 
 
 def test_beside_each_of_two_causes_others_are_tried(monkeypatch):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from valvesim.diagnosis import conclusion, detection, isolation, refits, second_cause
+from valvesim.diagnosis import conclusion, detection, first_hypotheses, isolation, refits, second_cause
 from valvesim.diagnosis.answer_tables import candidate_answers
 from valvesim.diagnosis.detection import beyond_noise, verified_chi_square
 from valvesim.diagnosis.joint_errors import JointErrors
@@ -213,10 +213,10 @@ def test_where_a_better_nominal_fit_needs_no_cause_the_search_is_made_again_and_
 
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
-    monkeypatch.setattr(isolation, "_first_hypotheses", first)
+    monkeypatch.setattr(isolation, "first_hypotheses", first)
     again = {id(base): better}
     monkeypatch.setattr(isolation, "with_inputs_of_cause", lambda nominal, cause, options: None)
-    monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: again.get(id(nominal)))
+    monkeypatch.setattr(isolation, "better_nominal", lambda nominal, found, options: again.get(id(nominal)))
     monkeypatch.setattr(isolation, "restarted", lambda nominal, found, likeliest, options: [])
     monkeypatch.setattr(isolation, "refined_hypotheses", lambda nominal, found, options: found)
     ended = isolation._isolated(
@@ -244,10 +244,10 @@ def test_where_the_best_cause_asks_for_another_way_of_the_commands_causes_are_so
 
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
-    monkeypatch.setattr(isolation, "_first_hypotheses", first)
+    monkeypatch.setattr(isolation, "first_hypotheses", first)
     monkeypatch.setattr(isolation, "without_corrections_of_laws", lambda nominal, found, options: found)
     monkeypatch.setattr(isolation, "with_inputs_of_cause", under)
-    monkeypatch.setattr(isolation, "_better_nominal", ended)
+    monkeypatch.setattr(isolation, "better_nominal", ended)
     with pytest.raises(StopIteration):
         isolation._isolated(base, score_test_of(base, base.fit), lambda *_: None, (), (), options=DIAGNOSIS)
     assert asked == [(base, base, []), (other, other, [again.fit])]
@@ -336,9 +336,9 @@ def test_what_the_bench_did_that_a_cause_leaves_joins_before_a_second_cause_is_s
         monkeypatch.setattr(isolation, name, lambda nominal, found, options: found)
     monkeypatch.setattr(isolation, "score_test", score_test_of)
     monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
-    monkeypatch.setattr(isolation, "_first_hypotheses", first)
+    monkeypatch.setattr(isolation, "first_hypotheses", first)
     monkeypatch.setattr(isolation, "with_inputs_of_cause", lambda nominal, cause, options: None)
-    monkeypatch.setattr(isolation, "_better_nominal", lambda nominal, found, options: None)
+    monkeypatch.setattr(isolation, "better_nominal", lambda nominal, found, options: None)
     monkeypatch.setattr(isolation, "bearable_beside_bench", lambda scores: 0.0)
     monkeypatch.setattr(isolation, "_verified", verified)
     monkeypatch.setattr(isolation, "judged", lambda one: one)
@@ -568,13 +568,14 @@ def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_other
     def fits(nominal, starts, point, progress, others, options):
         return [hypothesis(5000.0, "entrained_air") for (one,) in starts if one.candidate.name == "entrained_air"]
 
-    monkeypatch.setattr(isolation, "start_points", starts)
-    monkeypatch.setattr(isolation, "fit_starts", fits)
-    found, likeliest = isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)
+    monkeypatch.setattr(first_hypotheses, "start_points", starts)
+    monkeypatch.setattr(first_hypotheses, "fit_starts", fits)
+    scores = score_test_of(base, base.fit)
+    found, likeliest = first_hypotheses.first_hypotheses(base, scores, (), (), lambda share: None)
     assert [one.label for one in found] == ["entrained_air"] and likeliest == "entrained_air"
     assert asked == [set(), {"spool_lap"}]
-    monkeypatch.setattr(isolation, "fit_starts", lambda nominal, starts, point, progress, others, options: [])
-    assert isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)[0] == []
+    monkeypatch.setattr(first_hypotheses, "fit_starts", lambda nominal, starts, point, progress, others, options: [])
+    assert first_hypotheses.first_hypotheses(base, scores, (), (), lambda share: None)[0] == []
 
 
 @pytest.mark.parametrize("left, verified, pairs", [(4000.0, True, False), (9000.0, True, True), (4000.0, False, True)])
@@ -588,9 +589,9 @@ def test_pairs_are_fitted_unless_one_alone_explains_all_but_verified_noise(monke
         asked.extend(len(start) for start in starts)
         return [hypothesis(left, "spool_lap")]
 
-    monkeypatch.setattr(isolation, "start_points", lambda scores, failed: [(lap,), (lap, air)])
-    monkeypatch.setattr(isolation, "fit_starts", fits)
-    isolation._first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)
+    monkeypatch.setattr(first_hypotheses, "start_points", lambda scores, failed: [(lap,), (lap, air)])
+    monkeypatch.setattr(first_hypotheses, "fit_starts", fits)
+    first_hypotheses.first_hypotheses(base, score_test_of(base, base.fit), (), (), lambda share: None)
     assert asked == ([1, 2] if pairs else [1])
 
 
@@ -599,10 +600,10 @@ def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit
         raise SolveError("no valve")
 
     base, lap = nominal(9000.0), hypothesis(5000.0, "spool_lap")
-    monkeypatch.setattr(isolation, "evaluate_fit", not_run)
-    monkeypatch.setattr(isolation, "evaluated_beside", not_run)
-    assert isolation._known_hypotheses(base, [lap.fit], lambda share: None, options=DIAGNOSIS) == []
-    assert isolation._better_nominal(base, [lap], options=DIAGNOSIS) is None
+    monkeypatch.setattr(first_hypotheses, "evaluate_fit", not_run)
+    monkeypatch.setattr(first_hypotheses, "evaluated_beside", not_run)
+    assert first_hypotheses._known_hypotheses(base, [lap.fit], lambda share: None, options=DIAGNOSIS) == []
+    assert first_hypotheses.better_nominal(base, [lap], options=DIAGNOSIS) is None
 
 
 @pytest.mark.parametrize(
@@ -617,10 +618,10 @@ def test_a_hypothesis_that_cannot_be_simulated_here_is_no_better_place_for_a_fit
 )
 def test_a_nominal_fit_that_stopped_short_is_made_anew_from_a_hypothesis(monkeypatch, ends, without, reaches, better):
     base, lap, end = nominal(9000.0), hypothesis(ends, "spool_lap"), nominal(reaches)
-    monkeypatch.setattr(isolation, "evaluate_fit", lambda study, point, fitted, near=(): nominal(without).fit)
-    monkeypatch.setattr(isolation, "refit_nominal", lambda nominal, fit, within: end)
-    monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
-    assert isolation._better_nominal(base, [lap], options=DIAGNOSIS) is (end if better else None)
+    monkeypatch.setattr(first_hypotheses, "evaluate_fit", lambda study, point, fitted, near=(): nominal(without).fit)
+    monkeypatch.setattr(first_hypotheses, "refit_nominal", lambda nominal, fit, within: end)
+    monkeypatch.setattr(first_hypotheses, "rescored", lambda study, fit: fit)
+    assert first_hypotheses.better_nominal(base, [lap], options=DIAGNOSIS) is (end if better else None)
 
 
 @pytest.mark.parametrize("apart, fits", [(0.0, 1), (0.04, 1), (0.06, 2), (5.0, 2)])
@@ -637,11 +638,11 @@ def test_a_nominal_fit_is_begun_once_of_hypotheses_that_have_gone_to_one_point(m
     def evaluated(study, point, fitted, near=()):
         return replace(first.fit, point=point)
 
-    monkeypatch.setattr(isolation, "evaluate_fit", evaluated)
-    monkeypatch.setattr(isolation, "refit_nominal", refit)
-    monkeypatch.setattr(isolation, "rescored", lambda study, fit: fit)
+    monkeypatch.setattr(first_hypotheses, "evaluate_fit", evaluated)
+    monkeypatch.setattr(first_hypotheses, "refit_nominal", refit)
+    monkeypatch.setattr(first_hypotheses, "rescored", lambda study, fit: fit)
     # the first ends 19 better, for 20 that are asked; half of what the second explains is 15
-    better = isolation._better_nominal(base, [second, first], options=DIAGNOSIS)
+    better = first_hypotheses.better_nominal(base, [second, first], options=DIAGNOSIS)
     assert better.fit.chi_square == 8998.0 - 17.0 * fits and len(begun) == fits
 
 
