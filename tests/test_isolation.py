@@ -330,7 +330,8 @@ def test_what_the_bench_did_that_a_cause_leaves_joins_before_a_second_cause_is_s
         return nominal, scores, found, scores
 
     same = lambda nominal, found, *more, options, of_fitted=False: []  # noqa: E731
-    for name in ("restarted", "plainer_hypotheses", "alike_hypotheses", "hypotheses_at_other_shapes"):
+    alike = ("unfitted_plainer_hypotheses", "plainer_hypotheses", "alike_hypotheses", "hypotheses_at_other_shapes")
+    for name in ("restarted", *alike):
         monkeypatch.setattr(isolation, name, same)
     for name in ("refined_hypotheses", "without_corrections_of_laws", "reduced_hypotheses"):
         monkeypatch.setattr(isolation, name, lambda nominal, found, options: found)

@@ -17,6 +17,7 @@ from valvesim.diagnosis.refits import (
     plainer_hypotheses,
     reduced_hypotheses,
     restarted,
+    unfitted_plainer_hypotheses,
 )
 from valvesim.diagnosis.score_test import ScoreTest, search_size
 from valvesim.diagnosis.second_cause import at_full_weight, with_other_pairs, with_second_cause
@@ -247,6 +248,30 @@ def test_the_plainer_effect_is_fitted_in_the_place_of_one_that_may_be_it(fitted)
     short = FittedHypothesis(stopped, options=DIAGNOSIS)
     (again,) = plainer_hypotheses(nominal, [best, short], options=DIAGNOSIS)  # from its own amplitude
     assert again.fit.chi_square == 990.0 and again.fit.fitted[0].above_neutral == 0.7
+
+
+def test_the_plainer_effect_of_any_single_cause_is_fitted_if_it_was_not(monkeypatch):
+    """A lag of an amplifier of d' 13 had shown by 4.7 where eddy currents did by 8.5, and these were named for sure
+    (`amplifier_lag` 1310103).
+    """
+    names = ("amplifier_lag", "amplifier_second_order_lag", "eddy_current_lag")
+    lag, second_order, eddy = (Candidate(name, CATALOGUE[name]) for name in names)
+    nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(lag, second_order, eddy)))
+    begun = []
+
+    def from_prior(nominal, start):
+        begun.append(start)
+        return replace(hypothesis(900.0).fit, fitted=start)
+
+    monkeypatch.setattr(refits, "fit_from_prior", from_prior)
+    found = [hypothesis(1000.0, eddy), hypothesis(1500.0, second_order)]
+    (plainer,) = unfitted_plainer_hypotheses(nominal, found, options=DIAGNOSIS)
+    ((member,),) = begun
+    assert plainer.label == "amplifier_lag" and member.candidate is lag and member.above_neutral == lag.typical
+    known = [*found, hypothesis(1600.0, lag)]
+    for others, left_out in ((known, set()), (found, {"amplifier_lag"}), (found[:1], set())):
+        assert unfitted_plainer_hypotheses(nominal, others, left_out, options=DIAGNOSIS) == []
+    assert unfitted_plainer_hypotheses(nominal, [hypothesis(1500.0, second_order, eddy)], options=DIAGNOSIS) == []
 
 
 def test_an_effect_alike_that_stopped_short_is_fitted_from_the_figures_of_the_best(fitted):

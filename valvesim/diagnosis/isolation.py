@@ -65,6 +65,7 @@ from valvesim.diagnosis.refits import (
     reduced_hypotheses,
     refined_hypotheses,
     restarted,
+    unfitted_plainer_hypotheses,
 )
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.rival_term import rival_terms
@@ -458,6 +459,7 @@ def _fitted_further(
     """
     found = [*found, *hypotheses_at_other_shapes(nominal, found, left_out, of_fitted=True, options=options)]
     found += restarted(nominal, found, likeliest, options=options)
+    found += unfitted_plainer_hypotheses(nominal, found, left_out, options=options)
     found += plainer_hypotheses(nominal, found, left_out, options=options)
     found += alike_hypotheses(nominal, found, left_out, options=options)
     found += hypotheses_at_other_shapes(nominal, found, left_out, options=options)

@@ -266,6 +266,24 @@ def plainer_hypotheses(
     return _fitted_in_place(nominal, _without(left_out, starts), best, options=options)
 
 
+def unfitted_plainer_hypotheses(
+    nominal: NominalFit,
+    found: Sequence[FittedHypothesis],
+    left_out: Set[str] = frozenset(),
+    *,
+    options: DiagnosisOptions,
+) -> list[FittedHypothesis]:
+    """The plainer effects of the single causes found that were not fitted themselves, from within the tolerances at
+    what is typical of them: linear answers about an effect that is far off may show too little of it to begin with.
+    Labels `left_out` have been fitted.
+    """
+    alone = [one.candidates[0] for one in found if len(one.candidates) == 1]
+    unfitted = {_plainer(candidate) for candidate in alone} - {candidate.name for candidate in alone}
+    plainer = {c.name: c for c in nominal.study.candidates if c.name in unfitted}
+    starts = [(with_shapes(candidate, candidate.typical),) for candidate in plainer.values()]
+    return _fitted_from_prior(nominal, _without(left_out, starts), options=options)
+
+
 def alike_hypotheses(
     nominal: NominalFit,
     found: Sequence[FittedHypothesis],
