@@ -9,7 +9,7 @@ from hidden_plant import draw
 
 from valvesim import diagnose
 from valvesim.diagnosis import coarse_to_fine as leading_segments  # noqa: E402
-from valvesim.diagnosis import isolation
+from valvesim.diagnosis import first_hypotheses
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
 from valvesim.diagnosis.coarse_to_fine import leading_segments as beginnings_of
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -113,8 +113,8 @@ def test_in_a_long_session_what_its_beginnings_show_is_fitted_to_the_whole(sessi
         searched_in.append(len(scores.fit.readings[0]["load_flow"]))
         return own(scores, failed)
 
-    own = isolation.start_points
-    monkeypatch.setattr(isolation, "start_points", starts)
+    own = first_hypotheses.start_points
+    monkeypatch.setattr(first_hypotheses, "start_points", starts)
     found = diagnose(session, progress=lambda stage, share: stages.append((stage, share)), options=LONG)
     assert found.causes == ("sensor_bias",)
     hidden = dict(draw(9, "sensor", name="sensor_bias").hidden)["sensor_bias"]["bias"]
