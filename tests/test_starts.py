@@ -251,8 +251,8 @@ def test_the_plainer_effect_is_fitted_in_the_place_of_one_that_may_be_it(fitted)
 
 
 def test_the_plainer_effect_of_any_single_cause_is_fitted_if_it_was_not(monkeypatch):
-    """A lag of an amplifier of d' 13 had shown by 4.7 where eddy currents did by 8.5, and these were named for sure
-    (`amplifier_lag` 1310103).
+    """An amplifier's lag that explains 172 had shown by 4.7 where eddy currents did by 8.5, and these were named for
+    sure (`amplifier_lag` 1310103).
     """
     names = ("amplifier_lag", "amplifier_second_order_lag", "eddy_current_lag")
     lag, second_order, eddy = (Candidate(name, CATALOGUE[name]) for name in names)
