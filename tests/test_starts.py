@@ -269,7 +269,8 @@ def test_the_plainer_effect_of_any_single_cause_is_fitted_if_it_was_not(monkeypa
     ((member,),) = begun
     assert plainer.label == "amplifier_lag" and member.candidate is lag and member.above_neutral == lag.typical
     known = [*found, hypothesis(1600.0, lag)]
-    for others, left_out in ((known, set()), (found, {"amplifier_lag"}), (found[:1], set())):
+    is_best = [hypothesis(1000.0, second_order), hypothesis(1500.0, eddy)]
+    for others, left_out in ((known, set()), (found, {"amplifier_lag"}), (found[:1], set()), (is_best, set())):
         assert unfitted_plainer_hypotheses(nominal, others, left_out, options=DIAGNOSIS) == []
     assert unfitted_plainer_hypotheses(nominal, [hypothesis(1500.0, second_order, eddy)], options=DIAGNOSIS) == []
 

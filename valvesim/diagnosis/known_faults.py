@@ -1,6 +1,6 @@
-"""What a bench may do that no record tells, as it is told, and what of it the readings tell.
+"""Faults of a bench that no record tells: their parameters, their words, and which are significant in a fit.
 
-What is told goes by a Wald statistic, beside the cause that is named (Wald 1943).
+That goes by a Wald statistic, beside the cause that is named (Wald 1943).
 """
 
 from __future__ import annotations

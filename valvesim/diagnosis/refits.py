@@ -275,10 +275,11 @@ def unfitted_plainer_hypotheses(
 ) -> list[FittedHypothesis]:
     """The plainer effects of the single causes found that were not fitted themselves, from within the tolerances at
     what is typical of them: linear answers about an effect that is far off may show too little of it to begin with.
-    Labels `left_out` have been fitted.
+    Those of the best are left to `plainer_hypotheses`, and labels `left_out` have been fitted.
     """
     alone = [one.candidates[0] for one in found if len(one.candidates) == 1]
-    unfitted = {_plainer(candidate) for candidate in alone} - {candidate.name for candidate in alone}
+    of_best = {_plainer(c) for one in distinct(found, options=options)[:1] for c in one.candidates}
+    unfitted = {_plainer(candidate) for candidate in alone} - {candidate.name for candidate in alone} - of_best
     plainer = {c.name: c for c in nominal.study.candidates if c.name in unfitted}
     starts = [(with_shapes(candidate, candidate.typical),) for candidate in plainer.values()]
     return _fitted_from_prior(nominal, _without(left_out, starts), options=options)

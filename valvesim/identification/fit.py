@@ -80,6 +80,10 @@ class Fit:
         """The same nuisance parameters with other candidates; the trajectories are not theirs and are left."""
         return replace(self, fitted=tuple(fitted), wald_statistics=(), trajectories=())
 
+    def with_posterior_of(self, other: Fit) -> Fit:
+        """The same with what the normal equations of another fit of its candidates tell of them."""
+        return replace(self, occam_factor=other.occam_factor, wald_statistics=other.wald_statistics)
+
     def variant(self, nominal: NominalModel) -> ModelVariant:
         """The valve and effects of this fit."""
         variant = nominal.at(self.point)

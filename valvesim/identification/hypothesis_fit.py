@@ -138,8 +138,7 @@ def evaluated_beside(nominal: NominalFit, fit: Fit) -> Fit:
     InputError where it cannot be simulated.
     """
     point = np.append(fit.point[: len(nominal.fit.point)], nominal.fit.point[len(fit.point) :])
-    beside = evaluate_fit(nominal.study, point, fit.fitted, nominal.fit.trajectories)
-    return replace(beside, occam_factor=fit.occam_factor, wald_statistics=fit.wald_statistics)
+    return evaluate_fit(nominal.study, point, fit.fitted, nominal.fit.trajectories).with_posterior_of(fit)
 
 
 def continue_from(nominal: NominalFit, fit: Fit, worthwhile: float | None = None) -> Fit | None:
@@ -206,8 +205,8 @@ def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int, worthwhile
         )
         fit = rescored(study, near)
         if worthwhile is not None and near.chi_square > worthwhile:
-            fit = replace(fit, occam_factor=near.occam_factor, wald_statistics=near.wald_statistics)
-            return replace(fit, predicted_reduction=near.predicted_reduction, trajectories=())
+            promised = near.predicted_reduction
+            return replace(fit.with_posterior_of(near), predicted_reduction=promised, trajectories=())
         linearised, columns = linearise_fit(study, fit)
     return _iterate_to_end(
         study,
