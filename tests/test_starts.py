@@ -573,6 +573,7 @@ def test_samples_count_in_full_where_the_best_can_follow_their_peaks_and_the_inp
     full = SimpleNamespace(**vars(NOMINAL), name="full")
     monkeypatch.setattr(second_cause, "unweighted", lambda nominal: full)
     monkeypatch.setattr(second_cause, "rescored", lambda study, fit: replace(fit, chi_square=peaks))
+    monkeypatch.setattr(second_cause, "_refitted_from", lambda nominal, point: nominal)
     fitted.ends |= {} if ends is None else {"spool_lap": ends}
     found = [hypothesis(1900.0, LAP)]
     before = scores({AIR: 0.1}, found[0].fit)
@@ -582,6 +583,30 @@ def test_samples_count_in_full_where_the_best_can_follow_their_peaks_and_the_inp
         assert again is found and final is before
     else:
         assert again[0].fit.chi_square == ends and final.fit is again[0].fit
+
+
+@pytest.mark.parametrize("left, stands", [(2000.0, "anew"), (3000.0, "full"), (None, "full")])
+def test_at_full_weight_what_is_explained_is_counted_from_a_nominal_fit_at_its_end(fitted, monkeypatch, left, stands):
+    """Where it ended with samples down-weighted it left 6.1 million of which 96,898 were left by the end: half a
+    thousandth of that hid a true second cause (pair 223534).
+    """
+    full, anew = (SimpleNamespace(**vars(NOMINAL), name=name) for name in ("full", "anew"))
+    monkeypatch.setattr(second_cause, "has_uncertain_inputs", lambda study: False)
+    monkeypatch.setattr(second_cause, "unweighted", lambda nominal: full)
+    monkeypatch.setattr(second_cause, "rescored", lambda study, fit: replace(fit, chi_square=1000.0))
+    monkeypatch.setattr(second_cause, "linearised_at", lambda *_, full_weight: anew if full_weight else None)
+    begun = []
+
+    def without_causes(nominal, start, point):
+        begun.append((nominal, start, point))
+        return None if left is None else hypothesis(left).fit
+
+    monkeypatch.setattr(second_cause, "fit_hypothesis", without_causes)
+    fitted.ends |= {"spool_lap": 1000.0}
+    found = [hypothesis(1900.0, LAP)]
+    nominal, again, final = at_full_weight(NOMINAL, found, scores({AIR: 0.1}, found[0].fit))
+    assert nominal.name == stands and again[0].fit.chi_square == 1000.0
+    assert begun[0] == (full, (), found[0].fit.point) and begun[1] == (nominal, (), again[0].fit.point)
 
 
 def test_at_full_weight_a_second_cause_is_looked_for_beside_others_than_the_one_that_it_was_found_with(
@@ -595,6 +620,7 @@ def test_at_full_weight_a_second_cause_is_looked_for_beside_others_than_the_one_
     monkeypatch.setattr(second_cause, "has_uncertain_inputs", lambda study: False)
     monkeypatch.setattr(second_cause, "unweighted", lambda nominal: full)
     monkeypatch.setattr(second_cause, "rescored", lambda study, fit: replace(fit, chi_square=1000.0))
+    monkeypatch.setattr(second_cause, "_refitted_from", lambda nominal, point: nominal)
     monkeypatch.setattr(second_cause, "with_second_cause", lambda nominal, final, found: (found_with, final))
     monkeypatch.setattr(
         second_cause, "with_other_pairs", lambda nominal, found, final: asked.append(found) or ([other, *found], final)

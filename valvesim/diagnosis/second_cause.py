@@ -30,7 +30,7 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test
 from valvesim.diagnosis.starts import at_typical, best_of_labels, linear_amplitude, single_starts, typical_starts
 from valvesim.identification.fit import Fit, FittedCandidate, is_adequate, rescored
 from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis, reductions_from_prior
-from valvesim.identification.nominal_fit import NominalFit, has_uncertain_inputs, unweighted
+from valvesim.identification.nominal_fit import NominalFit, has_uncertain_inputs, linearised_at, unweighted
 
 
 def with_second_cause(
@@ -237,6 +237,16 @@ def effects_for_parameters(
     return merged, final, start_keys(likeliest)
 
 
+def _refitted_from(nominal: NominalFit, point: np.ndarray) -> NominalFit:
+    """The nominal fit, or the nominal model fitted from the point (p,) of a hypothesis where that leaves less: a fit at
+    its end with samples down-weighted is not so at full weight, and what hypotheses explain is counted from it.
+    """
+    fit = fit_hypothesis(nominal, (), point)
+    if fit is None or fit.chi_square >= nominal.fit.chi_square:
+        return nominal
+    return linearised_at(nominal.study, fit.point, full_weight=True)
+
+
 def at_full_weight(
     nominal: NominalFit, found: list[FittedHypothesis], final: ScoreTest
 ) -> tuple[NominalFit, list[FittedHypothesis], ScoreTest]:
@@ -252,6 +262,7 @@ def at_full_weight(
     best = rescored(full.study, found[0].fit)
     if best.chi_square > limits.peak_ratio * limits.inadequate_ratio * best.rows:  # no step follows peaks so far off
         return nominal, found, final
+    full = _refitted_from(full, best.point)
     again = distinct(
         [each for one in near for each in fit_starts(full, [one.fit.fitted], one.fit.point, options=final.options)],
         options=final.options,
@@ -263,4 +274,4 @@ def at_full_weight(
     found, final = with_second_cause(full, score_test(full, found[0].fit, options=final.options), found)
     if len(found[0].candidates) > causes:  # beside one of several alike, where the others may be likelier
         found, final = with_other_pairs(full, found, final)
-    return full, found, final
+    return _refitted_from(full, found[0].fit.point), found, final
