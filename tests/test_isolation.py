@@ -99,6 +99,7 @@ def inputs_are_all_measured(monkeypatch):
     monkeypatch.setattr(isolation, "with_assumed_inputs", lambda nominal, scores, options: (nominal, scores))
     monkeypatch.setattr(isolation, "cause_under_other_inputs", lambda nominal, best, options: None)
     monkeypatch.setattr(isolation, "instrument_errors_are_insignificant", lambda scores, least_gain, options: False)
+    monkeypatch.setattr(isolation, "all_instrument_errors", lambda scores, least_gain: None)
 
 
 @pytest.mark.parametrize("beside, alarm", [(100.0, True), (1e8, False)])
@@ -481,16 +482,19 @@ def test_causes_are_sought_without_errors_of_instruments_that_explain_only_toget
 
 
 @pytest.mark.parametrize(
-    "together, shows, left, taken",
+    "together, shows, left, taken, beside",
     [
-        (None, 9.0, 4840.0, False),  # they explain no more than chance, or one of them is told
-        (JointErrors(100.0, (), 5080.0), 3.0, 4840.0, False),  # no second cause shows without them
-        (JointErrors(100.0, (), 5080.0), 9.0, 4900.0, False),  # one is found, and they are as likely
-        (JointErrors(100.0, (), 5080.0), 9.0, 4840.0, True),
+        (None, 9.0, 4840.0, False, False),  # they explain no more than chance
+        (JointErrors(100.0, (), 5080.0), 3.0, 4840.0, False, False),  # no second cause shows without them
+        (JointErrors(100.0, (), 5080.0), 9.0, 5200.0, False, False),  # one is found, and they are likelier
+        (JointErrors(100.0, (), 5080.0), 9.0, 4958.0, False, True),  # they are as likely
+        (JointErrors(100.0, (), 5080.0), 9.0, 4840.0, True, False),
     ],
 )
-def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together, shows, left, taken):
-    """Oil that was off by some tenths of a kelvin in four records had taken a cavitation up (130015, 130026)."""
+def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together, shows, left, taken, beside):
+    """Oil that was off by some tenths of a kelvin in four records had taken a cavitation up (130015, 130026); a meter
+    off a straight line by 0.26 % did what a saturation does, and the cause beside it was told for sure (pair 223017).
+    """
     base, plain = nominal(9000.0), nominal(9100.0)
     alone, pair = hypothesis(4900.0, "spool_lap"), hypothesis(left, "spool_lap", "flapper_cavitation")
     scores = score_test_of(base, base.fit)
@@ -508,7 +512,8 @@ def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together
         "told_faults": lambda scores, options: (),
         "channel_apart": lambda nominal, scores, options: None,
         "_isolated": isolated,
-        "joint_instrument_errors": lambda final, least, *, options: together,
+        "all_instrument_errors": lambda final, least: together,
+        "evaluate_fit": lambda study, point, fitted, near: hypothesis(left, "spool_lap", "flapper_cavitation").fit,
         "without_instrument_errors": lambda nominal: plain,
         "fit_starts": lambda nominal, starts, point, *, options: [hypothesis(4990.0, "spool_lap")],
         "nuisance_occam_factor": lambda scores: 120.0,
@@ -516,7 +521,12 @@ def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together
     }.items():
         monkeypatch.setattr(isolation, name, stub)
     found = isolation.isolate(base, lambda stage, share: None, options=DIAGNOSIS)
-    assert found.found == (without.found if taken else beside_errors.found)
+    rivals = found.found[1:] if beside else []
+    assert found.found == (without.found if taken else [*beside_errors.found, *rivals])
+    assert found.answer_set == (without.answer_set if taken else [*beside_errors.answer_set, *rivals])
+    if beside:
+        (rival,) = rivals
+        assert rival.label == pair.label and alone.evidence <= rival.evidence < alone.evidence + 6.0
     assert found.joint_errors is (together if taken else None)
     assert seen[1:] == ([(plain, [alone.fit.fitted], 0)] if together is not None and shows > 3.5 else [])
 

@@ -41,6 +41,7 @@ from valvesim.diagnosis.input_alternatives import (
 )
 from valvesim.diagnosis.joint_errors import (
     JointErrors,
+    all_instrument_errors,
     instrument_errors_are_insignificant,
     joint_instrument_errors,
     without_instrument_errors,
@@ -50,6 +51,7 @@ from valvesim.diagnosis.model_discrepancy import with_model_discrepancy
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
+    answer_set_width,
     distinct,
     ranked,
     with_minimum_gain,
@@ -166,10 +168,10 @@ def isolate(
     errors = None if isolation.answer_set else joint_instrument_errors(isolation.scores, options=options)
     if errors is not None and not isolation.alarm:
         isolation = _or_causes_like_errors(isolation, errors, progress, options=options)
-    elif (other := _with_second_like_errors(isolation, progress, options=options)) is not None:
-        isolation, errors = other
-    else:
-        isolation = _or_second_without_insignificant_errors(isolation, progress, options=options)
+    elif errors is None:
+        isolation, errors = _with_second_like_errors(isolation, progress, options=options)
+        if errors is None:
+            isolation = _or_second_without_insignificant_errors(isolation, progress, options=options)
     if adequate and isolation.alarm and not isolation.answer_set:
         channel = channel_apart(*begun, options=options)
     bench = told_faults(isolation.final, options=options)
@@ -235,35 +237,92 @@ def _or_causes_like_errors(
 
 def _with_second_like_errors(
     isolation: Isolation, progress: Callable[[str, float], None], *, options: DiagnosisOptions
-) -> tuple[Isolation, JointErrors] | None:
-    """An isolation beside one cause without errors of the instruments, none of which is told by itself, and these
-    errors, where a second cause is likelier than they are: it may act like several of them. None where there is none.
+) -> tuple[Isolation, JointErrors | None]:
+    """An isolation beside one cause without errors of the instruments, and these errors, where a second cause is
+    likelier than they are: it may act like several of them, or like one where other readings hardly show it. Else the
+    isolation as it was, its answer set with what explains nearly as much without errors, and None.
     """
-    nominal, level = isolation.nominal, isolation.second_level
     if not isolation.answer_set or len(isolation.found[0].candidates) > 1:
-        return None
-    errors = joint_instrument_errors(isolation.final, level**2, options=options)
-    if errors is None:
-        return None
-    best, study = isolation.found[0], nominal.study
-    most = errors.evidence + best.evidence - best.fit.chi_square - options.selection.answer_ratio
+        return isolation, None
+    best, nominal, ratio = isolation.found[0], isolation.nominal, options.selection.answer_ratio
+    errors = all_instrument_errors(isolation.final, isolation.second_level**2)
+    own = np.inf if errors is None else errors.evidence + best.evidence - best.fit.chi_square
+    other = None if errors is None else _second_without_errors(isolation, own + ratio, progress, options=options)
+    if other is None:
+        return isolation, None
+    likeliest = min(other.answer_set, key=other.evidence, default=None)
+    if likeliest is not None and len(likeliest.candidates) > 1 and other.evidence(likeliest) < own - ratio:
+        return other.isolation, errors
+    most = own + answer_set_width(nominal, best)
+    rivals = [
+        _with_errors_at_zero(nominal, other, one, best.evidence + max(other.evidence(one) - own, 0.0))
+        for one in other.answer_set
+        if len(one.candidates) > 1
+        and other.evidence(one) < most
+        and other.names.keys() <= {p.name for p in nominal.study.nominal.parameters}
+        and any(alone.is_within(one) for alone in isolation.answer_set)
+    ]
+    found, answer_set = [*isolation.found, *rivals], [*isolation.answer_set, *rivals]
+    return replace(isolation, found=found, answer_set=answer_set), None
+
+
+@dataclass(frozen=True, eq=False)
+class _WithoutErrors:
+    """An isolation without errors of the instruments, and the score test of its nominal fit; `study` the one with them,
+    by which hypotheses are weighed.
+    """
+
+    isolation: Isolation
+    scores: ScoreTest
+    study: Study
+
+    @property
+    def answer_set(self) -> Sequence[FittedHypothesis]:
+        """The answer set without errors."""
+        return self.isolation.answer_set
+
+    @property
+    def names(self) -> dict[str, int]:
+        """The nuisance parameters of its model by name, and where they are."""
+        return {p.name: k for k, p in enumerate(self.isolation.nominal.study.nominal.parameters)}
+
+    def evidence(self, one: FittedHypothesis) -> float:
+        """That of a hypothesis without errors, weighted as with them."""
+        return _evidence_under(self.study, one, self.scores)
+
+
+def _second_without_errors(
+    isolation: Isolation, most: float, progress: Callable[[str, float], None], *, options: DiagnosisOptions
+) -> _WithoutErrors | None:
+    """The isolation beside its one cause without errors of the instruments; None where what shows there promises no
+    second cause of less than a value `most` of minus twice the log evidence.
+    """
+    best, study = isolation.found[0], isolation.nominal.study
     plain, known = _without_errors(isolation)
     alone = _without_faults(options)
     scores = score_test(plain, plain.fit, options=alone)
-
-    def evidence(one: FittedHypothesis) -> float:
-        """That of a hypothesis without errors, weighted as with them."""
-        return _evidence_under(study, one, scores)
-
     one = fit_starts(plain, [best.fit.fitted], known[0].point, options=alone)[:1]
     shows = [float(np.max(score_test(plain, each.fit, options=alone).z(), initial=0.0)) for each in one]
-    if not one or shows[0] < level or evidence(one[0]) - shows[0] ** 2 > most:
+    if not one or shows[0] < isolation.second_level:
         return None
-    other = _isolated(plain, scores, progress, known, [], options=alone)
-    likeliest = min(other.answer_set, key=evidence, default=None)
-    if likeliest is None or len(likeliest.candidates) == 1 or evidence(likeliest) > most:
+    if _evidence_under(study, one[0], scores) - shows[0] ** 2 > most:
         return None
-    return other, errors
+    return _WithoutErrors(_isolated(plain, scores, progress, known, [], options=alone), scores, study)
+
+
+def _with_errors_at_zero(
+    nominal: NominalFit, other: _WithoutErrors, one: FittedHypothesis, evidence: float
+) -> FittedHypothesis:
+    """A hypothesis without errors of the instruments in the model that has them, where its evidence is to be so much:
+    it does without the figures of these.
+    """
+    names = other.names
+    point = np.array([
+        one.fit.point[names[p.name]] if p.name in names else 0.0 for p in nominal.study.nominal.parameters
+    ])  # fmt: skip
+    fit = evaluate_fit(nominal.study, point, one.fit.fitted, nominal.fit.trajectories).with_posterior_of(one.fit)
+    within = replace(one, fit=fit)
+    return replace(one, fit=replace(fit, occam_factor=fit.occam_factor + evidence - within.evidence))
 
 
 def _or_second_without_insignificant_errors(

@@ -33,17 +33,22 @@ class JointErrors:
         return ", ".join(self.fewest) or "a little of each"
 
 
-def joint_instrument_errors(
-    scores: ScoreTest, least_gain: float | None = None, *, options: DiagnosisOptions
-) -> JointErrors | None:
-    """Errors of the instruments by a fit; None where one of them is told by itself, or where they explain no more than
-    chance and `least_gain` (`minimum_gain` where that is not given). A cause may act like several at once.
+def joint_instrument_errors(scores: ScoreTest, *, options: DiagnosisOptions) -> JointErrors | None:
+    """Errors of the instruments by a fit, none of which is told by itself: a cause may act like several at once. None
+    where one is, or where they explain no more than chance and `minimum_gain`.
     """
-    least_gain = options.bench.minimum_gain if least_gain is None else least_gain
+    told = significant_faults(scores, options=options)
+    return None if told else all_instrument_errors(scores, options.bench.minimum_gain)
+
+
+def all_instrument_errors(scores: ScoreTest, least_gain: float) -> JointErrors | None:
+    """Errors of the instruments by a fit, told by themselves or not; None where they explain no more than chance and
+    `least_gain`.
+    """
     study = scores.study
     at = {p.name: k for k, p in enumerate(study.nominal.parameters)}
     errors, together = _errors_together(scores)
-    if together <= least_gain + len(errors) or significant_faults(scores, options=options):
+    if together <= least_gain + len(errors):
         return None
     faults = [fault for fault in all_known_faults(study) if errors.issuperset(p.name for p in fault.parameters)]
     kept = {k: [at[p.name] for p in fault.parameters] for k, fault in enumerate(faults)}
