@@ -419,7 +419,8 @@ def test_nested_hypotheses_are_told_apart_by_how_the_gain_goes_on():
     assert nested_power(0.1, 20.0, asked, forgone, 0.5) < 1e-6  # a test that shows nothing leaves both
     rng, gain, d = np.random.default_rng(3), 20.0, 4.0
     whole = gain + d**2
-    for probability, mean in ((1.0, whole), (0.0, gain)):
+    as_fitted = 1.0 + rng.normal(size=200_000) / np.sqrt(gain)  # the amplitude in units of what was fitted
+    for probability, mean in ((1.0, gain + d**2 * as_fitted), (0.0, gain)):
         after = (mean + d * rng.normal(size=200_000)) ** 2 / whole
         told = np.mean(after > asked) if probability else np.mean(after < forgone)
         assert nested_power(d, gain, asked, forgone, probability) == pytest.approx(told, abs=0.005)

@@ -9,7 +9,8 @@ Symbols
     first is true and Phi((d^2 - b - w)/(2 d)) where the second is; b the least and the most of several that count
     nested: the larger of two has all that the smaller has and something besides, by which it explains g more so far,
     and which is d in further records. Of these the larger explains more, N standard normal,
-    (g + d^2 + d N)^2/(g + d^2) if it is true as fitted, and (g + d N)^2/(g + d^2) if the smaller is
+    (g + d^2 + d s N)^2/(g + d^2) if it is true, and (g + d N)^2/(g + d^2) if the smaller is; s^2 = 1 + d^2/g, for the
+    amplitude that was fitted, and d with it, is known to 1/sqrt(g) of itself
 """
 
 from __future__ import annotations
@@ -63,10 +64,11 @@ def nested_power(distance: float, gain: float, asked: float, forgone: float, pro
 
     if distance <= 0.0:
         return 0.0
+    unsure = np.sqrt(1.0 + distance**2 / max(gain, 1.0))
     gain = max(gain, 0.0)
     whole = gain + distance**2
     enough, little = np.sqrt(asked * whole), np.sqrt(forgone * whole)
-    larger = norm.cdf((whole - enough) / distance)
+    larger = norm.cdf((whole - enough) / (distance * unsure))
     smaller = norm.cdf((little - gain) / distance) - norm.cdf((-little - gain) / distance)
     return float(probability * larger + (1.0 - probability) * smaller)
 
