@@ -111,6 +111,14 @@ class FittedHypothesis:
             any(mine.label == c.label or mine.is_equivalent_to(c) for c in other.candidates) for mine in self.candidates
         )
 
+    def refines(self, plainer: FittedHypothesis) -> bool:
+        """Whether this is another hypothesis but for one law, as common as that in its place, which it holds."""
+        labels, others = ({c.label: c for c in one.candidates} for one in (self, plainer))
+        own = [c.effect for label, c in labels.items() if label not in others]
+        replaced = [c.name for label, c in others.items() if label not in labels]
+        alike = len(self.candidates) == len(plainer.candidates) and len(own) == 1
+        return alike and own[0] is not None and own[0].as_common and [own[0].plainer] == replaced
+
     def has_same_causes(self, other: FittedHypothesis) -> bool:
         """Whether another hypothesis has just these candidates."""
         return len(self.candidates) == len(other.candidates) and self.is_within(other)
@@ -227,7 +235,8 @@ def tempered_deviances(nominal: NominalFit, found: Sequence[FittedHypothesis], l
 
     A pair that has the likeliest single cause stands to it by its odds (`odds_of_second`), where the temperature puts
     it further behind: before it where it is likelier than all single ones that would stand before it, the likeliest of
-    them by the odds of an answer set at most, the others by so much less.
+    them by the odds of an answer set at most, the others by so much less. A law as common as the plainer one that it
+    holds stands before that where it explains more than by chance, however wide the priors of its shapes are.
     """
     temperature = temperature_of(nominal, found[0])
     values = [one.tempered(temperature) for one in found]
@@ -240,6 +249,11 @@ def tempered_deviances(nominal: NominalFit, found: Sequence[FittedHypothesis], l
     above = max(max(odds.values(), default=0.0) - found[0].options.selection.answer_ratio, 0.0)
     for k, own in odds.items():
         values[k] = min(values[k], values[single[0]] - temperature * (own - above))
+    for k, one in enumerate(found):
+        for j, plainer in enumerate(found):
+            more = plainer.fit.chi_square - one.fit.chi_square - one.options.selection.law_gain
+            if more > 0.0 and one.refines(plainer):
+                values[k] = min(values[k], values[j] - more)
     return values
 
 

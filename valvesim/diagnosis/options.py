@@ -219,6 +219,12 @@ class SelectionOptions:
     second_gain: float = option(
         30.0, "1", "chi-square that a second cause must explain", "what a plant does otherwise than any model"
     )
+    law_gain: float = option(
+        1.0,
+        "1",
+        "chi-square that a law as common explains by chance beyond the plainer one that it holds",
+        "at the end of one of its shapes the others have no effect: half of a chi-square of one",
+    )
     negligible_amplitude: float = option(
         2e-4, "1", "share of the typical amplitude below which there is none", "twice `least_amplitude` of the fit"
     )

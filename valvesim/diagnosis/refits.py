@@ -521,6 +521,20 @@ def refined_hypotheses(
     return [*better, *(one for one in found if not any(one is other for other in near))]
 
 
+def with_converged_laws(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The found, best first, with those near the best fitted to their ends that differ by laws as common: these are
+    weighed by less than fits stop short of.
+    """
+    width = answer_set_width(nominal, found[0]) if found else 0.0
+    near = [one for one in found if one.evidence < found[0].evidence + width]
+    laws = [one for one in near if any(one.refines(other) or other.refines(one) for other in near)]
+    enough = options.identification.fit.law_ftol
+    ends = [FittedHypothesis(refined(nominal.study, one.fit, enough=enough), options=options) for one in laws]
+    return distinct([*ends, *(one for one in found if one not in laws)], options=options) if laws else list(found)
+
+
 def reduced_hypotheses(
     nominal: NominalFit, found: list[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:

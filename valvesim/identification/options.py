@@ -551,6 +551,9 @@ class FitOptions:
         "reduction of the chi-square that ends the fit of a hypothesis",
         "the answer set goes by several, and the rest is predicted",
     )
+    law_ftol: float = option(
+        0.1, "1", "the same where laws of one effect are weighed against each other", "they differ by 1 to 3"
+    )
     most_explained: float = option(
         10.0, "1", "multiple of the rows up to which what is explained counts for `relative_ftol`", JUDGEMENT
     )

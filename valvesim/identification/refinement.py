@@ -14,15 +14,16 @@ from valvesim.identification.least_squares import levenberg_marquardt, normal_eq
 from valvesim.identification.study import Study
 
 
-def refined(study: Study, fit: Fit, known: np.ndarray | None = None) -> Fit:
+def refined(study: Study, fit: Fit, known: np.ndarray | None = None, enough: float | None = None) -> Fit:
     """A fit near its best continued by Jacobians of its own, with the Occam factor in the end; that of the fit as it
-    is, (rows, n) whitened, may be `known`.
+    is, (rows, n) whitened, may be `known`. `enough` is the reduction of the chi-square that ends it (if it is not
+    given, `hypothesis_ftol`).
 
     In a long session, where that takes too long, it is left as it is; and so where it cannot be simulated.
     """
     if study.is_long:
         return fit
-    enough = study.options.fit.hypothesis_ftol
+    enough = study.options.fit.hypothesis_ftol if enough is None else enough
     for _ in range(study.options.fit.refinements):
         try:
             jacobian = known if known is not None else jacobian_of(study, fit, *linearise_fit(study, fit))
