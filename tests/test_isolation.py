@@ -396,6 +396,30 @@ def test_what_is_far_behind_the_best_is_not_refined(monkeypatch):
     assert asked == [4900.0, 4910.0, 4990.0]
 
 
+def test_laws_as_common_are_fitted_to_their_ends_before_they_are_weighed(monkeypatch):
+    asked = []
+
+    def refined(study, fit, enough):
+        asked.append((fit.fitted[0].candidate.name, enough))
+        return replace(fit, chi_square=fit.chi_square - 2.0)
+
+    monkeypatch.setattr(refits, "refined", refined)
+    coulomb, stribeck, far, lap = (
+        hypothesis(chi_square, name)
+        for chi_square, name in (
+            (4900.0, "spool_coulomb_friction"), (4899.0, "spool_stribeck_friction"),
+            (8000.0, "spool_stribeck_friction"), (4901.0, "spool_lap"),
+        )
+    )  # fmt: skip
+    ended = refits.with_converged_laws(nominal(9000.0), [stribeck, coulomb, lap], options=DIAGNOSIS)
+    enough = DIAGNOSIS.identification.fit.law_ftol
+    assert asked == [("spool_stribeck_friction", enough), ("spool_coulomb_friction", enough)]
+    assert [one.fit.chi_square for one in ended] == [4897.0, 4898.0, 4901.0] and ended[-1] is lap
+    asked.clear()
+    for found in ([coulomb, lap], [coulomb, lap, far], []):  # none is weighed by so little
+        assert refits.with_converged_laws(nominal(9000.0), found, options=DIAGNOSIS) == found and not asked
+
+
 def test_a_pair_of_which_one_comes_to_nothing_is_what_it_is_without_it(monkeypatch):
     """Known from a search with another bench, it was the only hypothesis, and none was left (880128)."""
     pair, asked = hypothesis(4900.0, "spool_lap", "entrained_air"), []

@@ -126,6 +126,35 @@ def test_a_pair_goes_before_its_first_where_the_second_is_likelier_than_chance(f
     assert 2.0 * np.log(chances[pair.label] / chances[alone.label]) == pytest.approx(odds)
 
 
+@pytest.mark.parametrize("more, first", [(0.0, "coulomb"), (0.9, "coulomb"), (1.9, "stribeck"), (30.0, "stribeck")])
+@pytest.mark.parametrize("beside", [(), ("spool_lap",)])
+def test_a_law_that_holds_a_plainer_one_as_common_goes_first_where_it_explains_more_than_by_chance(more, first, beside):
+    """Of 14 sessions with Coulomb friction two explain 1 more by Stribeck's, of 11 with Stribeck's seven do."""
+    plainer = hypothesis(5000.0, *beside, "spool_coulomb_friction", occam_factor=19.7)
+    finer = hypothesis(5000.0 - more, *beside, "spool_stribeck_friction", occam_factor=22.6)
+    nominal = SimpleNamespace(fit=replace(plainer.fit, chi_square=5400.0, fitted=()), study=None)
+    found = sorted([plainer, finer], key=lambda one: one.evidence)
+    best_first = ranked(nominal, found, LEVEL)
+    assert f"spool_{first}_friction" in best_first[0].label
+    answers = candidate_answers(nominal, best_first, found, LEVEL, "", LEVEL, options=DIAGNOSIS)
+    assert answers[0].label == best_first[0].label and {answer.label for answer in answers if answer.in_set} == {
+        plainer.label, finer.label,
+    }  # fmt: skip
+
+
+def test_of_two_hypotheses_one_refines_the_other_by_one_law_as_common():
+    laws = ("spool_coulomb_friction", "spool_stribeck_friction", "spool_silting")
+    coulomb, stribeck, silting = (hypothesis(5000.0, name) for name in laws)
+    assert stribeck.refines(coulomb) and not coulomb.refines(stribeck) and not stribeck.refines(stribeck)
+    assert not silting.refines(coulomb)  # it is rarer
+    beside = hypothesis(5000.0, "spool_stribeck_friction", "spool_lap")
+    assert beside.refines(hypothesis(5000.0, "spool_lap", "spool_coulomb_friction"))
+    assert not beside.refines(coulomb)
+    assert not beside.refines(hypothesis(5000.0, "entrained_air", "spool_coulomb_friction"))
+    figure = replace(beside, fit=replace(beside.fit, fitted=(FittedCandidate(FIGURE, 1e-6), beside.fit.fitted[1])))
+    assert not figure.refines(hypothesis(5000.0, "spool_coulomb_friction", "spool_lap"))
+
+
 def test_a_pair_goes_before_its_first_by_no_more_than_the_odds_of_an_answer_set():
     alone, pair = hypothesis(5000.0, "spool_lap"), hypothesis(4940.0, "spool_lap", "entrained_air")
     nominal = SimpleNamespace(fit=replace(alone.fit, chi_square=9000.0, fitted=()), study=None)
