@@ -61,7 +61,8 @@ SETS = {"working": (700_000, 300), "second": (800_000, 300), "third": (820_000, 
         "fifteenth": (1_070_000, 300), "sixteenth": (1_080_000, 300),
         "seventeenth": (1_110_000, 300), "eighteenth": (1_120_000, 300),
         "nineteenth": (1_130_000, 300), "twentieth": (1_140_000, 300),
-        "twenty_first": (1_150_000, 300), "twenty_second": (1_160_000, 300)}  # first seed, sessions
+        "twenty_first": (1_150_000, 300), "twenty_second": (1_160_000, 300),
+        "twenty_third": (1_170_000, 300)}  # first seed, sessions
 RESULTS = ROOT / "benchmarks" / "results" / "bench_sessions.jsonl"
 DOCUMENT = ROOT / "docs" / "bench_sessions.md"
 EXCEPTION = "exception"
