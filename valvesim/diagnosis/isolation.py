@@ -68,7 +68,7 @@ from valvesim.diagnosis.refits import (
     refined_hypotheses,
     restarted,
     unfitted_plainer_hypotheses,
-    with_converged_laws,
+    with_fits_at_ends,
 )
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.rival_term import rival_terms
@@ -488,7 +488,7 @@ def _isolated(
     level = scores.level(options.detection.false_alarm)
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
-    found = with_converged_laws(nominal, found, options=options)
+    found = with_fits_at_ends(nominal, found, options=options)
     if found[0].fit is not final.fit:
         final = score_test(nominal, found[0].fit, options=options)
     return judged(Isolation(nominal, scores, final, found, [], "", alarm, level))

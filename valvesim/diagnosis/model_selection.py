@@ -68,6 +68,11 @@ class FittedHypothesis:
         strength = sum((e.above_neutral / (5.0 * e.candidate.typical)) ** 2 for e in self.fit.fitted)
         return float(self.least_chi_square + self.occam_factor + self.prior_penalty + strength)
 
+    @property
+    def promised_evidence(self) -> float:
+        """The evidence where the fit gains all that it still predicts."""
+        return self.evidence - self.least_chi_square + self.fit.chi_square - self.fit.predicted_reduction
+
     def tempered(self, temperature: float) -> float:
         """The same tempered: differences of chi-square over a temperature, prior odds not, see `temperature_of`."""
         return self.evidence + (temperature - 1.0) * self.prior_penalty

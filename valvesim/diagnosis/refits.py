@@ -521,18 +521,23 @@ def refined_hypotheses(
     return [*better, *(one for one in found if not any(one is other for other in near))]
 
 
-def with_converged_laws(
+def with_fits_at_ends(
     nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
 ) -> list[FittedHypothesis]:
-    """The found, best first, with those near the best fitted to their ends that differ by laws as common: these are
-    weighed by less than fits stop short of.
+    """The found, best first, with those fitted to their ends that may come near the best by what their fits still
+    promise, and those near it that differ by laws as common: these are weighed by less than fits stop short of.
     """
-    width = answer_set_width(nominal, found[0]) if found else 0.0
-    near = [one for one in found if one.evidence < found[0].evidence + width]
+    most = found[0].evidence + answer_set_width(nominal, found[0]) if found else 0.0
+    limits = options.identification.fit
+    near = [one for one in found if one.promised_evidence < most]
     laws = [one for one in near if any(one.refines(other) or other.refines(one) for other in near)]
-    enough = options.identification.fit.law_ftol
-    ends = [FittedHypothesis(refined(nominal.study, one.fit, enough=enough), options=options) for one in laws]
-    return distinct([*ends, *(one for one in found if one not in laws)], options=options) if laws else list(found)
+    short = [one for one in near if one.fit.predicted_reduction > 2.0 * limits.hypothesis_ftol and one not in laws]
+    ends = [refined(nominal.study, one.fit, enough=limits.law_ftol) for one in laws]
+    ends += [refined(nominal.study, one.fit) for one in short]
+    if not ends:
+        return list(found)
+    kept = [one for one in found if one not in laws and one not in short]
+    return distinct([*(FittedHypothesis(fit, options=options) for fit in ends), *kept], options=options)
 
 
 def reduced_hypotheses(
