@@ -442,6 +442,9 @@ def test_a_pair_of_which_one_comes_to_nothing_is_what_it_is_without_it(monkeypat
     ended = refits.refined_hypotheses(nominal(9000.0), [pair], options=DIAGNOSIS)
     assert asked == [(kept,)]
     assert [one.label for one in distinct(ended, options=DIAGNOSIS)] == ["spool_lap"]
+    short = replace(pair, fit=replace(pair.fit, predicted_reduction=25.0))
+    (alone,) = refits.with_fits_at_ends(nominal(9000.0), [short], options=DIAGNOSIS)
+    assert alone.label == "spool_lap" and asked == [(kept,), (kept,)]
 
 
 @pytest.mark.parametrize("left, named", [(0.0, ["spool_lap"]), (0.5, [])])

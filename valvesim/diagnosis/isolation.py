@@ -486,9 +486,9 @@ def _isolated(
         return _isolated(wider, anew, progress, known, [], far_off(found, options=options), options=options)
     nominal, scores, found, final = _verified(nominal, scores, level, found, left)
     level = scores.level(options.detection.false_alarm)
+    found = with_fits_at_ends(nominal, found, options=options)
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
-    found = with_fits_at_ends(nominal, found, options=options)
     if found[0].fit is not final.fit:
         final = score_test(nominal, found[0].fit, options=options)
     return judged(Isolation(nominal, scores, final, found, [], "", alarm, level))

@@ -515,10 +515,17 @@ def refined_hypotheses(
         if promised < least + options.isolation.refined_gain and is_adequate(one.fit, options=options.identification):
             near.append(one)
             better.append(FittedHypothesis(refined(nominal.study, one.fit), options=options))
-    for fit in [one.fit for one in better]:
-        if more := _without_negligible(fit, options.selection.negligible_amplitude):
-            better += fit_starts(nominal, [more], fit.point, options=options)
+    better += _those_without_negligible(nominal, better, options=options)
     return [*better, *(one for one in found if not any(one is other for other in near))]
+
+
+def _those_without_negligible(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """Of the found in which a candidate has come to nothing, the others fitted without it."""
+    share = options.selection.negligible_amplitude
+    starts = [(more, one.fit.point) for one in found if (more := _without_negligible(one.fit, share))]
+    return [one for more, point in starts for one in fit_starts(nominal, [more], point, options=options)]
 
 
 def with_fits_at_ends(
@@ -532,12 +539,14 @@ def with_fits_at_ends(
     near = [one for one in found if one.promised_evidence < most]
     laws = [one for one in near if any(one.refines(other) or other.refines(one) for other in near)]
     short = [one for one in near if one.fit.predicted_reduction > 2.0 * limits.hypothesis_ftol and one not in laws]
-    ends = [refined(nominal.study, one.fit, enough=limits.law_ftol) for one in laws]
-    ends += [refined(nominal.study, one.fit) for one in short]
-    if not ends:
+    fits = [refined(nominal.study, one.fit, enough=limits.law_ftol) for one in laws]
+    fits += [refined(nominal.study, one.fit) for one in short]
+    if not fits:
         return list(found)
+    ends = [FittedHypothesis(fit, options=options) for fit in fits]
+    ends += _those_without_negligible(nominal, ends, options=options)
     kept = [one for one in found if one not in laws and one not in short]
-    return distinct([*(FittedHypothesis(fit, options=options) for fit in ends), *kept], options=options)
+    return distinct([*ends, *kept], options=options)
 
 
 def reduced_hypotheses(
