@@ -522,6 +522,7 @@ def test_causes_are_sought_without_errors_of_instruments_that_explain_only_toget
         (JointErrors(100.0, (), 5080.0), 3.0, 4840.0, False, False),  # no second cause shows without them
         (JointErrors(100.0, (), 5080.0), 9.0, 5200.0, False, False),  # one is found, and they are likelier
         (JointErrors(100.0, (), 5080.0), 9.0, 4958.0, False, True),  # they are as likely
+        (JointErrors(100.0, (), 5080.0), 9.0, 4900.0, False, True),
         (JointErrors(100.0, (), 5080.0), 9.0, 4840.0, True, False),
     ],
 )

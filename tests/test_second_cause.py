@@ -142,17 +142,17 @@ def test_a_law_that_holds_a_plainer_one_as_common_goes_first_where_it_explains_m
     }  # fmt: skip
 
 
-def test_of_two_hypotheses_one_refines_the_other_by_one_law_as_common():
+def test_of_two_hypotheses_one_nests_the_other_by_one_law_as_common():
     laws = ("spool_coulomb_friction", "spool_stribeck_friction", "spool_silting")
     coulomb, stribeck, silting = (hypothesis(5000.0, name) for name in laws)
-    assert stribeck.refines(coulomb) and not coulomb.refines(stribeck) and not stribeck.refines(stribeck)
-    assert not silting.refines(coulomb)  # it is rarer
+    assert stribeck.nests_law_of(coulomb) and not coulomb.nests_law_of(stribeck) and not stribeck.nests_law_of(stribeck)
+    assert not silting.nests_law_of(coulomb)  # it is rarer
     beside = hypothesis(5000.0, "spool_stribeck_friction", "spool_lap")
-    assert beside.refines(hypothesis(5000.0, "spool_lap", "spool_coulomb_friction"))
-    assert not beside.refines(coulomb)
-    assert not beside.refines(hypothesis(5000.0, "entrained_air", "spool_coulomb_friction"))
+    assert beside.nests_law_of(hypothesis(5000.0, "spool_lap", "spool_coulomb_friction"))
+    assert not beside.nests_law_of(coulomb)
+    assert not beside.nests_law_of(hypothesis(5000.0, "entrained_air", "spool_coulomb_friction"))
     figure = replace(beside, fit=replace(beside.fit, fitted=(FittedCandidate(FIGURE, 1e-6), beside.fit.fitted[1])))
-    assert not figure.refines(hypothesis(5000.0, "spool_coulomb_friction", "spool_lap"))
+    assert not figure.nests_law_of(hypothesis(5000.0, "spool_coulomb_friction", "spool_lap"))
 
 
 def test_a_pair_goes_before_its_first_by_no_more_than_the_odds_of_an_answer_set():

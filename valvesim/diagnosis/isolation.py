@@ -260,7 +260,7 @@ def _with_second_like_errors(
         for one in other.answer_set
         if len(one.candidates) > 1
         and other.evidence(one) < most
-        and other.names.keys() <= {p.name for p in nominal.study.nominal.parameters}
+        and other.positions.keys() <= {p.name for p in nominal.study.nominal.parameters}
         and any(alone.is_within(one) for alone in isolation.answer_set)
     ]
     found, answer_set = [*isolation.found, *rivals], [*isolation.answer_set, *rivals]
@@ -283,7 +283,7 @@ class _WithoutErrors:
         return self.isolation.answer_set
 
     @property
-    def names(self) -> dict[str, int]:
+    def positions(self) -> dict[str, int]:
         """The nuisance parameters of its model by name, and where they are."""
         return {p.name: k for k, p in enumerate(self.isolation.nominal.study.nominal.parameters)}
 
@@ -317,9 +317,9 @@ def _with_errors_at_zero(
     """A hypothesis without errors of the instruments in the model that has them, where its evidence is to be so much:
     it does without the figures of these.
     """
-    names = other.names
+    at = other.positions
     point = np.array([
-        one.fit.point[names[p.name]] if p.name in names else 0.0 for p in nominal.study.nominal.parameters
+        one.fit.point[at[p.name]] if p.name in at else 0.0 for p in nominal.study.nominal.parameters
     ])  # fmt: skip
     fit = evaluate_fit(nominal.study, point, one.fit.fitted, nominal.fit.trajectories).with_posterior_of(one.fit)
     within = replace(one, fit=fit)

@@ -116,7 +116,7 @@ class FittedHypothesis:
             any(mine.label == c.label or mine.is_equivalent_to(c) for c in other.candidates) for mine in self.candidates
         )
 
-    def refines(self, plainer: FittedHypothesis) -> bool:
+    def nests_law_of(self, plainer: FittedHypothesis) -> bool:
         """Whether this is another hypothesis but for one law, as common as that in its place, which it holds."""
         labels, others = ({c.label: c for c in one.candidates} for one in (self, plainer))
         own = [c.effect for label, c in labels.items() if label not in others]
@@ -257,7 +257,7 @@ def tempered_deviances(nominal: NominalFit, found: Sequence[FittedHypothesis], l
     for k, one in enumerate(found):
         for j, plainer in enumerate(found):
             more = plainer.fit.chi_square - one.fit.chi_square - one.options.selection.law_gain
-            if more > 0.0 and one.refines(plainer):
+            if more > 0.0 and one.nests_law_of(plainer):
                 values[k] = min(values[k], values[j] - more)
     return values
 

@@ -64,11 +64,11 @@ def nested_power(distance: float, gain: float, asked: float, forgone: float, pro
 
     if distance <= 0.0:
         return 0.0
-    unsure = np.sqrt(1.0 + distance**2 / max(gain, 1.0))
+    spread = np.sqrt(1.0 + distance**2 / max(gain, 1.0))
     gain = max(gain, 0.0)
     whole = gain + distance**2
     enough, little = np.sqrt(asked * whole), np.sqrt(forgone * whole)
-    larger = norm.cdf((whole - enough) / (distance * unsure))
+    larger = norm.cdf((whole - enough) / (distance * spread))
     smaller = norm.cdf((little - gain) / distance) - norm.cdf((-little - gain) / distance)
     return float(probability * larger + (1.0 - probability) * smaller)
 

@@ -537,7 +537,7 @@ def with_fits_at_ends(
     most = found[0].evidence + answer_set_width(nominal, found[0]) if found else 0.0
     limits = options.identification.fit
     near = [one for one in found if one.promised_evidence < most]
-    laws = [one for one in near if any(one.refines(other) or other.refines(one) for other in near)]
+    laws = [one for one in near if any(one.nests_law_of(other) or other.nests_law_of(one) for other in near)]
     short = [one for one in near if one.fit.predicted_reduction > 2.0 * limits.hypothesis_ftol and one not in laws]
     fits = [refined(nominal.study, one.fit, enough=limits.law_ftol) for one in laws]
     fits += [refined(nominal.study, one.fit) for one in short]
