@@ -514,10 +514,13 @@ def test_samples_next_to_peaks_count_less_where_an_input_is_fitted_and_fully_aga
 
 
 @pytest.mark.parametrize("weights, left, joins", [((), 0.0, True), (("a",), 990.0, False), (("a",), 1500.0, True)])
+@pytest.mark.parametrize("z, shows", [(4.1, True), (2.7, False)])
 def test_a_fault_beside_which_peaks_count_less_has_not_explained_what_shows_at_peaks_alone(
-    monkeypatch, weights, left, joins
+    monkeypatch, weights, left, joins, z, shows
 ):
-    """A quadratic torque of d' 39 that shows at peaks of the leakage alone: without any fault they count less too."""
+    """A quadratic torque of d' 39 that shows at peaks of the leakage alone: without any fault they count less too. Nor
+    may a cause go with them: eddy currents of z 18 beside an error of the leakage's meter were "no discrepancy".
+    """
 
     def fit(chi_square, weights):
         study = SimpleNamespace(weights=dict.fromkeys(weights), unweighted=lambda: None)
@@ -531,7 +534,13 @@ def test_a_fault_beside_which_peaks_count_less_has_not_explained_what_shows_at_p
         "rescored": lambda study, fit: fit,
     }.items():
         monkeypatch.setattr(bench_faults, name, stub)
-    assert bench_faults.with_fault_left(nominal, None, options=DIAGNOSIS) is (better if joins else None)
+    cause, other = (SimpleNamespace(label=label) for label in ("cause", "other"))
+    scores = SimpleNamespace(candidates=(cause, other), z=lambda: [z, 9.0], level=lambda probability: 4.0)
+    monkeypatch.setattr(bench_faults, "score_test", lambda *_, **__: scores)
+    of_cause = SimpleNamespace(fit=SimpleNamespace(fitted=(SimpleNamespace(candidate=cause),)))
+    left_to_peaks = bool(weights) and not shows
+    expected = better if joins and not left_to_peaks else None
+    assert bench_faults.with_fault_left(nominal, of_cause, options=DIAGNOSIS) is expected
     monkeypatch.setattr(bench_faults, "with_inputs_reviewed", lambda nominal: nominal)
     monkeypatch.setattr(bench_faults, "score_test", lambda *_, **__: "scores")
     options = replace(DIAGNOSIS, bench=replace(DIAGNOSIS.bench, most_faults=1))

@@ -427,6 +427,32 @@ def test_what_may_come_near_and_laws_as_common_are_fitted_to_their_ends_before_t
     assert len(asked) == 1
 
 
+def test_a_pair_near_the_best_is_fitted_with_the_fuller_law_of_one_of_the_two_too(monkeypatch):
+    """A second cause is begun beside the likelier of two friction laws alone: Stribeck friction beside a drift of the
+    null gap was never fitted, and not in the set (pair 227500).
+    """
+    laws = [hypothesis(5000.0, name).candidates[0] for name in ("spool_coulomb_friction", "spool_stribeck_friction")]
+    base = nominal(9000.0)
+    base.study.candidates = [*laws, *hypothesis(5000.0, "entrained_air", "spool_silting").candidates]
+    asked = []
+
+    def fitted(nominal, starts, best, *, options):
+        asked.extend([[one.candidate.name for one in start] for start in starts])
+        return [hypothesis(best.fit.chi_square - 1.0, *(one.candidate.name for one in start)) for start in starts]
+
+    monkeypatch.setattr(refits, "_fitted_in_place", fitted)
+    alone = hypothesis(4990.0, "spool_coulomb_friction")
+    best = hypothesis(4900.0, "entrained_air", "spool_lap")
+    near = hypothesis(4903.0, "spool_coulomb_friction", "entrained_air")
+    far = hypothesis(8000.0, "spool_coulomb_friction", "spool_lap")
+    found = refits.with_fuller_laws(base, [best, near, alone, far], options=DIAGNOSIS)
+    assert asked == [["spool_stribeck_friction", "entrained_air"]]
+    assert [one.label for one in found[:3]] == [best.label, "spool_stribeck_friction + entrained_air", near.label]
+    assert refits.with_fuller_laws(base, found, options=DIAGNOSIS) == found and len(asked) == 1  # it was fitted
+    for none in ([], [alone]):
+        assert refits.with_fuller_laws(base, none, options=DIAGNOSIS) == none and len(asked) == 1
+
+
 def test_a_pair_of_which_one_comes_to_nothing_is_what_it_is_without_it(monkeypatch):
     """Known from a search with another bench, it was the only hypothesis, and none was left (880128)."""
     pair, asked = hypothesis(4900.0, "spool_lap", "entrained_air"), []

@@ -385,6 +385,17 @@ def test_the_shortest_that_is_hardly_less_sure_is_chosen():
     assert experiment_design._chosen([], options=DIAGNOSIS) is None
 
 
+def test_what_counts_of_an_explanation_is_at_most_what_noise_has_in_session_and_experiment(nominal, fits):
+    """Of 4000 that a test at low supply would explain 1000 counted, and its power was 0.98; in the end it had explained
+    7500 more, by which the law may err by 200 (pair 224522).
+    """
+    tried, of_session = trials_of(nominal, fits[0])[0], fits[0].rows
+    of_experiment = 3 * len(tried.beyond_nominal)
+    for explained, left in ((0.25 * of_session, 0.75 * of_session), (1e9, 0.0)):
+        explains = replace(tried, nominal=replace(tried.nominal, chi_square=fits[0].chi_square + explained))
+        assert explains.most_explained(3) == pytest.approx(of_experiment + left)
+
+
 def test_a_hypothesis_that_holds_another_is_told_from_it_by_what_the_other_leaves(nominal, fits):
     effect, none = fits[0], alike(nominal.fit, nominal.fit, 20.0)[1]
     trials = trials_of(nominal, effect)

@@ -13,8 +13,10 @@ from valvesim.diagnosis.model_selection import (
     answer_set_of,
     answer_set_width,
     least_gain_of_second,
+    nested_levels,
     odds_of_second,
     ranked,
+    width_beside,
     with_minimum_gain,
 )
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
@@ -153,6 +155,17 @@ def test_of_two_hypotheses_one_nests_the_other_by_one_law_as_common():
     assert not beside.nests_law_of(hypothesis(5000.0, "entrained_air", "spool_coulomb_friction"))
     figure = replace(beside, fit=replace(beside.fit, fitted=(FittedCandidate(FIGURE, 1e-6), beside.fit.fitted[1])))
     assert not figure.nests_law_of(hypothesis(5000.0, "spool_coulomb_friction", "spool_lap"))
+    assert stribeck.holds(coulomb) and beside.holds(stribeck) and not coulomb.holds(stribeck)
+
+
+def test_a_fuller_law_is_told_from_the_plainer_by_what_it_explains_more_and_always_stands_beside_it():
+    """A test of power 0.94 was to tell Stribeck's friction from Coulomb's as if they were no laws of one (227512)."""
+    plainer, fuller = hypothesis(5000.0, "spool_coulomb_friction"), hypothesis(4995.0, "spool_stribeck_friction")
+    base = leaving(9000.0)
+    alone, as_likely, beside = nested_levels(base, plainer, fuller, 4.0, LEVEL)
+    assert alone == width_beside(base, fuller, plainer) and beside == 0.0
+    assert as_likely == DIAGNOSIS.selection.law_gain
+    assert nested_levels(base, plainer, fuller, 4.0, LEVEL, 1e4)[0] > alone
 
 
 def test_a_pair_goes_before_its_first_by_no_more_than_the_odds_of_an_answer_set():

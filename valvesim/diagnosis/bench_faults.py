@@ -207,15 +207,21 @@ def _excess_to_beat(start: Sequence[FittedCandidate], other: Fit, *, options: Di
 
 def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisOptions) -> NominalFit | None:
     """The nominal fit with what the bench did by what a cause leaves: a second cause would be sought for it. None where
-    the bench explains none of that.
+    the bench explains none of that, or by it samples next to peaks count less and the cause does not show without them.
     """
     likeliest = _likeliest(nominal, left, options=options)
     if likeliest is None:
         return None
     better = _extended(nominal, likeliest.parameters)
     without = _at_weight_of(nominal, better)
-    at_peaks = without is not nominal and _gain_by_fault(without, better) < 0.5 * likeliest.gain
-    return None if at_peaks else better
+    if without is nominal:
+        return better
+    if _gain_by_fault(without, better) < 0.5 * likeliest.gain:
+        return None
+    causes = {member.candidate.label for member in left.fit.fitted}
+    scores = score_test(without, without.fit, options=options)
+    shows = max(z for z, candidate in zip(scores.z(), scores.candidates, strict=True) if candidate.label in causes)
+    return better if shows > scores.level(options.detection.false_alarm) else None
 
 
 def _keeps_promise(

@@ -251,8 +251,8 @@ def _rival(
     """Another hypothesis of the answer set as a rival of the likeliest."""
     isolation = conclusion.isolation
     nominal = isolation.nominal
-    is_larger, temperature = first.is_within(other), temperature_of(nominal, first)
-    if not is_larger and not other.is_within(first):
+    is_larger, temperature = other.holds(first), temperature_of(nominal, first)
+    if not is_larger and not first.holds(other):
         return rival_beside(
             first.fit,
             other.label,

@@ -102,8 +102,11 @@ class SimulatedExperiment:
         return min(distance**2, self.most_explained(repeats))
 
     def most_explained(self, repeats: int) -> float:
-        """The most that counts of it: what noise has in it, for a fall beyond that is no measure."""
-        return float(repeats * len(self.beyond_nominal))
+        """The most that counts of it: what noise has in session and experiment together, less what the fit explains of
+        the session, for a fall beyond that is no measure.
+        """
+        left_of_session = self.fit.rows - (self.nominal.chi_square - self.fit.chi_square)
+        return float(repeats * len(self.beyond_nominal) + max(left_of_session, 0.0))
 
     @cached_property
     def beyond_nominal(self) -> np.ndarray:

@@ -69,6 +69,7 @@ from valvesim.diagnosis.refits import (
     restarted,
     unfitted_plainer_hypotheses,
     with_fits_at_ends,
+    with_fuller_laws,
 )
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.rival_term import rival_terms
@@ -486,6 +487,7 @@ def _isolated(
         return _isolated(wider, anew, progress, known, [], far_off(found, options=options), options=options)
     nominal, scores, found, final = _verified(nominal, scores, level, found, left)
     level = scores.level(options.detection.false_alarm)
+    found = with_fuller_laws(nominal, found, options=options)
     found = with_fits_at_ends(nominal, found, options=options)
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)

@@ -124,6 +124,10 @@ class FittedHypothesis:
         alike = len(self.candidates) == len(plainer.candidates) and len(own) == 1
         return alike and own[0] is not None and own[0].as_common and [own[0].plainer] == replaced
 
+    def holds(self, smaller: FittedHypothesis) -> bool:
+        """Whether this can follow all that another hypothesis can: it has its causes, or a fuller law of one."""
+        return smaller.is_within(self) or self.nests_law_of(smaller)
+
     def has_same_causes(self, other: FittedHypothesis) -> bool:
         """Whether another hypothesis has just these candidates."""
         return len(self.candidates) == len(other.candidates) and self.is_within(other)
@@ -342,10 +346,12 @@ def nested_levels(
     more: float = 0.0,
 ) -> tuple[float, float, float]:  # fmt: skip
     """What a hypothesis that holds a smaller one must explain beyond it: so that it stands without that, so that both
-    are as likely, and to stand beside it at all. `level` and `second_level` are the z of an alarm and of a second
-    cause, `more` is what the smaller would explain besides in further records.
+    are as likely, and to stand beside it at all; one by a fuller law always does. `level` and `second_level` are the z
+    of an alarm and of a second cause, `more` is what the smaller would explain besides in further records.
     """
     options = larger.options.selection
+    if larger.nests_law_of(smaller):
+        return width_beside(nominal, larger, smaller, more), options.law_gain, 0.0
     if not smaller.candidates:
         even = level**2 + len(larger.fit.layout) - len(larger.fit.fitted)
         return even + options.answer_ratio, even, options.minimum_gain * level**2

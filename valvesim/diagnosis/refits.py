@@ -285,6 +285,29 @@ def unfitted_plainer_hypotheses(
     return _fitted_from_prior(nominal, _without(left_out, starts), options=options)
 
 
+def with_fuller_laws(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The found, best first, with the pairs near the best fitted again with a law as common that holds the law of one
+    of the two in its place, where they were not: of single causes both have been tried, but what stands beside them was
+    begun with the likelier alone.
+    """
+    most = found[0].evidence + answer_set_width(nominal, found[0]) if found else 0.0
+    more = list[FittedHypothesis]()
+    for pair in [one for one in found if len(one.candidates) > 1 and one.evidence < most]:
+        starts = [
+            _in_its_place(pair, k, candidate)
+            for k, member in enumerate(pair.fit.fitted)
+            for candidate in {c.name: c for c in nominal.study.candidates}.values()
+            if candidate.effect is not None
+            and candidate.effect.as_common
+            and candidate.effect.plainer == member.candidate.name
+            and _known_in_place(pair, k, candidate, found) is None
+        ]
+        more += _fitted_in_place(nominal, starts, pair, options=options)
+    return distinct([*found, *more], options=options) if more else list(found)
+
+
 def alike_hypotheses(
     nominal: NominalFit,
     found: Sequence[FittedHypothesis],
