@@ -71,7 +71,7 @@ def test_two_causes_that_explain_much_more_than_one_start_together_in_the_amount
     assert labels(found) == ["entrained_air", "entrained_air + spool_lap"]
     pair = {member.candidate: member.above_neutral for member in found[-1]}
     lap, air = (search_size(one, options=OPTIONS) for one in (LAP, AIR))
-    assert air == 0.5 * AIR.typical and lap == 0.2 * LAP.typical  # larger where it is simulated
+    assert air == 0.05 * AIR.typical and lap == 0.2 * LAP.typical  # smaller where it is simulated
     assert pair == pytest.approx({LAP: 2.0 * lap, AIR: 3.0 * air})
     little = 0.9 * np.sqrt(DIAGNOSIS.isolation.pair_reduction) / 10.0
     assert labels(start_points(scores({LAP: little, AIR: 1.0}), frozenset())) == ["entrained_air"]

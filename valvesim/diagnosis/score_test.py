@@ -195,11 +195,11 @@ def term_score_test(
 
 
 def search_size(candidate: Candidate, *, options: IdentificationOptions) -> float:
-    """The amplitude at which a candidate is tested: small, so that the response is linear, larger where it is
+    """The amplitude at which a candidate is tested: small, so that the response is linear, smaller where it is
     simulated, and inside its limits.
     """
     low, high = candidate.limits
-    share = 0.5 if candidate.effect is not None and is_simulated(candidate.effect, options=options) else 0.2
+    share = 0.05 if candidate.effect is not None and is_simulated(candidate.effect, options=options) else 0.2
     size = share * candidate.typical
     return size if size <= high else max(0.5 * low, -size)
 
