@@ -519,7 +519,8 @@ def test_a_fault_beside_which_peaks_count_less_has_not_explained_what_shows_at_p
     monkeypatch, weights, left, joins, z, shows
 ):
     """A quadratic torque of d' 39 that shows at peaks of the leakage alone: without any fault they count less too. Nor
-    may a cause go with them: eddy currents of z 18 beside an error of the leakage's meter were "no discrepancy".
+    may a cause go with them: eddy currents of z 18 beside an error of the leakage's meter were "no discrepancy", and a
+    hysteresis of z 15 where errors of the instruments explained 87.
     """
 
     def fit(chi_square, weights):
@@ -542,10 +543,11 @@ def test_a_fault_beside_which_peaks_count_less_has_not_explained_what_shows_at_p
     expected = better if joins and not left_to_peaks else None
     assert bench_faults.with_fault_left(nominal, of_cause, options=DIAGNOSIS) is expected
     monkeypatch.setattr(bench_faults, "with_inputs_reviewed", lambda nominal: nominal)
-    monkeypatch.setattr(bench_faults, "score_test", lambda *_, **__: "scores")
     options = replace(DIAGNOSIS, bench=replace(DIAGNOSIS.bench, most_faults=1))
-    found, scores = bench_faults.with_bench_faults(nominal, "before", options=options)
-    assert (found, scores) == ((better, "scores") if joins else (nominal, "before"))
+    for before, hides in ((30.0, False), (40.0, left_to_peaks)):
+        shown = SimpleNamespace(candidates=(cause,), z=lambda before=before: [before])
+        found, after = bench_faults.with_bench_faults(nominal, shown, options=options)
+        assert (found, after) == ((better, scores) if joins and not hides else (nominal, shown))
 
 
 def study_of_edges(after, right, runs=None):
@@ -1006,8 +1008,8 @@ def test_what_the_bench_did_is_held_against_what_it_promises_at_the_same_weights
     }
     for name, stub in stubs.items():
         monkeypatch.setattr(bench_faults, name, stub)
-    promised = BenchHypothesis((), 100.0)
-    assert bench_faults._keeps_promise(nominal, better, promised, options=DIAGNOSIS) is kept
+    promised, shown = BenchHypothesis((), 100.0), SimpleNamespace(candidates=(), z=lambda: [5.0])
+    assert bench_faults._keeps_promise(nominal, shown, better, promised, options=DIAGNOSIS) is kept
 
 
 @pytest.mark.slow

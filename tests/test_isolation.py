@@ -650,8 +650,16 @@ def test_where_no_valve_runs_with_the_likeliest_the_search_begins_with_the_other
     assert first_hypotheses.first_hypotheses(base, scores, (), (), lambda share: None)[0] == []
 
 
-@pytest.mark.parametrize("left, verified, pairs", [(4000.0, True, False), (9000.0, True, True), (4000.0, False, True)])
-def test_pairs_are_fitted_unless_one_alone_explains_all_but_verified_noise(monkeypatch, left, verified, pairs):
+@pytest.mark.parametrize(
+    "left, verified, shift, pairs",
+    [
+        (4000.0, True, 0.0, False),
+        (9000.0, True, 0.0, True),
+        (4000.0, False, 0.0, True),
+        (4000.0, True, -7.8, True),  # lost turns by figures of the coil that are stretched (pair 229516)
+    ],
+)
+def test_pairs_are_fitted_unless_one_alone_explains_all_but_verified_noise(monkeypatch, left, verified, shift, pairs):
     base, asked = nominal(9000.0), []
     base.study.noise["spool_position", 1e-3] = SimpleNamespace(verified=verified)
     base.study.predictors = ()
@@ -659,7 +667,8 @@ def test_pairs_are_fitted_unless_one_alone_explains_all_but_verified_noise(monke
 
     def fits(nominal, starts, point, progress, others, options):
         asked.extend(len(start) for start in starts)
-        return [hypothesis(left, "spool_lap")]
+        one = hypothesis(left, "spool_lap")
+        return [replace(one, fit=replace(one.fit, point=np.array([shift])))]
 
     monkeypatch.setattr(first_hypotheses, "start_points", lambda scores, failed: [(lap,), (lap, air)])
     monkeypatch.setattr(first_hypotheses, "fit_starts", fits)

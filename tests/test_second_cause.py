@@ -278,6 +278,16 @@ def test_what_promises_nearly_as_much_as_the_first_is_tried_however_many_there_a
     assert labels == [*(one.label for one in figures), names[0]]  # the other promises 10 less than the first
 
 
+def test_a_second_name_of_the_first_is_no_second_cause(seconds):
+    """Lost turns beside the figure of the turns stood where a coil's resistance was the second (pair 229516)."""
+    best = hypothesis(5000.0, "coil_turns_loss")
+    turns = Candidate("parameter:coil_turns", parameter=replace(FIGURE.parameter, name="coil_turns"))
+    final = final_of(best, (9.0, 8.0), [turns, effect("coil_resistance_drift")])
+    assert turns.is_equivalent_to(best.candidates[0])
+    second_cause.with_second_cause(leaving(5400.0), final, [best])
+    assert seconds[0] == [("coil_turns_loss", "coil_resistance_drift")]
+
+
 @pytest.mark.parametrize(
     "z, first, tried",
     [(3.9, "spool_lap", 0), (4.1, "spool_lap", 1), (9.0, "magnetic_hysteresis", 0), (11.0, "magnetic_hysteresis", 1)],

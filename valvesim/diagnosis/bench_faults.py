@@ -7,7 +7,7 @@ model: no cause is sought for it. A strong cause hides it, so it is sought in wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
@@ -71,8 +71,8 @@ def with_bench_faults(
         if likeliest is None:
             break
         better = _extended(nominal, likeliest.parameters)
-        if not _keeps_promise(nominal, better, likeliest, options=options):
-            break  # the linear answers were wrong: it is something else
+        if not _keeps_promise(nominal, scores, better, likeliest, options=options):
+            break  # it is something else
         nominal = with_inputs_reviewed(better)  # which the fault may have hidden
         scores = score_test(nominal, nominal.fit, options=options)
     return nominal, scores
@@ -219,24 +219,39 @@ def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisO
     if _gain_by_fault(without, better) < 0.5 * likeliest.gain:
         return None
     causes = {member.candidate.label for member in left.fit.fitted}
-    scores = score_test(without, without.fit, options=options)
-    shows = max(z for z, candidate in zip(scores.z(), scores.candidates, strict=True) if candidate.label in causes)
-    return better if shows > scores.level(options.detection.false_alarm) else None
+    return better if _still_shows(without, causes, options=options) else None
 
 
 def _keeps_promise(
-    nominal: NominalFit, better: NominalFit, likeliest: BenchHypothesis, *, options: DiagnosisOptions
+    nominal: NominalFit,
+    scores: ScoreTest,
+    better: NominalFit,
+    likeliest: BenchHypothesis,
+    *,
+    options: DiagnosisOptions,
 ) -> bool:
-    """Whether what the bench did explains half of what it promised, or where samples next to peaks count less by it,
-    half of what it promises without them.
+    """Whether what the bench did explains half of what it promised. Where samples next to peaks count less by it, half
+    of what it promises without them; and where nothing shows at all without them, half of what a cause did with them.
     """
     without, promised = _at_weight_of(nominal, better), likeliest.gain
     gain = _gain_by_fault(without, better)
-    if without is not nominal and gain < 0.5 * promised:
+    if without is nominal:
+        return gain >= 0.5 * promised
+    if gain < 0.5 * promised:
         left = score_test(without, without.fit, options=options)
         again = _likeliest(without, left, options=options)
         promised = again.gain if again is not None else promised
-    return gain >= 0.5 * promised
+    shows = float(np.max(scores.z(), initial=0.0)) ** 2
+    labels = {candidate.label for candidate in scores.candidates}
+    is_hidden = gain < 0.5 * shows and not _still_shows(without, labels, options=options)
+    return gain >= 0.5 * promised and not is_hidden
+
+
+def _still_shows(without: NominalFit, labels: Set[str], *, options: DiagnosisOptions) -> bool:
+    """Whether one of the candidates of some labels raises an alarm in a nominal fit without samples next to peaks."""
+    scores = score_test(without, without.fit, options=options)
+    shows = max(z for z, candidate in zip(scores.z(), scores.candidates, strict=True) if candidate.label in labels)
+    return shows > scores.level(options.detection.false_alarm)
 
 
 def _gain_by_fault(without: NominalFit, better: NominalFit) -> float:

@@ -58,9 +58,12 @@ def first_hypotheses(
 
 
 def _explains_all(fit: Fit, nominal: NominalFit, *, options: DiagnosisOptions) -> bool:
-    """Whether a fit leaves nothing beyond noise that is verified: any other noise is itself what a fit leaves."""
+    """Whether a fit leaves nothing beyond noise that is verified, by figures of the valve that are not stretched: any
+    other noise is itself what a fit leaves.
+    """
     verified = all(noise.verified for noise in nominal.study.noise.values())
-    return verified and beyond_noise(fit, nominal.study, options=options) == 0.0
+    stretched = largest_shift(fit) > options.isolation.shifted
+    return verified and not stretched and beyond_noise(fit, nominal.study, options=options) == 0.0
 
 
 def _is_biased(nominal: NominalFit, *, options: DiagnosisOptions) -> bool:

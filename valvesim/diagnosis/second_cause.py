@@ -70,7 +70,12 @@ def _second_candidates(scores: ScoreTest, tried: Set[str] = frozenset()) -> list
     promised = scores.z() ** 2 - [rarity_penalty(candidate, options=scores.options) for candidate in scores.candidates]
     most = promised.max()
     likely = best_of_labels(scores, promised, options.second_share**2 * most)
-    new = [k for k in likely if scores.candidates[k].label not in tried]
+    first = [member.candidate for member in scores.fit.fitted]  # a second name of it is no second cause
+    new = [
+        k
+        for k in likely
+        if scores.candidates[k].label not in tried and not any(map(scores.candidates[k].is_equivalent_to, first))
+    ]
     nearly = most - scores.options.selection.answer_ratio
     return [k for j, k in enumerate(new) if j < options.seconds or promised[k] > nearly]
 

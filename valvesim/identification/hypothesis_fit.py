@@ -81,12 +81,28 @@ def fit_hypothesis(
 def _fit_from_start(
     nominal: NominalFit, fit: Fit, start: Sequence[FittedCandidate], linearisations: int, worthwhile: float | None
 ) -> Fit | None:
-    """A fit from a start, or from the solution of the linearised equations, whichever predicts the lower end; None
-    where no valve has the candidates at the nominal parameters.
+    """A fit from a start, or from the solution of the linearised equations, whichever predicts the lower end; where
+    that is no better than the nominal fit, from a part of the way to that solution. None where no valve has the
+    candidates at the nominal parameters.
     """
-    study = nominal.study
     leapt = _linear_start(nominal, tuple(start)) or _linear_start(nominal, fit.fitted)
-    begun = [pair for at in (fit, leapt) if at and (pair := _with_jacobian(nominal, at))]
+    end = _fit_from_best_of(nominal, (fit, leapt), linearisations, worthwhile)
+    if end is None or end.chi_square < _worthwhile(nominal):
+        return end
+    for share in (0.3, 0.1):  # a whole step may lead to where the valve oscillates, say
+        part = _linear_start(nominal, tuple(start), share)
+        if part is not None and part.chi_square < min(fit.chi_square, end.chi_square):
+            other = _fit_from_best_of(nominal, (part,), linearisations, worthwhile)
+            return end if other is None else min(end, other, key=lambda one: one.chi_square)
+    return end
+
+
+def _fit_from_best_of(
+    nominal: NominalFit, starts: Sequence[Fit | None], linearisations: int, worthwhile: float | None
+) -> Fit | None:
+    """A fit from whichever of some starts predicts the lowest end; None where no valve has the candidates of one."""
+    study = nominal.study
+    begun = [pair for at in starts if at and (pair := _with_jacobian(nominal, at))]
     if not begun:
         return None
 
@@ -272,8 +288,10 @@ def _iterate(
     return with_posterior(H, fit, options=study.options)
 
 
-def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...]) -> Fit | None:
-    """Solution of the linearised equations for all parameters at once: what the cause has moved goes back at once."""
+def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...], share: float = 1.0) -> Fit | None:
+    """Solution of the linearised equations for all parameters at once: what the cause has moved goes back at once; or a
+    share of the way there from the nominal fit.
+    """
     p = nominal.J.shape[1]
     absent = nominal.fit.with_fitted(start)  # its residual is that without the fitted candidates
     try:
@@ -285,7 +303,7 @@ def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...]) -> Fi
             [*np.transpose(nominal.study.nominal.limits - nominal.fit.point)]
             + [amplitude_limits(e.candidate, options=nominal.study.options) for e in start]
         )
-        step = bounded_step(H, gradient, limits)
+        step = share * bounded_step(H, gradient, limits)
         fitted = tuple(replace(e, above_neutral=float(a)) for e, a in zip(start, step[p:], strict=True))
         return evaluate_fit(nominal.study, nominal.fit.point + step[:p], fitted, nominal.fit.trajectories)
     except (SolveError, InputError):
