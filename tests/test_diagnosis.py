@@ -955,6 +955,8 @@ def test_causes_that_cannot_be_told_apart_are_told_with_their_places_once():
     )
     places = [CATALOGUE["spool_lap"].location, "sensor of load_flow", CATALOGUE["spool_edge_wear"].location]
     assert location_text(AMBIGUOUS, both) == " or ".join(dict.fromkeys(places))
+    coil = explained(1.0, "coil_turns_loss", "coil_resistance_drift")
+    assert location_text(CAUSE, [coil]) == "magnetic circuit and coil circuit of a voltage drive"
 
 
 def test_a_figure_of_the_heat_paths_is_told_as_what_the_parts_do():

@@ -114,6 +114,8 @@ def candidate_words(c: Candidate) -> str:
 
 
 def location_text(verdict: str, in_set: Sequence[FittedHypothesis]) -> str:
+    """Where the causes of an answer act: all of these places where it is sure of them, else one of them or more."""
     if verdict not in (CAUSE, AMBIGUOUS):
         return ""
-    return " or ".join(dict.fromkeys(c.location() for one in in_set for c in one.candidates))
+    places = dict.fromkeys(place for one in in_set for c in one.candidates for place in c.location().split("; "))
+    return (" and " if verdict == CAUSE else " or ").join(places)
