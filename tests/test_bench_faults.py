@@ -544,6 +544,7 @@ def test_a_fault_beside_which_peaks_count_less_has_not_explained_what_shows_at_p
     assert bench_faults.with_fault_left(nominal, of_cause, options=DIAGNOSIS) is expected
     monkeypatch.setattr(bench_faults, "with_inputs_reviewed", lambda nominal: nominal)
     options = replace(DIAGNOSIS, bench=replace(DIAGNOSIS.bench, most_faults=1))
+    scores = SimpleNamespace(candidates=(cause,), z=lambda: [z], level=lambda probability: 4.0)
     for before, hides in ((30.0, False), (40.0, left_to_peaks)):
         shown = SimpleNamespace(candidates=(cause,), z=lambda before=before: [before])
         found, after = bench_faults.with_bench_faults(nominal, shown, options=options)

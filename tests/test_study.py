@@ -437,10 +437,11 @@ def test_a_refit_whose_leap_leads_where_the_valve_oscillates_goes_a_part_of_the_
         tried.append(round(end.fitted[0].above_neutral / bias, 3))
         return end
 
-    def linear_start(nominal, start, share=1.0):
+    def after_step(nominal, start, step, share=1.0):
         return at((replace(start[0], above_neutral=share * start[0].above_neutral),))
 
-    monkeypatch.setattr(hypothesis_fit, "_linear_start", linear_start)
+    monkeypatch.setattr(hypothesis_fit, "_linear_step", lambda nominal, start: None)
+    monkeypatch.setattr(hypothesis_fit, "_after_step", after_step)
     monkeypatch.setattr(hypothesis_fit, "_fit_from_best_of", ended)
     near = replace(at((replace(start[0], above_neutral=0.0),)), chi_square=1e8)
     end = hypothesis_fit._fit_from_start(nominal, near, start, 1, None)

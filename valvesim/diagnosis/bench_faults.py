@@ -7,7 +7,7 @@ model: no cause is sought for it. A strong cause hides it, so it is sought in wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
@@ -94,7 +94,7 @@ def with_assumed_inputs(
             with suppress(SolveError, InputError):  # there the valve cannot be run
                 fits.append(_extended(nominal, shifts, np.append(valve, np.full(len(shifts), by))))
         better = min(fits, key=lambda one: one.fit.chi_square - one.fit.rows, default=nominal)
-        shows = float(np.max(scores.z(), initial=0.0)) ** 2
+        shows = _shows(scores) ** 2
         if better is not nominal and _gain_by_fault(_at_weight_of(nominal, better), better) >= 0.5 * shows:
             nominal, scores = better, score_test(better, better.fit, options=options)
     return nominal, scores
@@ -219,7 +219,9 @@ def with_fault_left(nominal: NominalFit, left: ScoreTest, *, options: DiagnosisO
     if _gain_by_fault(without, better) < 0.5 * likeliest.gain:
         return None
     causes = {member.candidate.label for member in left.fit.fitted}
-    return better if _still_shows(without, causes, options=options) else None
+    scores = score_test(without, without.fit, options=options)
+    shows = max(z for z, candidate in zip(scores.z(), scores.candidates, strict=True) if candidate.label in causes)
+    return better if shows > scores.level(options.detection.false_alarm) else None
 
 
 def _keeps_promise(
@@ -234,24 +236,20 @@ def _keeps_promise(
     of what it promises without them; and where nothing shows at all without them, half of what a cause did with them.
     """
     without, promised = _at_weight_of(nominal, better), likeliest.gain
-    gain = _gain_by_fault(without, better)
-    if without is nominal:
+    gain, shown = _gain_by_fault(without, better), _shows(scores) ** 2
+    if without is nominal or gain >= 0.5 * max(promised, shown):
         return gain >= 0.5 * promised
+    left = score_test(without, without.fit, options=options)
     if gain < 0.5 * promised:
-        left = score_test(without, without.fit, options=options)
         again = _likeliest(without, left, options=options)
         promised = again.gain if again is not None else promised
-    shows = float(np.max(scores.z(), initial=0.0)) ** 2
-    labels = {candidate.label for candidate in scores.candidates}
-    is_hidden = gain < 0.5 * shows and not _still_shows(without, labels, options=options)
+    is_hidden = gain < 0.5 * shown and _shows(left) <= left.level(options.detection.false_alarm)
     return gain >= 0.5 * promised and not is_hidden
 
 
-def _still_shows(without: NominalFit, labels: Set[str], *, options: DiagnosisOptions) -> bool:
-    """Whether one of the candidates of some labels raises an alarm in a nominal fit without samples next to peaks."""
-    scores = score_test(without, without.fit, options=options)
-    shows = max(z for z, candidate in zip(scores.z(), scores.candidates, strict=True) if candidate.label in labels)
-    return shows > scores.level(options.detection.false_alarm)
+def _shows(scores: ScoreTest) -> float:
+    """The z of the candidate that explains most of what is left."""
+    return float(np.max(scores.z(), initial=0.0))
 
 
 def _gain_by_fault(without: NominalFit, better: NominalFit) -> float:
@@ -324,7 +322,7 @@ def _likeliest(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisOpti
         by = (predicted.gain(own, range(k)) for k in range(fitted, most_causes + 1))
         return BenchHypothesis(parameters, min(by) - len(parameters))
 
-    shows = float(np.max(scores.z(), initial=0.0)) ** 2
+    shows = _shows(scores) ** 2
     best = max((beside(each, most) for each in hypotheses), key=lambda one: one.gain)
     if best.gain > max(options.bench.minimum_gain, options.bench.gain_share * max(shows, fit.chi_square - fit.rows)):
         return best

@@ -85,12 +85,13 @@ def _fit_from_start(
     that is no better than the nominal fit, from a part of the way to that solution. None where no valve has the
     candidates at the nominal parameters.
     """
-    leapt = _linear_start(nominal, tuple(start)) or _linear_start(nominal, fit.fitted)
+    start, step = tuple(start), _linear_step(nominal, start)
+    leapt = _after_step(nominal, start, step) or _after_step(nominal, fit.fitted, _linear_step(nominal, fit.fitted))
     end = _fit_from_best_of(nominal, (fit, leapt), linearisations, worthwhile)
     if end is None or end.chi_square < _worthwhile(nominal):
         return end
     for share in (0.3, 0.1):  # a whole step may lead to where the valve oscillates, say
-        part = _linear_start(nominal, tuple(start), share)
+        part = _after_step(nominal, start, step, share)
         if part is not None and part.chi_square < min(fit.chi_square, end.chi_square):
             other = _fit_from_best_of(nominal, (part,), linearisations, worthwhile)
             return end if other is None else min(end, other, key=lambda one: one.chi_square)
@@ -288,11 +289,10 @@ def _iterate(
     return with_posterior(H, fit, options=study.options)
 
 
-def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...], share: float = 1.0) -> Fit | None:
-    """Solution of the linearised equations for all parameters at once: what the cause has moved goes back at once; or a
-    share of the way there from the nominal fit.
+def _linear_step(nominal: NominalFit, start: Sequence[FittedCandidate]) -> np.ndarray | None:
+    """Solution (p + candidates,) of the linearised equations for all parameters at once: what the cause has moved goes
+    back at once. None where no valve has the candidates at the nominal parameters.
     """
-    p = nominal.J.shape[1]
     absent = nominal.fit.with_fitted(start)  # its residual is that without the fitted candidates
     try:
         S = added_jacobian(nominal, absent)
@@ -303,9 +303,21 @@ def _linear_start(nominal: NominalFit, start: tuple[FittedCandidate, ...], share
             [*np.transpose(nominal.study.nominal.limits - nominal.fit.point)]
             + [amplitude_limits(e.candidate, options=nominal.study.options) for e in start]
         )
-        step = share * bounded_step(H, gradient, limits)
-        fitted = tuple(replace(e, above_neutral=float(a)) for e, a in zip(start, step[p:], strict=True))
-        return evaluate_fit(nominal.study, nominal.fit.point + step[:p], fitted, nominal.fit.trajectories)
+        return bounded_step(H, gradient, limits)
+    except (SolveError, InputError):
+        return None
+
+
+def _after_step(
+    nominal: NominalFit, start: Sequence[FittedCandidate], step: np.ndarray | None, share: float = 1.0
+) -> Fit | None:
+    """The fit after a share of a `_linear_step` from the nominal one; None where there is none or it cannot be run."""
+    if step is None:
+        return None
+    p = len(nominal.fit.point)
+    fitted = tuple(replace(e, above_neutral=share * float(a)) for e, a in zip(start, step[p:], strict=True))
+    try:
+        return evaluate_fit(nominal.study, nominal.fit.point + share * step[:p], fitted, nominal.fit.trajectories)
     except (SolveError, InputError):
         return None
 
