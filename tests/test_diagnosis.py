@@ -398,6 +398,9 @@ def test_what_is_left_is_a_share_of_what_is_explained_beyond_chance():
     nominal.fit.chi_square = scores.fit.chi_square + 1e5
     error = DIAGNOSIS.detection.noise_error * scores.fit.rows + 5.0 * np.sqrt(2.0 * scores.fit.rows)
     assert unexplained_share(nominal, scores) == pytest.approx((scores.fit.rows - error) / 1e5)  # more than the noise
+    nominal.fit.chi_square = 2e9  # where a nominal fit is lost: of so much the same would be next to nothing (227508)
+    most = DIAGNOSIS.detection.most_explained * scores.fit.rows
+    assert unexplained_share(nominal, scores) == pytest.approx((scores.fit.rows - error) / most)
 
 
 @pytest.mark.parametrize("bias, rests", [(0.0, 0.0), (8.0, 0.0), (30.0, 25.0**2 - 20.0**2)])
@@ -800,7 +803,7 @@ def test_where_a_figure_is_named_effects_that_linear_answers_miss_are_tried_in_i
         assert all(start[-1].above_neutral == pytest.approx(start[-1].candidate.typical) for start in beside_it)
         assert all(start[:-1] == rest for start in beside_it)
         explains = {other: 9.0, "thermal_lag": 8.0}  # beside `rest`: of the others none explains anything
-        return np.array([7.0, *(7.0 + explains.get(start[-1].candidate.name, 0.0) for start in beside_it)])
+        return np.array([[7.0, *(7.0 + explains.get(start[-1].candidate.name, 0.0) for start in beside_it)]] * 2)
 
     def afresh(one, start, *, worthwhile):
         assert one is nominal and worthwhile == promised

@@ -484,6 +484,23 @@ def test_where_even_the_best_leaves_much_over_none_is_the_answer(monkeypatch, le
     assert [one.label for one in judged.answer_set] == named and judged.found == [best]
 
 
+@pytest.mark.parametrize(
+    "explained, left, named",
+    [(130.0, 17.0, True), (130.0, 27.0, False), (400.0, 29.0, True), (400.0, 31.0, False), (4100.0, 31.0, True)],
+)
+def test_what_leaves_no_more_than_a_plant_does_otherwise_is_possible_beside_an_unknown_cause(
+    monkeypatch, explained, left, named
+):
+    """A flexure's loss of d' 11 left 17 of 124 by an amplitude that wanders, and was no answer (231504, 307005)."""
+    base, best = nominal(4900.0 + explained), hypothesis(4900.0, "flexure_stiffness_loss")
+    monkeypatch.setattr(isolation, "score_test", score_test_of)
+    monkeypatch.setattr(isolation, "unexplained_share", lambda nominal, final: left / explained)
+    scores, final = score_test_of(base, base.fit), score_test_of(base, best.fit)
+    judged = isolation.judged(isolation.Isolation(base, scores, final, [best], [], "", True, 4.0))
+    assert [one.label for one in judged.answer_set] == ["flexure_stiffness_loss"] * named
+    assert ("none of them explains" in judged.unknown_reason) is named
+
+
 def test_what_the_plainer_of_two_leaves_that_fit_alike_is_looked_at_too(monkeypatch):
     base, plain = nominal(9000.0), hypothesis(4905.0, "spool_coulomb_friction")
     fuller = hypothesis(4900.0, "spool_silting")

@@ -21,7 +21,7 @@ from valvesim.diagnosis.model_selection import (
 )
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.fit import Fit, FittedCandidate, with_shapes
 from valvesim.identification.prior import NuisanceParameter
 from valvesim.valve.catalogue import CATALOGUE
 
@@ -142,6 +142,22 @@ def test_a_law_that_holds_a_plainer_one_as_common_goes_first_where_it_explains_m
     assert answers[0].label == best_first[0].label and {answer.label for answer in answers if answer.in_set} == {
         plainer.label, finer.label,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("of_shapes, more, first", [(9.0, 7.0, "flapper_cavitation"), (9.0, 0.5, "null_gap_asymmetry"),
+                                                    (0.4, 0.5, "flapper_cavitation")])  # fmt: skip
+def test_how_wide_the_prior_of_a_shape_is_tells_no_causes_apart(of_shapes, more, first):
+    """A cavitation explained 4 to 11 more than a pressure sensor's bias and stood behind it, for the width of the prior
+    of its critical ratio (222027, 224023, 229003, 233003).
+    """
+    plain = hypothesis(5000.0, "null_gap_asymmetry", occam_factor=11.0)
+    shaped = hypothesis(
+        5000.0 - more, "flapper_cavitation", occam_factor=11.0 + of_shapes, shape_occam_factor=of_shapes
+    )
+    shaped = replace(shaped, fit=replace(shaped.fit, fitted=(with_shapes(effect("flapper_cavitation"), 0.1),)))
+    nominal = SimpleNamespace(fit=replace(plain.fit, chi_square=5400.0, fitted=()), study=None)
+    found = sorted([plain, shaped], key=lambda one: one.evidence)
+    assert ranked(nominal, found, LEVEL)[0].label == first
 
 
 def test_of_two_hypotheses_one_nests_the_other_by_one_law_as_common():

@@ -126,7 +126,7 @@ def test_typical_amplitudes_are_tried_in_either_direction_and_the_best_of_those_
 
     def falls(nominal, starts):
         tried[:] = [(one.candidate, np.sign(one.above_neutral)) for (one,) in starts]
-        return np.array([{(BIAS, -1.0): 50.0, (FRICTION, 1.0): 80.0}.get(each, -1.0) for each in tried])
+        return np.array([[{(BIAS, -1.0): 50.0, (FRICTION, 1.0): 80.0}.get(each, -1.0) for each in tried]] * 2)
 
     monkeypatch.setattr(starts, "reductions_from_prior", falls)
     found = typical_starts(None, scores({BIAS: 0.0, FRICTION: 0.0}))
@@ -143,7 +143,7 @@ def test_effects_that_linear_answers_miss_are_begun_by_simulation(monkeypatch):
 
     def reductions(nominal, starts):
         simulated[:] = [one.candidate for (one,) in starts]
-        return np.array([falls[one] for one in simulated])
+        return np.array([[falls[one] for one in simulated]] * 2)
 
     monkeypatch.setattr(starts, "reductions_from_prior", reductions)
     seen = scores({BIAS: 8.0, stribeck: 0.0, LAP: 0.0, FRICTION: 0.0})
@@ -160,6 +160,20 @@ def test_effects_that_linear_answers_miss_are_begun_by_simulation(monkeypatch):
     seen = scores({LAP: 0.0, FRICTION: 0.0})
     falls |= {LAP: -1.0, FRICTION: 0.0}
     assert found() == []  # nothing shows, and nothing explains anything
+
+
+def test_of_samples_in_full_and_down_weighted_the_best_starts_come_in_turn(monkeypatch):
+    # a strong lap moves just those samples that are far off, which count less, by more than the fit can (231518)
+    falls = {LAP: (-8e5, 4e5), FRICTION: (6e4, 0.0), AIR: (5e4, 1e3), BIAS: (-1.0, -1.0)}
+    seen = scores(dict.fromkeys(falls, 0.0))
+
+    def reductions(nominal, begun):
+        of_sign = [(one.candidate, one.above_neutral > 0.0) for (one,) in begun]
+        return np.array([falls[one] if up else (-1.0, -1.0) for one, up in of_sign]).T
+
+    monkeypatch.setattr(starts, "reductions_from_prior", reductions)
+    assert [one.candidate for (one,) in typical_starts(None, seen)] == [LAP, FRICTION, AIR]
+    assert [one.candidate for (one,) in likeliest_starts(None, seen)] == [LAP, FRICTION, AIR]
 
 
 # ---------------------------------------------------------------- a second cause
@@ -394,7 +408,7 @@ def test_a_shape_that_begins_far_off_is_not_fitted_where_another_comes_near(monk
         return replace(hypothesis(ends).fit, fitted=start)
 
     monkeypatch.setattr(refits, "fit_from_prior", from_prior)
-    monkeypatch.setattr(refits, "reductions_from_prior", lambda nominal, starts: np.array([promised, 50.0]))
+    monkeypatch.setattr(refits, "reductions_from_prior", lambda nominal, starts: np.array([[promised, 50.0]] * 2))
     candidates = [
         Candidate("spool_thermal_pinch", CATALOGUE["spool_thermal_pinch"], (("free_clearance", at),))
         for at in (5e-6, 3e-6)

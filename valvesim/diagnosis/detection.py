@@ -204,5 +204,6 @@ def unexplained_share(nominal: NominalFit, final: ScoreTest) -> float:
         third := final.z().max(initial=0.0)
     ) > final.level(final.options.detection.false_alarm):
         over.append(third**2)
-    gained = max(nominal.fit.chi_square - final.fit.chi_square, 1.0)
+    most = final.options.detection.most_explained * final.fit.rows
+    gained = min(max(nominal.fit.chi_square - final.fit.chi_square, 1.0), most)
     return max(max(over) - bearable_beside_bench(final), 0.0) / gained

@@ -538,7 +538,7 @@ def _fitted_further(
 def judged(isolation: Isolation) -> Isolation:
     """An isolation with its hypotheses ranked, and their answer set: empty where even the best leaves too much."""
     nominal, final, found, options = isolation.nominal, isolation.final, isolation.found, isolation.scores.options
-    left, bearable = unexplained_share(nominal, final), max(options.detection.doubtful_share, found[0].law_error)
+    left, best = unexplained_share(nominal, final), found[0]
     second = final.level(options.detection.second_false_alarm)
     lone = ranked(nominal, found)[0]  # a second cause may stand beside it, or before it
     found, plainest = ranked(nominal, found, second), left
@@ -546,7 +546,7 @@ def judged(isolation: Isolation) -> Isolation:
         final = score_test(nominal, found[0].fit, options=options)
         plainest = unexplained_share(nominal, final)
     isolation = replace(isolation, final=final, found=found, second_level=second)
-    if left > bearable:  # where even the best leaves so much, it is not the answer
+    if not _may_leave(nominal, best, left):  # where even the best leaves so much, it is not the answer
         return _with_one_within_law_error(isolation)
     whole = plainest <= options.isolation.unexplained_share
     answer_set = answer_set_of(nominal, found, whole, second, options=options)
@@ -556,6 +556,17 @@ def judged(isolation: Isolation) -> Isolation:
         rivals = [f"the {term.label}" for term in rival_terms(nominal, own)[:2]]
         reason = f"a plain term does as well, {' or '.join(rivals)}" if rivals else ""
     return replace(isolation, answer_set=answer_set, unknown_reason=reason)
+
+
+def _may_leave(nominal: NominalFit, best: FittedHypothesis, left: float) -> bool:
+    """Whether a hypothesis that leaves such a share of what it explains is still possible, beside an unknown cause: by
+    its law, or because that is no more than a plant does otherwise than any model, and little of the whole.
+    """
+    options = best.options
+    if left <= max(options.detection.doubtful_share, best.law_error):
+        return True
+    explained = nominal.fit.chi_square - best.fit.chi_square
+    return left <= options.detection.little_share and left * explained <= options.selection.second_gain
 
 
 def _one_within_law_error(

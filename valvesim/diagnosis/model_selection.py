@@ -74,8 +74,12 @@ class FittedHypothesis:
         return self.evidence - self.least_chi_square + self.fit.chi_square - self.fit.predicted_reduction
 
     def tempered(self, temperature: float) -> float:
-        """The same tempered: differences of chi-square over a temperature, prior odds not, see `temperature_of`."""
-        return self.evidence + (temperature - 1.0) * self.prior_penalty
+        """The same tempered: differences of chi-square over a temperature, prior odds not, see `temperature_of`. How
+        wide the priors of shapes are does not count: each takes up as much as by chance at most.
+        """
+        shapes = len(self.fit.layout) - len(self.fit.fitted)
+        too_wide = max(self.fit.shape_occam_factor - self.options.selection.law_gain * shapes, 0.0)
+        return self.evidence - too_wide + (temperature - 1.0) * self.prior_penalty
 
     @property
     def law_error(self) -> float:

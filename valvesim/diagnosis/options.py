@@ -53,6 +53,18 @@ class DetectionOptions:
         "share of the explained chi-square left over, up to which the best is still possible, as is an unknown cause",
         JUDGEMENT,
     )
+    little_share: float = option(
+        0.2,
+        "1",
+        "the same where it is less than a second cause must explain",
+        "flexures at which the valve nearly oscillates leave 7 to 14 % of 130",
+    )
+    most_explained: float = option(
+        100.0,
+        "1",
+        "multiple of the rows up to which what is explained counts for such shares",
+        "where a nominal fit is lost it is 1e5 of them, and five times the noise is next to nothing of that",
+    )
     other_valve_figures: int = option(
         3, "1", "figures of the valve at their limits from which it is another one", "a cause may carry two there"
     )

@@ -365,7 +365,7 @@ def _fitted_from_prior(
     comes near the records, those of the same effects at other shapes are not fitted that begin further off than without
     a cause.
     """
-    promised = reductions_from_prior(nominal, starts) if len(starts) > 1 else np.zeros(len(starts))
+    promised = reductions_from_prior(nominal, starts)[0] if len(starts) > 1 else np.zeros(len(starts))
     found, near = list[FittedHypothesis](), set[tuple[str, ...]]()
     for k in np.argsort(-promised, kind="stable"):
         names = tuple(member.candidate.name for member in starts[k])

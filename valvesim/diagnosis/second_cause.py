@@ -229,7 +229,7 @@ def effects_for_parameters(
         and not any(c.excludes(member.candidate) for member in rest)
     ]  # fmt: skip
     starts = [(*rest, at_typical(scores, k)) for k in beside]
-    without, *falls = reductions_from_prior(nominal, [rest, *starts])
+    without, *falls = reductions_from_prior(nominal, [rest, *starts])[0]
     order = np.argsort(-np.array(falls), kind="stable")[: scores.options.isolation.seconds]
     likeliest = [starts[k] for k in order if falls[k] > without]
     worthwhile = largest_worthwhile_beside(nominal, best, options=scores.options)

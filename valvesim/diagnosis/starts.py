@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
+from itertools import zip_longest
 
 import numpy as np
 
@@ -130,8 +131,7 @@ def typical_starts(nominal: NominalFit, scores: ScoreTest) -> list[tuple[FittedC
     predictions may miss them all.
     """
     starts = _at_typical_either_way(scores)
-    falls = reductions_from_prior(nominal, starts)
-    return [starts[k] for k in np.argsort(-falls, kind="stable")[: scores.options.isolation.seconds] if falls[k] > 0.0]
+    return _best_in_turn(starts, reductions_from_prior(nominal, starts))[: scores.options.isolation.seconds]
 
 
 def likeliest_starts(nominal: NominalFit, scores: ScoreTest) -> Iterator[tuple[FittedCandidate, ...]]:
@@ -147,13 +147,23 @@ def likeliest_starts(nominal: NominalFit, scores: ScoreTest) -> Iterator[tuple[F
         yield likeliest
     typical = [start for start in _at_typical_either_way(scores) if not _is_of_sensor(start[0].candidate)]
     starts = [*linear, *typical]
-    falls = reductions_from_prior(nominal, starts)
-    simulated = [starts[k] for k in np.argsort(-falls, kind="stable") if falls[k] > 0.0]
+    simulated = _best_in_turn(starts, reductions_from_prior(nominal, starts))
     plainer = _of_name(simulated, simulated[0][0].candidate.plainest) if simulated else []
     for start in (*simulated[:1], *plainer, *simulated[1:]):
         if start[0].candidate.name not in given and len(given) < scores.options.isolation.most_starts:
             given.add(start[0].candidate.name)
             yield start
+
+
+def _best_in_turn(
+    starts: Sequence[tuple[FittedCandidate, ...]], falls: np.ndarray
+) -> list[tuple[FittedCandidate, ...]]:
+    """The starts that reduce the chi-square, the best of all samples in full and the best with samples far off down-
+    weighted in turn: a strong cause moves those samples most. `falls` (2, n) are of `reductions_from_prior`.
+    """
+    orders = [[int(k) for k in np.argsort(-fall, kind="stable") if fall[k] > 0.0] for fall in falls[::-1]]
+    in_turn = (k for best in zip_longest(*orders) for k in best if k is not None)
+    return [starts[k] for k in dict.fromkeys(in_turn)]
 
 
 def _of_name(starts: Sequence[tuple[FittedCandidate, ...]], name: str) -> list[tuple[FittedCandidate, ...]]:

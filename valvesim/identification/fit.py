@@ -49,9 +49,10 @@ class Fit:
     penalised chi-square.
 
     `rows` is the chi-square that noise alone would leave, `predicted_reduction` what the linearised equations still
-    promise, `occam_factor` twice the log ratio of prior to posterior width (MacKay 1992), `wald_statistics` by how much
-    the chi-square would be larger without each candidate by the linearised equations (Wald 1943), none where that is
-    not known. `trajectories` are kept for `linearise_fit`.
+    promise, `occam_factor` twice the log ratio of prior to posterior width (MacKay 1992), `shape_occam_factor` what of
+    it the shapes add to the amplitudes' own, `wald_statistics` by how much the chi-square would be larger without each
+    candidate by the linearised equations (Wald 1943), none where that is not known. `trajectories` are kept for
+    `linearise_fit`.
     """
 
     point: np.ndarray
@@ -62,6 +63,7 @@ class Fit:
     rows: float
     predicted_reduction: float = 0.0
     occam_factor: float = 0.0
+    shape_occam_factor: float = 0.0
     wald_statistics: tuple[float, ...] = ()
     trajectories: tuple[Trajectory, ...] = ()
 
@@ -82,7 +84,12 @@ class Fit:
 
     def with_posterior_of(self, other: Fit) -> Fit:
         """The same with what the normal equations of another fit of its candidates tell of them."""
-        return replace(self, occam_factor=other.occam_factor, wald_statistics=other.wald_statistics)
+        return replace(
+            self,
+            occam_factor=other.occam_factor,
+            shape_occam_factor=other.shape_occam_factor,
+            wald_statistics=other.wald_statistics,
+        )
 
     def variant(self, nominal: NominalModel) -> ModelVariant:
         """The valve and effects of this fit."""
@@ -154,7 +161,9 @@ def rescored(study: Study, fit: Fit) -> Fit:
         raise SolveError("the readings of this variant are beyond all sense")
     rows = study.expected_rows
     scored = replace(fit, chi_square=chi_square, residual=residual, rows=rows)
-    return replace(scored, predicted_reduction=0.0, occam_factor=0.0, wald_statistics=())
+    return replace(
+        scored, predicted_reduction=0.0, occam_factor=0.0, shape_occam_factor=0.0, wald_statistics=()
+    )
 
 
 def shapes_and_defaults(member: FittedCandidate) -> list[tuple[float, float]]:

@@ -176,31 +176,38 @@ def continue_from(nominal: NominalFit, fit: Fit, worthwhile: float | None = None
 
 
 def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCandidate, ...]]) -> np.ndarray:
-    """(len(starts),) reduction of the chi-square by each start, from the same point; -inf where it cannot be
-    simulated.
+    """(2, len(starts)) reduction of the chi-square by each start, from the same point; -inf where it cannot be
+    simulated. First with samples far off down-weighted, which they are by what is sought as well where it moves them
+    much; then with all in full.
 
-    Each is simulated, and the nuisance parameters follow by the linearised equations; samples far off are down-
-    weighted.
+    Each is simulated, and the nuisance parameters follow by the linearised equations.
     """
     study = nominal.study.without_oversampling()
     fit = evaluate_fit(study, clipped_to_tolerance(nominal), (), nominal.fit.trajectories)
-    robust = robust_weights(study, fit.readings)
-    J = robust.stack(linearise_fit(study, fit)[1])
-    H = J.T @ J + np.eye(len(fit.point))
+    columns = linearise_fit(study, fit)[1]
 
-    def left(fit: Fit) -> float:
-        gradient = J.T @ fit.residual - fit.point
-        return float(fit.chi_square - gradient @ solve_normal(H, gradient))
+    def falls(weighted: Study, begun: Sequence[Fit | None]) -> list[float]:
+        J = weighted.stack(columns)
+        H = J.T @ J + np.eye(len(fit.point))
 
-    before = left(rescored(robust, fit))
+        def left(one: Fit) -> float:
+            scored = rescored(weighted, one)
+            gradient = J.T @ scored.residual - scored.point
+            return float(scored.chi_square - gradient @ solve_normal(H, gradient))
 
-    def fall(start: tuple[FittedCandidate, ...]) -> float:
-        try:
-            return before - left(evaluate_fit(robust, fit.point, start, fit.trajectories))
-        except (SolveError, InputError):
-            return -np.inf
+        before = left(fit)
+        return [before - left(one) if one is not None else -np.inf for one in begun]
 
-    return np.array([fall(start) for start in starts])
+    begun = [_begun(study, fit, start) for start in starts]
+    return np.array([falls(weighted, begun) for weighted in (robust_weights(study, fit.readings), study.unweighted())])
+
+
+def _begun(study: Study, fit: Fit, start: tuple[FittedCandidate, ...]) -> Fit | None:
+    """A start evaluated at the point of a fit; None where it cannot be simulated."""
+    try:
+        return replace(evaluate_fit(study, fit.point, start, fit.trajectories), trajectories=())
+    except (SolveError, InputError):
+        return None
 
 
 def _fit_robustly(nominal: NominalFit, fit: Fit, linearisations: int, worthwhile: float | None = None) -> Fit:

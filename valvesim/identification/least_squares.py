@@ -250,15 +250,27 @@ def normal_equations(
 
 def with_posterior(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -> Fit:
     """A fit with what its normal equations tell of the fitted candidates, nuisance parameters marginalised: the Occam
-    factor, ln det of their posterior precision in units of their priors (MacKay 1992), and the Wald statistic of each.
+    factor, ln det of their posterior precision in units of their priors (MacKay 1992), what of it the shapes add, and
+    the Wald statistic of each.
     """
     p, layout = len(fit.point), fit.layout
     scale = np.array([3.0 * e.candidate.typical if not shape else options.fit.shape_deviation for e, shape in layout])
     left = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
-    amplitude = np.array([1.0 if not shape else 0.0 for _, shape in layout])
-    scaled = left * np.outer(scale, scale) + np.diag(amplitude)
-    sign, value = np.linalg.slogdet(scaled)
-    variance = np.diag(inverse_of(left))[amplitude > 0.0]
-    known = zip(fit.fitted, variance, strict=True)
-    wald = tuple(member.above_neutral**2 / float(own) if own > 0.0 else 0.0 for member, own in known)
-    return replace(fit, occam_factor=float(value) if sign > 0 else 0.0, wald_statistics=wald)
+    amplitude = np.array([not shape for _, shape in layout], dtype=bool)
+    covariance = inverse_of(left)[np.ix_(amplitude, amplitude)]
+    known = zip(fit.fitted, np.diag(covariance), strict=True)
+
+    def occam_factor(precision: np.ndarray, which: np.ndarray) -> float:
+        scaled = precision * np.outer(scale[which], scale[which]) + np.diag(amplitude[which].astype(float))
+        sign, value = np.linalg.slogdet(scaled)
+        return float(value) if sign > 0 else 0.0
+
+    whole = occam_factor(left, np.ones_like(amplitude))
+    return replace(
+        fit,
+        occam_factor=whole,
+        shape_occam_factor=0.0 if amplitude.all() else whole - occam_factor(inverse_of(covariance), amplitude),
+        wald_statistics=tuple(
+            member.above_neutral**2 / float(own) if own > 0.0 else 0.0 for member, own in known
+        ),
+    )
