@@ -25,7 +25,15 @@ from valvesim.channels import State
 from valvesim.valve.catalogue import CATALOGUE, effect
 from valvesim.valve.coefficients import PART_NAMES, PartTemperatures
 from valvesim.valve.effect import Reading
-from valvesim.valve.equations import AT_20, NOMINAL, Model, VoltageDrive, main_stage, torque_constant
+from valvesim.valve.equations import (
+    AT_20,
+    NOMINAL,
+    Model,
+    VoltageDrive,
+    drive_torque,
+    main_stage,
+    torque_constant,
+)
 from valvesim.valve.equilibrium import nozzle_pressures, solve_rest
 from valvesim.valve.fluid import aerated_bulk_modulus
 from valvesim.valve.laws import lagged
@@ -317,6 +325,34 @@ def test_shorted_turns_at_held_voltage_draw_current_and_keep_the_torque():
     old, new = (VoltageDrive().rest(3.0, each)[0] for each in (C20, c))
     assert new / old == pytest.approx(1 / 0.9, rel=1e-12)
     assert new * torque_constant(c) == pytest.approx(old * torque_constant(C20), rel=1e-12)
+
+
+def test_what_is_indistinguishable_from_an_effect_is_in_the_catalogue_and_is_several():
+    named = {name: entry.indistinguishable_from for name, entry in CATALOGUE.items() if entry.indistinguishable_from}
+    assert named == {"coil_turns_loss": ("magnet_demagnetization", "flexure_stiffness_loss")}
+    assert all(other in CATALOGUE for others in named.values() for other in others)
+
+
+@pytest.mark.parametrize("loss", [0.05, 0.2, 0.35])
+def test_a_magnet_with_a_flexure_as_weak_turns_the_armature_as_lost_turns_do(loss):
+    """The torques of motor and tube at each angle and current: what the magnetic spring has lost, of which (1 - s)^2 is
+    left, the flexure has lost too.
+    """
+
+    def torque(c, angle, current):
+        return drive_torque(angle, c.coil_turns * current, c) - c.spring_tube_stiffness * angle
+
+    def with_loss(name, share, c=C20):
+        return effect(name).coefficients(c, effect(name).values((share,)), AT_20)
+
+    step = 1e-6
+    magnetic_spring = (drive_torque(step, 0.0, C20) - drive_torque(-step, 0.0, C20)) / (2.0 * step)
+    softer = magnetic_spring * (1.0 - (1.0 - loss) ** 2) / C20.spring_tube_stiffness
+    both = with_loss("flexure_stiffness_loss", softer, with_loss("magnet_demagnetization", loss))
+    turns = with_loss("coil_turns_loss", loss)
+    at = [(angle, current) for angle in np.linspace(-2e-3, 2e-3, 9) for current in np.linspace(-10e-3, 10e-3, 9)]
+    one, other, healthy = (np.array([torque(c, *each) for each in at]) for c in (both, turns, C20))
+    assert np.max(np.abs(one - other)) < 0.1 * np.max(np.abs(other - healthy))
 
 
 def test_eddy_currents_hold_back_their_share_until_the_lag_has_passed():

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from valvesim.diagnosis import second_cause
+from valvesim.diagnosis import refits, second_cause
 from valvesim.diagnosis.answer_tables import candidate_answers
 from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
@@ -158,6 +158,42 @@ def test_how_wide_the_prior_of_a_shape_is_tells_no_causes_apart(of_shapes, more,
     nominal = SimpleNamespace(fit=replace(plain.fit, chi_square=5400.0, fitted=()), study=None)
     found = sorted([plain, shaped], key=lambda one: one.evidence)
     assert ranked(nominal, found, LEVEL)[0].label == first
+
+
+TOGETHER = ("magnet_demagnetization", "flexure_stiffness_loss")
+
+
+@pytest.mark.parametrize("behind, stands", [(0.0, True), (10.0, True), (40.0, False)])
+def test_effects_that_together_do_what_one_does_stand_beside_it_where_they_explain_nearly_as_much(behind, stands):
+    """A magnet with a flexure as weak was told for sure as lost turns (222012, 227030, 229006, 234510)."""
+    turns, pair = hypothesis(5000.0, "coil_turns_loss"), hypothesis(5000.0 + behind, *TOGETHER, occam_factor=20.0)
+    other = hypothesis(5000.0 + behind, "magnet_demagnetization", "entrained_air", occam_factor=20.0)
+    assert pair.is_indistinguishable_from(turns) and not turns.is_indistinguishable_from(pair)
+    assert not other.is_indistinguishable_from(turns) and not pair.is_indistinguishable_from(other)
+    told = in_set(leaving(5400.0), turns, pair, other)
+    assert told == ([turns.label, pair.label] if stands else [turns.label])
+    figure = NuisanceParameter("coil_turns", "1", 2000.0, 20.0, (10.0, 1e5))
+    of_figure = replace(turns.fit, fitted=(FittedCandidate(Candidate("coil_turns", parameter=figure), -200.0),))
+    assert pair.is_indistinguishable_from(replace(turns, fit=of_figure))
+
+
+def test_what_together_does_as_one_is_fitted_beside_that_alone(monkeypatch):
+    asked, turns = [], hypothesis(5000.0, "coil_turns_loss")
+    candidates = tuple(effect(name) for name in ("coil_turns_loss", *TOGETHER))
+    nominal = SimpleNamespace(study=SimpleNamespace(candidates=candidates), fit=turns.fit)
+
+    def fits(nominal, starts, point, *, others, options):
+        asked.extend(tuple(member.candidate.name for member in start) for start in starts)
+        return [hypothesis(5001.0, *TOGETHER, occam_factor=20.0)]
+
+    monkeypatch.setattr(refits, "fit_starts", fits)
+    found = refits.with_indistinguishable(nominal, [turns], options=DIAGNOSIS)
+    assert [one.label for one in found] == ["coil_turns_loss", " + ".join(TOGETHER)] and asked == [TOGETHER]
+    assert refits.with_indistinguishable(nominal, found, options=DIAGNOSIS) == found and len(asked) == 1  # it is there
+    for other in ([], [hypothesis(5000.0, "spool_lap")], [hypothesis(5000.0, "coil_turns_loss", "spool_lap")]):
+        assert refits.with_indistinguishable(nominal, other, options=DIAGNOSIS) == other and len(asked) == 1
+    nominal.study.candidates = candidates[:2]  # the session has no flexure to look at
+    assert refits.with_indistinguishable(nominal, [turns], options=DIAGNOSIS) == [turns] and len(asked) == 1
 
 
 def test_of_two_hypotheses_one_nests_the_other_by_one_law_as_common():

@@ -70,6 +70,7 @@ from valvesim.diagnosis.refits import (
     unfitted_plainer_hypotheses,
     with_fits_at_ends,
     with_fuller_laws,
+    with_indistinguishable,
 )
 from valvesim.diagnosis.result import WhatToDo
 from valvesim.diagnosis.rival_term import rival_terms
@@ -489,6 +490,7 @@ def _isolated(
     level = scores.level(options.detection.false_alarm)
     found = with_fuller_laws(nominal, found, options=options)
     found = with_fits_at_ends(nominal, found, options=options)
+    found = with_indistinguishable(nominal, found, options=options)
     if not found:
         return Isolation(nominal, scores, final, [], [], "", alarm, level)
     if found[0].fit is not final.fit:
@@ -551,7 +553,8 @@ def judged(isolation: Isolation) -> Isolation:
     whole = plainest <= options.isolation.unexplained_share
     answer_set = answer_set_of(nominal, found, whole, second, options=options)
     reason = unknown_reason_of(answer_set[0], min(left, plainest))
-    if not reason and len(lone.candidates) == 1 and all(map(lone.is_within, answer_set)):
+    beside = [one for one in answer_set if not one.is_indistinguishable_from(lone)]
+    if not reason and len(lone.candidates) == 1 and all(map(lone.is_within, beside)):
         own = final if lone.fit is final.fit else score_test(nominal, lone.fit, options=options)
         rivals = [f"the {term.label}" for term in rival_terms(nominal, own)[:2]]
         reason = f"a plain term does as well, {' or '.join(rivals)}" if rivals else ""

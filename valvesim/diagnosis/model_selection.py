@@ -128,6 +128,11 @@ class FittedHypothesis:
         alike = len(self.candidates) == len(plainer.candidates) and len(own) == 1
         return alike and own[0] is not None and own[0].as_common and [own[0].plainer] == replaced
 
+    def is_indistinguishable_from(self, alone: FittedHypothesis) -> bool:
+        """Whether this has the effects that together do what a single one does."""
+        others = [candidate.indistinguishable_from for candidate in alone.candidates]
+        return len(others) == 1 and bool(others[0]) and set(others[0]) == {c.name for c in self.candidates}
+
     def holds(self, smaller: FittedHypothesis) -> bool:
         """Whether this can follow all that another hypothesis can: it has its causes, or a fuller law of one."""
         return smaller.is_within(self) or self.nests_law_of(smaller)
@@ -312,7 +317,7 @@ def answer_set_of(
             return behind < width_beside_smaller(nominal, best, one)
         if one.tempered(temperature) - least < width:
             return True
-        if len(one.candidates) > most:
+        if len(one.candidates) > most and not one.is_indistinguishable_from(best):
             return best.is_within(one) and one.gain_beyond(best) > least_gain(best)
         return behind < width_beside(nominal, best, one)
 

@@ -308,6 +308,22 @@ def with_fuller_laws(
     return distinct([*found, *more], options=options) if more else list(found)
 
 
+def with_indistinguishable(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[FittedHypothesis]:
+    """The found, best first, with the effects that together cannot be told from a single likeliest one."""
+    if not found or len(found[0].candidates) > 1:
+        return list(found)
+    best, (member,) = found[0], found[0].fit.fitted
+    named = {candidate.name: candidate for candidate in nominal.study.candidates if candidate.effect is not None}
+    others = member.candidate.indistinguishable_from
+    if not others or not named.keys() >= set(others) or any(one.is_indistinguishable_from(best) for one in found):
+        return list(found)
+    start = tuple(with_shapes(named[name], options.isolation.together * named[name].typical) for name in others)
+    together = fit_starts(nominal, [start], best.fit.point, others=found, options=options)
+    return distinct([*found, *together], options=options)
+
+
 def alike_hypotheses(
     nominal: NominalFit,
     found: Sequence[FittedHypothesis],

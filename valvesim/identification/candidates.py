@@ -89,6 +89,13 @@ class Candidate:
         return any(each.parameter is not None and each.parameter.name in figures for each in (self, other))
 
     @property
+    def indistinguishable_from(self) -> tuple[str, ...]:
+        """The names of effects that together do the same as its effect, or as the one that its parameter is."""
+        same = (e for e in CATALOGUE.values() if self.parameter is not None and e.figure == self.parameter.name)
+        effect = self.effect or next(same, None)
+        return effect.indistinguishable_from if effect is not None else ()
+
+    @property
     def unit(self) -> str:
         """Of the amplitude."""
         if self.effect is not None:

@@ -121,6 +121,8 @@ class Effect(Shown):
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first, but
     where this one is `as_common`: then what the readings say alone decides.
+    `indistinguishable_from` names effects that together, in proportion, do the same to all that the valve's equations
+    have: no record but of what is not among these tells them from this one.
     `feature` names the coefficient, or of a sensor's effect the part of the `Reading`, whose changes are that feature:
     while it stands still, it is the plainer one.
     `advice` is what to do where it is found.
@@ -145,6 +147,7 @@ class Effect(Shown):
     figure: str = ""
     plainer: str = ""
     as_common: bool = False
+    indistinguishable_from: tuple[str, ...] = ()
     feature: str = ""
     law_error: float = 0.0
     figure_error: float = 0.0

@@ -144,6 +144,8 @@ MOTOR = (
         parameters=(amplitude_parameter("loss", "1", "share s of the turns that is shorted", (0.0, 0.5), 0.05),),
         coefficients=_turns_loss,
         figure="coil_turns",
+        # a magnet and a flexure as weak lose torque per current as these do, and as much of one spring as of the other
+        indistinguishable_from=("magnet_demagnetization", "flexure_stiffness_loss"),
     ),
     Effect(
         name="eddy_current_lag",
