@@ -177,12 +177,12 @@ def continue_from(nominal: NominalFit, fit: Fit, worthwhile: float | None = None
 
 def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCandidate, ...]]) -> np.ndarray:
     """(2, len(starts)) reduction of the chi-square by each start, from the same point; -inf where it cannot be
-    simulated. First with samples far off down-weighted, which they are by what is sought as well where it moves them
-    much; then with all in full.
+    simulated. The first row is with samples far off down-weighted, also those that what is sought has moved; the second
+    with all in full.
 
     Each is simulated, and the nuisance parameters follow by the linearised equations.
     """
-    study = nominal.study.without_oversampling()
+    study = nominal.study.without_oversampling().unweighted()
     fit = evaluate_fit(study, clipped_to_tolerance(nominal), (), nominal.fit.trajectories)
     columns = linearise_fit(study, fit)[1]
 
@@ -199,7 +199,7 @@ def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCand
         return [before - left(one) if one is not None else -np.inf for one in begun]
 
     begun = [_begun(study, fit, start) for start in starts]
-    return np.array([falls(weighted, begun) for weighted in (robust_weights(study, fit.readings), study.unweighted())])
+    return np.array([falls(weighted, begun) for weighted in (robust_weights(study, fit.readings), study)])
 
 
 def _begun(study: Study, fit: Fit, start: tuple[FittedCandidate, ...]) -> Fit | None:

@@ -121,8 +121,8 @@ class Effect(Shown):
     `figure` names the valve's quantity that the effect changes, all but alone: that quantity off is this effect.
     `plainer` names the effect that this one is where its own feature does not show; of the two that is told first, but
     where this one is `as_common`: then what the readings say alone decides.
-    `indistinguishable_from` names effects that together, in proportion, do the same to all that the valve's equations
-    have: no record but of what is not among these tells them from this one.
+    `indistinguishable_from` names effects that together, in proportion, do to the readings what this one does; what it
+    does besides tells them apart (to the coil's resistance, as lost turns do).
     `feature` names the coefficient, or of a sensor's effect the part of the `Reading`, whose changes are that feature:
     while it stands still, it is the plainer one.
     `advice` is what to do where it is found.
