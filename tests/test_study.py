@@ -962,6 +962,23 @@ def test_a_wald_statistic_is_what_the_chi_square_would_be_larger_by_without_a_ca
     assert (told.shape_occam_factor > 0.0) is shaped
 
 
+@pytest.mark.parametrize("seed", range(40))
+def test_what_a_posterior_tells_is_finite_however_unlike_the_columns_are(seed):
+    """An inverse of an inverse was not, of columns 1e12 apart in size."""
+    dice = np.random.default_rng(seed)
+    names = [name for name, effect in CATALOGUE.items() if effect.reading is None]
+    for _ in range(50):
+        chosen = dice.choice(names, size=dice.integers(0, 4), replace=False)
+        members = tuple(with_shapes(Candidate(name, CATALOGUE[name]), float(dice.normal())) for name in chosen)
+        fit = Fit(np.zeros(2), members, 0.0, (), np.zeros(0), 1.0)
+        J = dice.normal(size=(int(dice.integers(1, 20)), 2 + len(fit.layout)))
+        J *= 10.0 ** dice.uniform(-6.0, 6.0, J.shape[1]) * (dice.random(J.shape[1]) > 0.2)
+        prior = [1.0, 1.0, *(OPTIONS.fit.shape_deviation**-2 if shape else 0.0 for _, shape in fit.layout)]
+        told = with_posterior(J.T @ J + np.diag(prior), fit, options=OPTIONS)
+        assert np.all(np.isfinite([told.occam_factor, told.shape_occam_factor, *told.wald_statistics]))
+        assert fit.fitted_shapes or told.shape_occam_factor == 0.0
+
+
 def test_what_nothing_is_known_of_has_a_wald_statistic_of_nothing():
     member = FittedCandidate(Candidate("effect", CATALOGUE["entrained_air"]), 0.01)
     fit = Fit(np.zeros(1), (member,), 0.0, (), np.zeros(0), 1.0)

@@ -77,8 +77,8 @@ class FittedHypothesis:
         """The same tempered: differences of chi-square over a temperature, prior odds not, see `temperature_of`. How
         wide the priors of shapes are does not count: each takes up as much as by chance at most.
         """
-        shapes = len(self.fit.layout) - len(self.fit.fitted)
-        too_wide = max(self.fit.shape_occam_factor - self.options.selection.law_gain * shapes, 0.0)
+        by_chance = self.options.selection.law_gain * self.fit.fitted_shapes
+        too_wide = max(self.fit.shape_occam_factor - by_chance, 0.0)
         return self.evidence - too_wide + (temperature - 1.0) * self.prior_penalty
 
     @property
@@ -282,7 +282,7 @@ def odds_of_second(nominal: NominalFit, pair: FittedHypothesis, alone: FittedHyp
     """
     explained = nominal.fit.chi_square - alone.fit.chi_square
     may_err = max(alone.law_error_of(explained), alone.options.selection.least_law_error) * explained
-    shapes = sum(len(one.fit.layout) * sign - len(one.candidates) * sign for one, sign in ((pair, 1), (alone, -1)))
+    shapes = pair.fit.fitted_shapes - alone.fit.fitted_shapes
     rarer = pair.prior_penalty - alone.prior_penalty
     return pair.gain_beyond(alone) - max(least_gain_of_second(nominal, alone, level), may_err) - shapes - rarer
 
@@ -346,8 +346,7 @@ def odds_against_noise(nominal: NominalFit, best: FittedHypothesis, level: float
     """Twice the log odds of the best against noise alone: at the alarm level, where no shape is fitted, the two are as
     likely. Of noise each shape takes up one of the chi-square more.
     """
-    shapes = len(best.fit.layout) - len(best.fit.fitted)
-    return nominal.fit.chi_square - best.fit.chi_square - level**2 - shapes
+    return nominal.fit.chi_square - best.fit.chi_square - level**2 - best.fit.fitted_shapes
 
 
 def nested_levels(
@@ -362,7 +361,7 @@ def nested_levels(
     if larger.nests_law_of(smaller):
         return width_beside(nominal, larger, smaller, more), options.law_gain, 0.0
     if not smaller.candidates:
-        even = level**2 + len(larger.fit.layout) - len(larger.fit.fitted)
+        even = level**2 + larger.fit.fitted_shapes
         return even + options.answer_ratio, even, options.minimum_gain * level**2
     second = least_gain_of_second(nominal, smaller, second_level, more)
     return width_beside_smaller(nominal, larger, smaller, more), second, second

@@ -179,7 +179,7 @@ class IsolationOptions:
         5.0, "1", "times the largest adequate chi-square that another law may leave by equations linear at the best",
         "those that came near left up to 2.7; hysteresis and silting for strong friction 6 and 9",
     )
-    together: float = option(
+    indistinguishable_start: float = option(
         3.0, "1", "times their typical amplitudes at which effects are begun that cannot be told from one", JUDGEMENT
     )
     seconds: int = option(3, "1", "candidates that are tried beside a first cause", JUDGEMENT)

@@ -319,7 +319,8 @@ def with_indistinguishable(
     others = member.candidate.indistinguishable_from
     if not others or not named.keys() >= set(others) or any(one.is_indistinguishable_from(best) for one in found):
         return list(found)
-    start = tuple(with_shapes(named[name], options.isolation.together * named[name].typical) for name in others)
+    share = options.isolation.indistinguishable_start
+    start = tuple(with_shapes(named[name], share * named[name].typical) for name in others)
     together = fit_starts(nominal, [start], best.fit.point, others=found, options=options)
     return distinct([*found, *together], options=options)
 

@@ -73,6 +73,11 @@ class Fit:
         return tuple((member, shape) for member in self.fitted for shape in ("", *(name for name, _ in member.shapes)))
 
     @property
+    def fitted_shapes(self) -> int:
+        """How many shapes are fitted, of all candidates together."""
+        return len(self.layout) - len(self.fitted)
+
+    @property
     def vector(self) -> np.ndarray:
         """The parameter vector: nuisance parameters, then `layout`, shapes as logarithms."""
         own = [np.log(dict(member.shapes)[shape]) if shape else member.above_neutral for member, shape in self.layout]

@@ -29,6 +29,7 @@ from valvesim.identification.least_squares import (
     with_posterior,
 )
 from valvesim.identification.nominal_fit import NominalFit, clipped_to_tolerance, robust_start
+from valvesim.identification.predictor import Trajectory
 from valvesim.identification.study import Study
 
 
@@ -198,14 +199,16 @@ def reductions_from_prior(nominal: NominalFit, starts: Sequence[tuple[FittedCand
         before = left(fit)
         return [before - left(one) if one is not None else -np.inf for one in begun]
 
-    begun = [_begun(study, fit, start) for start in starts]
+    begun = [_evaluated(study, fit.point, start, fit.trajectories) for start in starts]
     return np.array([falls(weighted, begun) for weighted in (robust_weights(study, fit.readings), study)])
 
 
-def _begun(study: Study, fit: Fit, start: tuple[FittedCandidate, ...]) -> Fit | None:
-    """A start evaluated at the point of a fit; None where it cannot be simulated."""
+def _evaluated(
+    study: Study, point: np.ndarray, fitted: tuple[FittedCandidate, ...], near: tuple[Trajectory, ...]
+) -> Fit | None:
+    """Candidates evaluated at a point (p,); None where that cannot be simulated."""
     try:
-        return replace(evaluate_fit(study, fit.point, start, fit.trajectories), trajectories=())
+        return evaluate_fit(study, point, fitted, near)
     except (SolveError, InputError):
         return None
 
@@ -323,10 +326,7 @@ def _after_step(
         return None
     p = len(nominal.fit.point)
     fitted = tuple(replace(e, above_neutral=share * float(a)) for e, a in zip(start, step[p:], strict=True))
-    try:
-        return evaluate_fit(nominal.study, nominal.fit.point + share * step[:p], fitted, nominal.fit.trajectories)
-    except (SolveError, InputError):
-        return None
+    return _evaluated(nominal.study, nominal.fit.point + share * step[:p], fitted, nominal.fit.trajectories)
 
 
 def _with_jacobian(nominal: NominalFit, fit: Fit) -> tuple[Fit, np.ndarray] | None:

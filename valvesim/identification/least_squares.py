@@ -257,8 +257,10 @@ def with_posterior(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -
     scale = np.array([3.0 * e.candidate.typical if not shape else options.fit.shape_deviation for e, shape in layout])
     left = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
     amplitude = np.array([not shape for _, shape in layout], dtype=bool)
-    covariance = inverse_of(left)[np.ix_(amplitude, amplitude)]
-    known = zip(fit.fitted, np.diag(covariance), strict=True)
+    variance = np.diag(inverse_of(left))[amplitude]
+    known = zip(fit.fitted, variance, strict=True)
+    across, among = left[np.ix_(amplitude, ~amplitude)], left[np.ix_(~amplitude, ~amplitude)]
+    of_amplitudes = left[np.ix_(amplitude, amplitude)] - across @ np.linalg.solve(among, across.T)
 
     def occam_factor(precision: np.ndarray, which: np.ndarray) -> float:
         scaled = precision * np.outer(scale[which], scale[which]) + np.diag(amplitude[which].astype(float))
@@ -269,7 +271,7 @@ def with_posterior(H: np.ndarray, fit: Fit, *, options: IdentificationOptions) -
     return replace(
         fit,
         occam_factor=whole,
-        shape_occam_factor=0.0 if amplitude.all() else whole - occam_factor(inverse_of(covariance), amplitude),
+        shape_occam_factor=whole - occam_factor(of_amplitudes, amplitude),
         wald_statistics=tuple(
             member.above_neutral**2 / float(own) if own > 0.0 else 0.0 for member, own in known
         ),
