@@ -67,7 +67,7 @@ from valvesim.diagnosis.score_test import ScoreTest, score_test  # noqa: E402
 from valvesim.identification.candidates import Candidate  # noqa: E402
 from valvesim.identification.fit import Fit, FittedCandidate, evaluate_fit  # noqa: E402
 from valvesim.identification.fit_jacobian import linearise_study  # noqa: E402
-from valvesim.identification.hypothesis_fit import fit_from_prior, fit_hypothesis  # noqa: E402
+from valvesim.identification.hypothesis_fit import continue_from, fit_from_prior, fit_hypothesis  # noqa: E402
 from valvesim.identification.linearised_record import LinearisedRecord  # noqa: E402
 from valvesim.identification.noise_model import NoiseModel  # noqa: E402
 from valvesim.identification.nominal_fit import NominalFit, fit_nominal, fit_nominal_from  # noqa: E402
@@ -91,6 +91,7 @@ OUTSIDE_TARGETS = (8.0, 15.0, 40.0, 40.0)
 PAIR_TARGET = 20.0  # d' of both together
 NONE_CASES, PAIR_CASES, POOR_CASES = 200, 50, 32
 ORACLE_LOOKS = 1
+MOST_CONTINUED, NO_GAIN = 6, 0.5  # times that a fit of the ruler is continued, and the chi-square that ends it
 STRONGEST = 20.0  # times the strength as drawn
 MOST_OFFSET = 0.35  # of a parameter, relative: beyond it is another valve
 INSIDE = 0.95  # share of the catalogue's bounds that a hidden amplitude keeps to
@@ -266,21 +267,24 @@ class Ruler:
         """d' of each of what is hidden beside the others, by fits to the noise-free records, in which peaks count as in
         a diagnosis; () where the model lacks one of them.
 
-        Fits are continued from within tolerance too: one without the other that stops short would have that show more.
+        Fits are begun from within tolerance too, and from the very valve and where the pair ends, and continued there
+        until they are at their ends: one without the other that stops short would have that show more.
         """
         study = self._shown(case, records)
         fitted = true_extras(case, study)
         if fitted is None:
             return ()
-        nominal = fit_nominal_from(study, evaluate_fit(study, np.zeros(self.J.shape[1]), ()))
+        at_rest = np.zeros(self.J.shape[1])
+        nominal = fit_nominal_from(study, evaluate_fit(study, at_rest, ()))
 
-        def left_by(some: tuple[FittedCandidate, ...]) -> float:
-            again = fit_from_prior(nominal, some)
+        def left_by(some: tuple[FittedCandidate, ...], points: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
+            ends = [fit_from_prior(nominal, some), *(_end_of_fit(nominal, point, some) for point in points)]
             begun = self._left_by(some, nominal.study, nominal)
-            return min(begun, again.chi_square) if again is not None else begun
+            best = min((end for end in ends if end is not None), key=lambda end: end.chi_square, default=None)
+            return (begun, at_rest) if best is None else (min(begun, best.chi_square), best.point)
 
-        all_left = left_by(fitted)
-        left = [left_by(tuple(one for one in fitted if one is not each)) for each in fitted]
+        all_left, end = left_by(fitted, [at_rest])
+        left = [left_by(tuple(one for one in fitted if one is not each), [at_rest, end])[0] for each in fitted]
         return tuple(float(np.sqrt(max(without - all_left, 0.0))) for without in left)
 
     def _shown(self, case: Case, records: Records) -> Study:
@@ -346,6 +350,20 @@ def ruler(case: Case, quiet: Records, folder: Path) -> Ruler:
     noise = {(c, b.record.pace): _true_noise(meters[c]) for b in study.predictors for c in b.record.outputs}
     study = study.with_noise(noise)
     return Ruler(study, quiet, *_linearised_at(study, np.zeros(len(study.nominal.parameters))))
+
+
+def _end_of_fit(nominal: NominalFit, point: np.ndarray, fitted: tuple[FittedCandidate, ...]) -> Fit | None:
+    """Candidates fitted from a point (p,) until a fit continued gains nothing; None where no valve has them there."""
+    try:
+        fit = evaluate_fit(nominal.study, point, fitted)
+    except (vs.SolveError, vs.InputError):
+        return None
+    for _ in range(MOST_CONTINUED):
+        further = continue_from(nominal, fit, np.inf)
+        if further is None or further.chi_square > fit.chi_square - NO_GAIN:
+            break
+        fit = further
+    return fit
 
 
 def _linearised_at(study: Study, point: np.ndarray) -> tuple[tuple[LinearisedRecord, ...], np.ndarray]:

@@ -446,9 +446,12 @@ def test_a_term_that_explains_more_for_the_price_of_its_figures_takes_the_place_
         return term_explains_more(nominal, term, found, options=DIAGNOSIS)
 
     assert gain_of_term(SimpleNamespace(chi_square=900.0, freedom=0), [air, lap]) == 100.0
-    needed = 1000.0 - DIAGNOSIS.selection.answer_ratio
+    needed = 1000.0 - DIAGNOSIS.selection.second_gain  # as much a plant does otherwise than any model
     assert takes_the_place([air, lap], needed - 0.1) and not takes_the_place([air, lap], needed + 0.1)
     assert not takes_the_place([air, lap], needed - 0.1, freedom=12)
+    slight = explained(2480.0, "spool_lap")  # explains 20
+    ruled_out = 2480.0 - DIAGNOSIS.selection.answer_ratio
+    assert takes_the_place([slight], ruled_out - 0.1) and not takes_the_place([slight], ruled_out + 0.1)
     loop = explained(1000.0, "magnetic_hysteresis")  # of which another law may do better by 0.2 of the 1500
     assert takes_the_place([air, loop], 699.0) and not takes_the_place([air, loop], 701.0)
 

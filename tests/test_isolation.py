@@ -353,6 +353,17 @@ def test_what_the_bench_did_that_a_cause_leaves_joins_before_a_second_cause_is_s
     assert ended.nominal is (wider if joins else base) and ended.found[0] is lap
 
 
+def test_beside_a_fault_of_the_bench_single_causes_go_on_though_a_pair_had_explained_as_much():
+    """A weak magnet and a cavitation: a meter's zeros that move explain the second, and the magnet was not tried."""
+    base = nominal(9000.0)
+    pair = hypothesis(5000.0, "magnet_demagnetization", "flapper_cavitation")
+    magnet = hypothesis(5060.0, "magnet_demagnetization")
+    far = hypothesis(8000.0, "entrained_air")
+    known = isolation._likely_beside_fault(base, [pair, magnet, far], options=DIAGNOSIS)
+    assert [one.chi_square for one in known] == [5000.0, 5060.0]
+    assert isolation._likely_beside_fault(base, [pair], options=DIAGNOSIS) == [pair.fit]
+
+
 def test_what_another_law_of_an_effect_does_better_is_no_second_cause(monkeypatch):
     base = nominal(105_000.0)
     single, pair = hypothesis(30_000.0, "magnetic_hysteresis"), ("magnetic_hysteresis", "spool_lap")

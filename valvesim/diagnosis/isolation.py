@@ -52,6 +52,7 @@ from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
     answer_set_width,
+    bearable_chi_square,
     distinct,
     ranked,
     with_minimum_gain,
@@ -265,8 +266,20 @@ def _with_second_like_errors(
         and other.positions.keys() <= {p.name for p in nominal.study.nominal.parameters}
         and any(alone.is_within(one) for alone in isolation.answer_set)
     ]
-    found, answer_set = [*isolation.found, *rivals], [*isolation.answer_set, *rivals]
+    found = _with_likelier(isolation.found, rivals)
+    stays = [*isolation.answer_set, *rivals]
+    answer_set = [one for one in found if any(map(one.has_same_causes, stays))]
     return replace(isolation, found=found, answer_set=answer_set), None
+
+
+def _with_likelier(found: Sequence[FittedHypothesis], rivals: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
+    """The found with rivals of them behind; of the same causes the likelier."""
+
+    def is_behind(one: FittedHypothesis, others: Sequence[FittedHypothesis]) -> bool:
+        return any(one.has_same_causes(other) and other.evidence <= one.evidence for other in others)
+
+    better = [one for one in rivals if not is_behind(one, found)]
+    return [*(one for one in found if not is_behind(one, better)), *better]
 
 
 @dataclass(frozen=True, eq=False)
@@ -482,9 +495,8 @@ def _isolated(
     alone = [one for one in (found[:1] if known else found) if len(one.candidates) == 1][:1]
     left = [score_test(nominal, one.fit, options=options) for one in alone]
     if left and not known and (wider := with_fault_left(nominal, left[0], options=options)) is not None:
-        alike = answer_set_of(nominal, found, options=options)
         anew = score_test(wider, wider.fit, options=options)
-        known = [one.fit for one in alike]
+        known = _likely_beside_fault(nominal, found, options=options)
         return _isolated(wider, anew, progress, known, [], far_off(found, options=options), options=options)
     nominal, scores, found, final = _verified(nominal, scores, level, found, left)
     level = scores.level(options.detection.false_alarm)
@@ -496,6 +508,15 @@ def _isolated(
     if found[0].fit is not final.fit:
         final = score_test(nominal, found[0].fit, options=options)
     return judged(Isolation(nominal, scores, final, found, [], "", alarm, level))
+
+
+def _likely_beside_fault(
+    nominal: NominalFit, found: Sequence[FittedHypothesis], *, options: DiagnosisOptions
+) -> list[Fit]:
+    """The fits of the answer set, and of that of single causes: beside a fault of the bench a second cause may go."""
+    single = [one for one in found if len(one.candidates) == 1]
+    alike = [each for among in (found, single) for each in answer_set_of(nominal, among, options=options)]
+    return [one.fit for one in distinct(alike, options=options)]
 
 
 def _is_of_same_causes(fit: Fit, others: Sequence[Fit]) -> bool:
@@ -563,13 +584,11 @@ def judged(isolation: Isolation) -> Isolation:
 
 def _may_leave(nominal: NominalFit, best: FittedHypothesis, left: float) -> bool:
     """Whether a hypothesis that leaves such a share of what it explains is still possible, beside an unknown cause: by
-    its law, or because that is no more than a plant does otherwise than any model, and little of the whole.
+    its law, or because that is bearable.
     """
-    options = best.options
-    if left <= max(options.detection.doubtful_share, best.law_error):
-        return True
     explained = nominal.fit.chi_square - best.fit.chi_square
-    return left <= options.detection.little_share and left * explained <= options.selection.second_gain
+    is_bearable = left * explained <= bearable_chi_square(explained, options=best.options)
+    return is_bearable or left <= max(best.options.detection.doubtful_share, best.law_error)
 
 
 def _one_within_law_error(

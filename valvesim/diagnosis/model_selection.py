@@ -142,6 +142,13 @@ class FittedHypothesis:
         return len(self.candidates) == len(other.candidates) and self.is_within(other)
 
 
+def bearable_chi_square(explained: float, *, options: DiagnosisOptions) -> float:
+    """The chi-square that rules nothing out: what a plant does otherwise than any model, and little of what a
+    hypothesis has `explained`.
+    """
+    return min(options.selection.second_gain, options.detection.little_share * explained)
+
+
 def rarity_penalty(candidate: Candidate, *, options: DiagnosisOptions) -> float:
     """Twice the log prior odds against what is rarer than an effect of the catalogue."""
     if candidate.parameter is not None:
