@@ -124,6 +124,14 @@ def test_a_users_effects_are_loaded_in_order_and_leave_nothing_behind(tmp_path):
         ("import valvesim as vs\na = vs.effect('spool_coulomb_friction')", ": declares no effect; expected"),
         (EFFECT.replace("side_load", "entrained_air"), ": effect 'entrained_air' is in the catalogue already"),
         (EFFECT + EFFECT.replace("own", "other"), ": two effects are called 'side_load'"),
+        (
+            EFFECT.replace('name="side_load"', 'name="side_load", plainer="spool_coulomb_frictoin"'),
+            ": effect 'side_load': plainer: unknown effect 'spool_coulomb_frictoin'; did you mean",
+        ),
+        (
+            EFFECT.replace('"side_load"', '"side_load", indistinguishable_from=("spool_lap", "nothing_known")'),
+            ": effect 'side_load': indistinguishable_from: unknown effect 'nothing_known'",
+        ),
         (EFFECT.replace(", neutral=0.0", ""), ": effect side_load has no parameter with a neutral value"),
     ],
 )
@@ -131,6 +139,14 @@ def test_a_users_file_that_fails_is_refused_with_its_line(tmp_path, content, mes
     path = tmp_path / "own.py"
     path.write_text(content, encoding="utf-8")
     assert refused(load_effects, path).startswith(f"{path}{message}")
+
+
+def test_an_effect_may_be_held_against_the_catalogue_and_others_of_its_file(tmp_path):
+    path = tmp_path / "own.py"
+    twin = EFFECT.replace("own", "twin").replace('"side_load"', '"twin_load", plainer="side_load"')
+    path.write_text(EFFECT.replace('"side_load"', '"side_load", indistinguishable_from=("spool_lap",)') + twin, "utf-8")
+    side, other = load_effects(path)
+    assert side.indistinguishable_from == ("spool_lap",) and other.plainer == "side_load"
 
 
 def test_a_users_file_that_is_no_text_is_refused(tmp_path):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from valvesim.channels import INPUT_CHANNELS, STATE_CHANNELS, Inputs, State
-from valvesim.errors import InputError
+from valvesim.errors import InputError, unknown_name
 from valvesim.units import parse
 from valvesim.valve.catalogue import CATALOGUE
 from valvesim.valve.effect import CHANNEL, Effect, Ports, Situation
@@ -21,7 +21,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     """The effects that a Python file declares at its top level, in their order. The file is run, as an import would.
 
     Raises InputError for a file that fails to run (with its line), holds no `Effect`, or has a name of the catalogue,
-    and for an effect with a name that files cannot hold, an unknown unit, or a balance of another form.
+    and for an effect with a name that files cannot hold, an unknown unit, a balance of another form, or that names a
+    `plainer` effect or others that it is `indistinguishable_from` which are neither in the catalogue nor in the file.
     """
     return _run(Path(path), code_of(Path(path)))
 
@@ -47,6 +48,7 @@ def _run(path: Path, content: bytes) -> tuple[Effect, ...]:
         try:
             _ = effect.amplitude
             _check_words(effect)
+            _check_relations(effect, own)
             _check_balance(effect)
         except InputError as error:
             raise InputError(str(error), file=path) from None
@@ -65,6 +67,16 @@ def _check_words(effect: Effect) -> None:
             raise InputError(f"effect {effect.name!r}: {p.name} has no unit; one without a dimension has '1'")
         if CHANNEL not in p.unit and p.unit != "1":
             parse(f"1 {p.unit}", p.unit, f"effect {effect.name!r}: {p.name}")
+
+
+def _check_relations(effect: Effect, own: Sequence[Effect]) -> None:
+    """The effects that one is held against must be of the catalogue or of the same file."""
+    known = [*CATALOGUE, *(other.name for other in own)]
+    plainer = (effect.plainer,) if effect.plainer else ()
+    for field, names in (("plainer", plainer), ("indistinguishable_from", effect.indistinguishable_from)):
+        for name in names:
+            if name not in known:
+                raise unknown_name("effect", name, known, f"effect {effect.name!r}: {field}")
 
 
 def _check_balance(effect: Effect) -> None:
