@@ -364,6 +364,18 @@ def test_beside_a_fault_of_the_bench_single_causes_go_on_though_a_pair_had_expla
     assert isolation._likely_beside_fault(base, [pair], options=DIAGNOSIS) == [pair.fit]
 
 
+def test_a_hypothesis_found_with_errors_and_without_stands_once_as_the_likelier():
+    """A gap and a cavitation stood twice in one table, with errors of the instruments and without (pair 221501)."""
+    gap, pair = hypothesis(5100.0, "null_gap_asymmetry"), ("null_gap_asymmetry", "flapper_cavitation")
+    other = hypothesis(5020.0, "null_gap_asymmetry", "spool_lap")
+    for own, rival in ((5000.0, 5010.0), (5010.0, 5000.0)):
+        with_errors, without = hypothesis(own, *pair), hypothesis(rival, *reversed(pair))
+        likelier = min(with_errors, without, key=lambda one: one.evidence)
+        found = isolation._with_likelier([gap, with_errors], [without, other])
+        assert found[0] is gap and len(found) == 3
+        assert [one for one in found if one.has_same_causes(with_errors)] == [likelier]
+
+
 def test_what_another_law_of_an_effect_does_better_is_no_second_cause(monkeypatch):
     base = nominal(105_000.0)
     single, pair = hypothesis(30_000.0, "magnetic_hysteresis"), ("magnetic_hysteresis", "spool_lap")
