@@ -274,17 +274,17 @@ class Ruler:
         fitted = true_extras(case, study)
         if fitted is None:
             return ()
-        at_rest = np.zeros(self.J.shape[1])
-        nominal = fit_nominal_from(study, evaluate_fit(study, at_rest, ()))
+        origin = np.zeros(self.J.shape[1])
+        nominal = fit_nominal_from(study, evaluate_fit(study, origin, ()))
 
         def left_by(some: tuple[FittedCandidate, ...], points: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
             ends = [fit_from_prior(nominal, some), *(_end_of_fit(nominal, point, some) for point in points)]
             begun = self._left_by(some, nominal.study, nominal)
             best = min((end for end in ends if end is not None), key=lambda end: end.chi_square, default=None)
-            return (begun, at_rest) if best is None else (min(begun, best.chi_square), best.point)
+            return (begun, origin) if best is None else (min(begun, best.chi_square), best.point)
 
-        all_left, end = left_by(fitted, [at_rest])
-        left = [left_by(tuple(one for one in fitted if one is not each), [at_rest, end])[0] for each in fitted]
+        all_left, end = left_by(fitted, [origin])
+        left = [left_by(tuple(one for one in fitted if one is not each), [origin, end])[0] for each in fitted]
         return tuple(float(np.sqrt(max(without - all_left, 0.0))) for without in left)
 
     def _shown(self, case: Case, records: Records) -> Study:

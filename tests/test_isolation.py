@@ -364,6 +364,20 @@ def test_beside_a_fault_of_the_bench_single_causes_go_on_though_a_pair_had_expla
     assert isolation._likely_beside_fault(base, [pair], options=DIAGNOSIS) == [pair.fit]
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_what_may_be_left_over_is_little_and_no_more_than_a_plant_does_otherwise(seed):
+    """Of a hypothesis that explains nothing too, where a product of the two shares had turned the comparison around."""
+    dice, detection = np.random.default_rng(seed), DIAGNOSIS.detection
+    for _ in range(300):
+        one = hypothesis(5000.0, *dice.choice(["spool_lap", "magnetic_hysteresis"], 1))
+        explained, left = float(dice.normal() * 10.0 ** dice.uniform(-3.0, 6.0)), float(10.0 ** dice.uniform(-4.0, 1.0))
+        base = nominal(5000.0 + explained)
+        explained = base.fit.chi_square - one.fit.chi_square
+        is_little = left <= detection.little_share and left * explained <= DIAGNOSIS.selection.second_gain
+        may_leave = isolation._may_leave(base, one, left)
+        assert may_leave == (is_little or left <= max(detection.doubtful_share, one.law_error))
+
+
 def test_a_hypothesis_found_with_errors_and_without_stands_once_as_the_likelier():
     """A gap and a cavitation stood twice in one table, with errors of the instruments and without (pair 221501)."""
     gap, pair = hypothesis(5100.0, "null_gap_asymmetry"), ("null_gap_asymmetry", "flapper_cavitation")

@@ -132,6 +132,14 @@ def test_a_users_effects_are_loaded_in_order_and_leave_nothing_behind(tmp_path):
             EFFECT.replace('"side_load"', '"side_load", indistinguishable_from=("spool_lap", "nothing_known")'),
             ": effect 'side_load': indistinguishable_from: unknown effect 'nothing_known'",
         ),
+        (
+            EFFECT.replace('"side_load"', '"side_load", indistinguishable_from="spool_lap"'),
+            ": effect 'side_load': indistinguishable_from must be a tuple of names of effects",
+        ),
+        (
+            EFFECT.replace('"side_load"', '"side_load", plainer="side_load"'),
+            ": effect 'side_load': plainer: unknown effect 'side_load'",
+        ),
         (EFFECT.replace(", neutral=0.0", ""), ": effect side_load has no parameter with a neutral value"),
     ],
 )

@@ -14,7 +14,7 @@ from valvesim.diagnosis.detection import beyond_noise, beyond_reach, is_certain,
 from valvesim.diagnosis.isolation import Isolation
 from valvesim.diagnosis.known_faults import told_faults
 from valvesim.diagnosis.missing_term import RecoveredTerm, recover_term
-from valvesim.diagnosis.model_selection import FittedHypothesis, bearable_chi_square, null_hypothesis_beside
+from valvesim.diagnosis.model_selection import FittedHypothesis, null_hypothesis_beside
 from valvesim.diagnosis.one_parameter_term import one_parameter_term
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.diagnosis.result import (
@@ -202,7 +202,7 @@ def term_explains_more(
     """
     best = _least_left(found)
     may_err = best.law_may_leave(nominal.fit)
-    bearable = bearable_chi_square(nominal.fit.chi_square - best.fit.chi_square, options=options)
+    bearable = best.bearable_share(nominal.fit) * (nominal.fit.chi_square - best.fit.chi_square)
     return gain_of_term(recovered, found) > max(options.selection.answer_ratio, may_err, bearable)
 
 

@@ -52,7 +52,6 @@ from valvesim.diagnosis.model_selection import (
     FittedHypothesis,
     answer_set_of,
     answer_set_width,
-    bearable_chi_square,
     distinct,
     ranked,
     with_minimum_gain,
@@ -274,12 +273,12 @@ def _with_second_like_errors(
 
 def _with_likelier(found: Sequence[FittedHypothesis], rivals: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
     """The found with rivals of them behind; of the same causes the likelier."""
+    together = [*found, *rivals]
 
-    def is_behind(one: FittedHypothesis, others: Sequence[FittedHypothesis]) -> bool:
-        return any(one.has_same_causes(other) and other.evidence <= one.evidence for other in others)
+    def likeliest(causes: FittedHypothesis) -> FittedHypothesis:
+        return min(filter(causes.has_same_causes, together), key=lambda one: one.evidence)
 
-    better = [one for one in rivals if not is_behind(one, found)]
-    return [*(one for one in found if not is_behind(one, better)), *better]
+    return [one for one in together if one is likeliest(one)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -584,11 +583,9 @@ def judged(isolation: Isolation) -> Isolation:
 
 def _may_leave(nominal: NominalFit, best: FittedHypothesis, left: float) -> bool:
     """Whether a hypothesis that leaves such a share of what it explains is still possible, beside an unknown cause: by
-    its law, or because that is bearable.
+    its law, or because that is little.
     """
-    explained = nominal.fit.chi_square - best.fit.chi_square
-    is_bearable = left * explained <= bearable_chi_square(explained, options=best.options)
-    return is_bearable or left <= max(best.options.detection.doubtful_share, best.law_error)
+    return left <= max(best.options.detection.doubtful_share, best.law_error, best.bearable_share(nominal.fit))
 
 
 def _one_within_law_error(

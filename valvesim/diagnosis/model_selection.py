@@ -109,6 +109,14 @@ class FittedHypothesis:
         explained = nominal.chi_square - self.fit.chi_square
         return self.law_error_of(explained) * explained
 
+    def bearable_share(self, nominal: Fit) -> float:
+        """The share of what it explains, of what a nominal fit leaves, that may be left over without ruling it out:
+        little, and no more than a plant does otherwise than any model.
+        """
+        explained = nominal.chi_square - self.fit.chi_square
+        little, of_plant = self.options.detection.little_share, self.options.selection.second_gain
+        return min(little, of_plant / explained) if explained > 0.0 else little
+
     @property
     def label(self) -> str:
         """The candidates' labels."""
@@ -140,13 +148,6 @@ class FittedHypothesis:
     def has_same_causes(self, other: FittedHypothesis) -> bool:
         """Whether another hypothesis has just these candidates."""
         return len(self.candidates) == len(other.candidates) and self.is_within(other)
-
-
-def bearable_chi_square(explained: float, *, options: DiagnosisOptions) -> float:
-    """The chi-square that rules nothing out: what a plant does otherwise than any model, and little of what a
-    hypothesis has `explained`.
-    """
-    return min(options.selection.second_gain, options.detection.little_share * explained)
 
 
 def rarity_penalty(candidate: Candidate, *, options: DiagnosisOptions) -> float:

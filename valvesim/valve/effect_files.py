@@ -70,8 +70,10 @@ def _check_words(effect: Effect) -> None:
 
 
 def _check_relations(effect: Effect, own: Sequence[Effect]) -> None:
-    """The effects that one is held against must be of the catalogue or of the same file."""
-    known = [*CATALOGUE, *(other.name for other in own)]
+    """The other effects that one is held against must be of the catalogue or of the same file."""
+    known = [*CATALOGUE, *(other.name for other in own if other is not effect)]
+    if isinstance(effect.indistinguishable_from, str):  # each of its letters would be a name
+        raise InputError(f"effect {effect.name!r}: indistinguishable_from must be a tuple of names of effects")
     plainer = (effect.plainer,) if effect.plainer else ()
     for field, names in (("plainer", plainer), ("indistinguishable_from", effect.indistinguishable_from)):
         for name in names:
