@@ -143,6 +143,8 @@ def test_a_channel_may_be_apart_where_the_others_come_near_the_stated_valve(monk
     monkeypatch.setattr(own, "with_edges_searched", lambda study, fit: fit)
     monkeypatch.setattr(own, "linearise_nominal", lambda study, fit: SimpleNamespace(J=J, fit=fit))
     assert own._may_be_apart(nominal, ["a", "b", "c"], options=DEFAULT_DIAGNOSIS) == ["b"]
+    fit.residual[:] = 2.0 * draws.normal(size=400)  # near the records, and as near without any of them
+    assert own._may_be_apart(nominal, ["a", "b"], options=DEFAULT_DIAGNOSIS) == []
     monkeypatch.setattr(own, "linearise_nominal", stuck)
     assert own._may_be_apart(nominal, ["a", "b"], options=DEFAULT_DIAGNOSIS) == ["a", "b"]
     monkeypatch.setattr(own, "is_adequate", lambda fit, options: True)

@@ -3,6 +3,7 @@
 import functools
 import sys
 import tempfile
+from dataclasses import replace
 
 import numpy as np
 import oracle
@@ -292,7 +293,7 @@ def test_what_is_computed_ahead_is_as_straight_between_knots_as_the_coefficients
     assert len(path.times) > 100 and bend.max() < 3 * KNOT_ERROR
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.2])
+@pytest.mark.parametrize("lag, known", [(0.0, False), (0.2, False), (0.2, True)])
 @pytest.mark.parametrize(
     "oil",
     [
@@ -302,11 +303,13 @@ def test_what_is_computed_ahead_is_as_straight_between_knots_as_the_coefficients
     ],
     ids=["step", "table", "sine"],
 )
-def test_straight_lines_between_knots_hold_the_coefficients_wherever_a_course_bends(oil, lag):
-    """Against a path with nine more points between any two knots."""
+def test_straight_lines_between_knots_hold_the_coefficients_wherever_a_course_bends(oil, lag, known):
+    """Against a path with nine more points between any two knots; also from the knots known without the lag."""
     effects = (CATALOGUE["thermal_lag"](time_constant=lag),) if lag else ()
     scenario = Scenario(duration=2.0, oil_temperature=oil, effects=effects)
-    path, c = temperature_knots(scenario)
+    first = temperature_knots(replace(scenario, effects=()))[0].times if known else None
+    path, c = temperature_knots(scenario, first=first)
+    assert not known or np.isin(first, path.times).all()
     apart, shares = np.flatnonzero(np.diff(path.times) > 0.0), np.linspace(0.0, 1.0, 10)
     finer = (path.times[apart, None] + np.diff(path.times)[apart, None] * shares).ravel()
     _, exact = temperature_knots(scenario, knot_times=finer)

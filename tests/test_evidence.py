@@ -49,6 +49,17 @@ def off(J, columns):
 # ---------------------------------------------------------------- algebra
 
 
+@pytest.mark.parametrize("which", [[], [1], [3, 0], [0, 1, 2, 3]])
+def test_parameters_at_zero_are_those_of_a_model_without_them(which):
+    r, J, S = columns(7)
+    kept = [k for k in range(P) if k not in which]
+    reduced = gram_matrix(r + J[:, which] @ T_NOW[which], J[:, kept], S, T_NOW[kept])
+    gram = gram_matrix(r, J, S).without(which)
+    assert gram.products == pytest.approx(reduced.products, rel=1e-9, abs=1e-9)
+    assert gram.prior_now == pytest.approx(reduced.prior_now) and gram.rows == reduced.rows
+    assert gram.chi_square == pytest.approx(reduced.chi_square)
+
+
 def test_a_gram_is_the_sum_of_its_segments():
     r, J, S = columns()
     whole, split = gram_matrix(r, J, S, parts=1), gram_matrix(r, J, S, parts=5)

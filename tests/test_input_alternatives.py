@@ -211,22 +211,14 @@ def test_a_cause_that_shows_under_another_way_of_the_commands_explains_more_ther
     assert found is None or found[1].fitted is start
 
 
-@pytest.mark.parametrize(
-    ("there", "promised", "name", "told"),
-    [
-        (605.0, 0.0, "eddy", True),
-        (607.0, 0.0, "eddy", False),
-        (630.0, 40.0, "eddy", True),
-        (500.0, 0.0, "damping", False),
-    ],
-)
+@pytest.mark.parametrize(("there", "promised", "told"), [(605.0, 0.0, True), (607.0, 0.0, False), (630.0, 40.0, True)])
 def test_another_cause_that_explains_as_much_under_another_way_of_the_commands_is_told(
-    monkeypatch, there, promised, name, told
+    monkeypatch, there, promised, told
 ):
     """Of an eddy current a figure of the armature's damping was named for sure, under commands that were taken as held
     (`poor` 213016, with its next test).
     """
-    study, candidate = SimpleNamespace(options=IDENTIFICATION), SimpleNamespace(name=name)
+    study, candidate = SimpleNamespace(options=IDENTIFICATION), SimpleNamespace(name="eddy")
     way = SimpleNamespace(study=study)
     begun = SimpleNamespace(
         chi_square=there, predicted_reduction=promised, fitted=(SimpleNamespace(candidate=candidate),)
@@ -234,7 +226,7 @@ def test_another_cause_that_explains_as_much_under_another_way_of_the_commands_i
     ended = SimpleNamespace(chi_square=there - promised)
     best = SimpleNamespace(chi_square=600.0, fitted=(SimpleNamespace(candidate=SimpleNamespace(name="damping")),))
     for key, stub in {
-        "_begun_under_other_inputs": lambda nominal, *, options: ([(way, begun)], {}),
+        "_begun_under_other_inputs": lambda nominal, named, *, options: ([(way, begun)], {}),
         "_excess": lambda study, fit, weights: fit.chi_square,
         "continue_from": lambda way, fit: ended,
         "has_chosen_inputs": lambda study: study is nominal.study,
@@ -245,3 +237,26 @@ def test_another_cause_that_explains_as_much_under_another_way_of_the_commands_i
     assert found is (candidate if told else None)
     monkeypatch.setattr(input_alternatives, "has_chosen_inputs", lambda study: False)
     assert input_alternatives.cause_under_other_inputs(nominal, best, options=DIAGNOSIS) is None
+
+
+@pytest.mark.parametrize(
+    "named, fitted", [(None, ["eddy", "damping"]), ("damping", ["eddy"]), ("lap", ["eddy", "damping"])]
+)
+def test_under_other_ways_the_cause_that_is_named_already_is_not_fitted_again(monkeypatch, named, fitted):
+    ways, begun = ["edges", "held"], []
+    shown = {"edges": "eddy", "held": "damping"}
+
+    def fits(starts, few):
+        begun.extend(start[0].candidate.name for _, start in starts)
+        return starts
+
+    for key, stub in {
+        "under_other_inputs": lambda nominal: ways,
+        "_likeliest_under": lambda way, *, options: [(SimpleNamespace(candidate=SimpleNamespace(name=shown[way])),)],
+        "_preliminary_fits": fits,
+        "_least_weights": lambda ways: {},
+    }.items():
+        monkeypatch.setattr(input_alternatives, key, stub)
+    known = SimpleNamespace(name=named) if named else None
+    input_alternatives._begun_under_other_inputs("nominal", known, options=DIAGNOSIS)
+    assert begun == fitted

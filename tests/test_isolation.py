@@ -613,8 +613,8 @@ def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together
     base, plain = nominal(9000.0), nominal(9100.0)
     alone, pair = hypothesis(4900.0, "spool_lap"), hypothesis(left, "spool_lap", "flapper_cavitation")
     scores = score_test_of(base, base.fit)
-    beside_errors = isolation.Isolation(base, scores, None, [alone], [alone], "", True, 4.0, second_level=3.5)
-    without = isolation.Isolation(plain, scores, None, [pair, alone], [pair, alone], "", True, 4.0)
+    beside_errors = isolation.Isolation(base, scores, scores, [alone], [alone], "", True, 4.0, second_level=3.5)
+    without = isolation.Isolation(plain, scores, scores, [pair, alone], [pair, alone], "", True, 4.0)
     seen = []
 
     def isolated(at, scores, progress, known, beside, *, options):
@@ -644,6 +644,26 @@ def test_a_second_cause_may_act_like_errors_of_instruments(monkeypatch, together
         assert rival.label == pair.label and alone.evidence <= rival.evidence < alone.evidence + 6.0
     assert found.joint_errors is (together if taken else None)
     assert seen[1:] == ([(plain, [alone.fit.fitted], 0)] if together is not None and shows > 3.5 else [])
+
+
+@pytest.mark.parametrize(
+    "shows, own, asked",
+    [
+        (9.0, True, True),  # 4900 + 40 + 120 without errors, less twice 81
+        (7.0, True, True),
+        (5.0, True, False),  # no second cause may make 160 up
+        (0.0, False, True),  # it is not of the best fit: nothing is known
+    ],
+)
+def test_what_no_second_cause_can_make_up_is_not_fitted_without_errors(monkeypatch, shows, own, asked):
+    base, alone = nominal(9000.0), hypothesis(4900.0, "spool_lap")
+    final = score_test_of(base, alone.fit if own else base.fit)
+    final.without_parameters = lambda which: (alone.fit.chi_square + 40.0, np.array([1.0, shows]))
+    beside = isolation.Isolation(base, final, final, [alone], [alone], "", True, 4.0)
+    monkeypatch.setattr(isolation, "error_places", lambda study: [0])
+    monkeypatch.setattr(isolation, "nuisance_occam_factor", lambda scores, without=(): 120.0)
+    most = alone.evidence + 160.0 - 2.0 * 40.0
+    assert isolation._promises_second(beside, most, options=DIAGNOSIS) is asked
 
 
 @pytest.mark.parametrize(
@@ -779,6 +799,19 @@ def test_a_nominal_fit_is_begun_once_of_hypotheses_that_have_gone_to_one_point(m
     # the first ends 19 better, for 20 that are asked; half of what the second explains is 15
     better = first_hypotheses.better_nominal(base, [second, first], options=DIAGNOSIS)
     assert better.fit.chi_square == 8998.0 - 17.0 * fits and len(begun) == fits
+
+
+def test_a_nominal_fit_is_not_begun_of_a_hypothesis_that_explains_little_beside_the_best(monkeypatch):
+    """Of five figures that act like a flexure's loss each took two seconds (bench 1170170)."""
+    base, asked = nominal(9000.0), []
+    found = [hypothesis(9000.0 - gain, name) for gain, name in
+             ((20.0, "spool_lap"), (12.0, "null_gap_asymmetry"), (9.0, "entrained_air"))]  # fmt: skip
+    monkeypatch.setattr(first_hypotheses, "evaluate_fit", lambda study, point, fitted, near=(): nominal(9500.0).fit)
+    monkeypatch.setattr(first_hypotheses, "_lie_together", lambda *_, options: False)
+    monkeypatch.setattr(first_hypotheses, "refit_nominal", lambda nominal, fit, within: asked.append(within) or base)
+    monkeypatch.setattr(first_hypotheses, "rescored", lambda study, fit: fit)
+    assert first_hypotheses.better_nominal(base, found, options=DIAGNOSIS) is None
+    assert asked == [10.0, 6.0]
 
 
 def test_where_nothing_is_found_about_a_nominal_fit_far_out_single_causes_are_fitted_from_within(monkeypatch):

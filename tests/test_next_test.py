@@ -369,6 +369,22 @@ def test_what_the_likeliest_will_explain_is_by_refits_of_the_nominal_model(nomin
     assert found.power > DIAGNOSIS.design.power if is_sure else found.power < 0.01
 
 
+def test_what_the_likeliest_explains_by_refits_is_worked_out_once_for_all_its_rivals(nominal, fits, monkeypatch):
+    asked = []
+
+    def refitted(nominal, predictor, true, wrong, replicates, most=np.inf):
+        asked.append((predictor.record.name, replicates))
+        return 0.5 * most if replicates > 1 else most
+
+    monkeypatch.setattr(experiment_design, "joint_distance", refitted)
+    one, other = trials_of(nominal, fits[0], EXACT)[:2]
+    explained = experiment_design.explained_by_refits(nominal)
+    found = [explained(trial, n) for trial, n in ((one, 1), (one, 4), (other, 1), (one, 4), (one, 1))]
+    most = [trial.most_explained(n) for trial, n in ((one, 1), (one, 4), (other, 1))]
+    assert found == pytest.approx([most[0], 0.25 * most[1], most[2], 0.25 * most[1], most[0]])
+    assert len(asked) == len(set(asked)) == 3
+
+
 def test_a_long_session_is_not_refitted_for_an_experiment(nominal, fits, found, monkeypatch):
     monkeypatch.setattr(experiment_design, "joint_distance", None)
     long = replace(nominal, study=replace(nominal.study, is_long=True))

@@ -18,7 +18,7 @@ from valvesim.diagnosis.detection import is_other_valve, leaves_noise
 from valvesim.diagnosis.input_alternatives import best_inputs, fitted_under, is_at_full_weight
 from valvesim.diagnosis.known_faults import all_known_faults
 from valvesim.diagnosis.options import DiagnosisOptions
-from valvesim.diagnosis.score_test import ScoreTest, score_test
+from valvesim.diagnosis.score_test import ScoreTest, score_test, term_score_test
 from valvesim.diagnosis.starts import likeliest_starts
 from valvesim.errors import InputError, SolveError
 from valvesim.identification.candidates import Candidate
@@ -144,12 +144,13 @@ def with_faults_beside_cause(
         if to_ask and has_implausible_delays(at.study, fit.point):  # far off for linear answers
             (at, fit), left_when_asked = best_inputs(at, fit, few), left
             continue
-        beside = score_test(at, fit, options=options)
-        if (tuned := _tuned_beside(at, fit, beside)) is not None:
+        known = term_score_test(at, fit, options=options)
+        if (tuned := _tuned_beside(at, fit, known)) is not None:
             at, fit = tuned
             if (better_fit := fit_hypothesis(at, fit.fitted, fit.point, few)) is None:
                 break
-            fit, beside = better_fit, score_test(at, better_fit, options=options)
+            fit = better_fit
+        beside = score_test(at, fit, known=known, options=options)
         likeliest = _likeliest(at, beside, options=options)
         if likeliest is not None:
             at, more = _widened(at, likeliest.parameters), np.zeros(len(likeliest.parameters))

@@ -73,8 +73,8 @@ def channel_apart(nominal: NominalFit, scores: ScoreTest, *, options: DiagnosisO
 
 
 def _may_be_apart(nominal: NominalFit, names: Sequence[str], *, options: DiagnosisOptions) -> list[str]:
-    """The channels without which the equations linear at the stated valve come near the records; all of them where a
-    fit to all is adequate, or the stated valve cannot be run.
+    """The channels without which the equations linear at the stated valve come near the records, and nearer by far than
+    with them; all of them where a fit to all is adequate, or the stated valve cannot be run.
     """
     study, stated = nominal.study, np.zeros(len(nominal.fit.point))
     if is_adequate(nominal.fit, options=options.identification):
@@ -93,7 +93,9 @@ def _may_be_apart(nominal: NominalFit, names: Sequence[str], *, options: Diagnos
         return float(np.mean((residual - J @ step) ** 2))
 
     several = [name for name in names if np.any(channels != name)]
-    return [name for name in several if left(channels != name) < options.channel_apart.largest_mean_square]
+    beyond_noise = max(left(np.full(len(channels), True)) - 1.0, 0.0)
+    most = min(options.channel_apart.largest_mean_square, 1.0 + options.channel_apart.left_share * beyond_noise)
+    return [name for name in several if left(channels != name) < most]
 
 
 def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOptions) -> NominalFit | None:
@@ -110,7 +112,8 @@ def _without_channel(nominal: NominalFit, name: str, *, options: DiagnosisOption
     adequate = is_adequate(nominal.fit, options=options.identification)
     point = clipped_to_tolerance(nominal) if adequate else np.zeros(len(nominal.fit.point))
     try:
-        fit = fit_nominal_near(others, point, full_weight=not study.weights)
+        most_left = options.channel_apart.most_left * nominal.fit.rows
+        fit = fit_nominal_near(others, point, full_weight=not study.weights, most_left=most_left)
         if not is_adequate(fit.fit, options=options.identification):
             return None
         alarm, _ = detect(score_test(fit, fit.fit, options=options))

@@ -27,7 +27,14 @@ from valvesim.diagnosis.answer_tables import (
 )
 from valvesim.diagnosis.coarse_to_fine import fit_coarse_to_fine
 from valvesim.diagnosis.conclusion import Conclusion, conclude, gain_of_term
-from valvesim.diagnosis.experiment_design import Rival, design, nested_rival, rival_beside, simulate_library
+from valvesim.diagnosis.experiment_design import (
+    Rival,
+    design,
+    explained_by_refits,
+    nested_rival,
+    rival_beside,
+    simulate_library,
+)
 from valvesim.diagnosis.extended_model import effect_files, scenario_text
 from valvesim.diagnosis.holdout_gain import holdout_gain, traces_of
 from valvesim.diagnosis.intervals import confidence_intervals
@@ -365,10 +372,10 @@ def _propose_experiment(
     """The test that tells the likeliest from the next of its rivals, or where none does so surely, from the one after
     it.
     """
-    trials = simulate_library(nominal, first.fit, options=options)
+    trials, explained = simulate_library(nominal, first.fit, options=options), explained_by_refits(nominal)
     best: NextTest | None = None
     for rival in rivals[: options.design.alternatives]:
-        test = design(nominal, trials, first.label, rival, options=options)
+        test = design(nominal, trials, first.label, rival, explained, options=options)
         if test is not None and (best is None or test.power > best.power):
             best = test
         if best is not None and best.power >= options.design.least_power:

@@ -23,6 +23,7 @@ Symbols
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -136,6 +137,25 @@ class ExperimentPower:
         return self.repeats * float(self.trial.time[-1])
 
 
+Explained = Callable[[SimulatedExperiment, int], float]
+
+
+def explained_by_refits(nominal: NominalFit) -> Explained:
+    """`SimulatedExperiment.explained` of a trial and a number of repeats, once the nominal model is refitted to session
+    and experiment together; the most that counts where that cannot be simulated. It is worked out once of each.
+    """
+
+    @cache
+    def explained(tried: SimulatedExperiment, repeats: int) -> float:
+        most = tried.most_explained(repeats)
+        with suppress(SolveError, InputError):
+            left = joint_distance(nominal, tried.predictor, tried.fit, tried.nominal, repeats, most=np.sqrt(most))
+            most = min(left**2, most)
+        return most
+
+    return explained
+
+
 def simulate_library(
     nominal: NominalFit, first: Fit, *, options: DiagnosisOptions
 ) -> tuple[SimulatedExperiment, ...]:
@@ -215,15 +235,16 @@ def design(
     trials: Sequence[SimulatedExperiment],
     label: str,
     rival: Rival,
+    explained: Explained | None = None,
     *,
     options: DiagnosisOptions,
 ) -> NextTest | None:
     """The shortest of the `trials` of a fit, by its label, that tells it from a rival with a power of 0.95, else the
-    most powerful, whatever its power.
+    most powerful, whatever its power. What they explain (`explained_by_refits`) may be shared with other rivals.
 
     None where no test can be run.
     """
-    study = nominal.study
+    study, explained = nominal.study, explained or explained_by_refits(nominal)
     run = [pair for pair in each(lambda one: _beyond(one, rival.fit), trials) if pair is not None]
     if not run:
         return None
@@ -238,10 +259,10 @@ def design(
     for one, delta in run:
         chosen += _judge(one, delta, rival, known, options=options)
         if is_found():
-            chosen = _with_best_refitted(nominal, tried, chosen, rival, options=options)
+            chosen = _with_best_refitted(nominal, tried, chosen, rival, explained, options=options)
             if is_found():
                 break  # none is shorter
-    chosen = _with_best_refitted(nominal, tried, chosen, rival, options=options)
+    chosen = _with_best_refitted(nominal, tried, chosen, rival, explained, options=options)
     best = _chosen([one for one in chosen if one.is_refitted] or chosen, options=options)
     best = best or ExperimentPower(run[0][0].trial, 1, 0.0, 0.0)
     others = dict.fromkeys(
@@ -315,6 +336,7 @@ def _with_best_refitted(
     tried: Sequence[SimulatedExperiment],
     judged: Sequence[ExperimentPower],
     rival: Rival,
+    explained: Explained,
     *,
     options: DiagnosisOptions,
 ) -> list[ExperimentPower]:
@@ -327,7 +349,7 @@ def _with_best_refitted(
         if best is None or best.is_refitted or best.power < options.design.uninformative_power:
             break
         of_trial = next(one for one in tried if one.trial is best.trial)
-        found = _refitted(nominal, of_trial, best, rival, options=options)
+        found = _refitted(nominal, of_trial, best, rival, explained, options=options)
         share, grows = found.distance / best.distance, found.more / best.more if best.more > 0.0 else 1.0
         for k, one in enumerate(known):
             if one is best:
@@ -342,6 +364,7 @@ def _refitted(
     tried: SimulatedExperiment,
     judged: ExperimentPower,
     rival: Rival,
+    explained: Explained,
     *,
     options: DiagnosisOptions,
 ) -> ExperimentPower:
@@ -353,7 +376,7 @@ def _refitted(
     def refitted(distance: float, more: float) -> ExperimentPower:
         return replace(_experiment_power(tried, n, distance, more, rival), is_refitted=True)
 
-    found = refitted(judged.distance, _explained_refitted(nominal, tried, n))
+    found = refitted(judged.distance, explained(tried, n))
     for wrong, true, may_follow in zip(fits, reversed(fits), rival.refitted, strict=True):
         if not may_follow or found.power < options.design.uninformative_power:
             continue
@@ -364,17 +387,6 @@ def _refitted(
             return replace(found, distance=0.0, power=0.0)
         found = refitted(distance, found.more)
     return found
-
-
-def _explained_refitted(nominal: NominalFit, tried: SimulatedExperiment, repeats: int) -> float:
-    """What the fit of a trial explains there beyond the nominal model once that is refitted to session and experiment
-    together; the most that counts where that cannot be simulated.
-    """
-    most = tried.most_explained(repeats)
-    try:
-        return min(joint_distance(nominal, tried.predictor, tried.fit, tried.nominal, repeats) ** 2, most)
-    except (SolveError, InputError):
-        return most
 
 
 def _experiment_power(

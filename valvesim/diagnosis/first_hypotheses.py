@@ -99,12 +99,14 @@ def better_nominal(
     """The nominal model fitted from where a hypothesis has gone, if that is better without its causes too.
 
     Then most of what this explains is that the nominal fit had stopped short. Of a hypothesis that explains little
-    that is asked however much it would lose at first; once of those that have gone to the same point; and of none that
-    explains nothing.
+    that is asked however much it would lose at first, unless it is little beside the best; once of those that have gone
+    to the same point; and of none that explains nothing.
     """
-    begun = list[tuple[np.ndarray, NominalFit]]()
+    begun, most = list[tuple[np.ndarray, NominalFit]](), 0.0
     for one in sorted((one.fit for one in found), key=lambda fit: fit.chi_square):
-        if (gain := nominal.fit.chi_square - one.chi_square) <= 0.0:
+        gain = nominal.fit.chi_square - one.chi_square
+        most = max(most, gain)
+        if gain <= 0.0 or gain < min(options.isolation.single_share * most, options.isolation.slight_gain):
             break
         better = next((fit for point, fit in begun if _lie_together(nominal, one.point, point, options=options)), None)
         if better is None and (better := _nominal_from(nominal, one, gain, options=options)) is not None:

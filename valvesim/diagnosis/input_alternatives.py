@@ -98,27 +98,26 @@ def cause_under_other_inputs(nominal: NominalFit, best: Fit, *, options: Diagnos
     """
     if not has_chosen_inputs(nominal.study):
         return None
-    begun, weights = _begun_under_other_inputs(nominal, options=options)
+    begun, weights = _begun_under_other_inputs(nominal, best.fitted[0].candidate, options=options)
     least, other = _excess(nominal.study, best, weights) + options.selection.answer_ratio, None
     for way, fit in begun:
-        candidate = fit.fitted[0].candidate
-        alike = candidate.name == best.fitted[0].candidate.name
-        if alike or _excess(way.study, fit, weights) - fit.predicted_reduction > least:
+        if _excess(way.study, fit, weights) - fit.predicted_reduction > least:
             continue
         excess = _excess(way.study, continue_from(way, fit) or fit, weights)
         if excess < least:
-            least, other = excess, candidate
+            least, other = excess, fit.fitted[0].candidate
     return other
 
 
 def _begun_under_other_inputs(
-    nominal: NominalFit, *, options: DiagnosisOptions
+    nominal: NominalFit, named: Candidate | None = None, *, options: DiagnosisOptions
 ) -> tuple[list[tuple[NominalFit, Fit]], Weights]:
-    """The single cause that shows most under each other way of the commands, fitted a little there, and the weights by
-    which the ways are held against each other.
+    """The single cause that shows most under each other way of the commands, fitted a little there unless it is the
+    one that is `named` already, and the weights by which the ways are held against each other.
     """
     ways = under_other_inputs(nominal)
-    starts = [(way, start) for way in ways for start in _likeliest_under(way, options=options)]
+    likeliest = [(way, start) for way in ways for start in _likeliest_under(way, options=options)]
+    starts = [(way, start) for way, start in likeliest if named is None or start[0].candidate.name != named.name]
     return _preliminary_fits(starts, options.isolation.near_linearisations), _least_weights([nominal, *ways])
 
 

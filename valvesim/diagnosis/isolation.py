@@ -42,6 +42,7 @@ from valvesim.diagnosis.input_alternatives import (
 from valvesim.diagnosis.joint_errors import (
     JointErrors,
     all_instrument_errors,
+    error_places,
     instrument_errors_are_insignificant,
     joint_instrument_errors,
     without_instrument_errors,
@@ -313,6 +314,8 @@ def _second_without_errors(
     second cause of less than a value `most` of minus twice the log evidence.
     """
     best, study = isolation.found[0], isolation.nominal.study
+    if not _promises_second(isolation, most, options=options):
+        return None
     plain, known = _without_errors(isolation)
     alone = _without_faults(options)
     scores = score_test(plain, plain.fit, options=alone)
@@ -323,6 +326,19 @@ def _second_without_errors(
     if _evidence_under(study, one[0], scores) - shows[0] ** 2 > most:
         return None
     return _WithoutErrors(_isolated(plain, scores, progress, known, [], options=alone), scores, study)
+
+
+def _promises_second(isolation: Isolation, most: float, *, options: DiagnosisOptions) -> bool:
+    """Whether a second cause may reach a value `most` of minus twice the log evidence without errors of the
+    instruments, by equations linear at the best fit: none is made again for that.
+    """
+    best, final = isolation.found[0], isolation.final
+    if final.fit is not best.fit:
+        return True
+    errors = error_places(final.study)
+    chi_square, z = final.without_parameters(errors)
+    alone = best.evidence - best.fit.chi_square + chi_square + nuisance_occam_factor(final, errors)
+    return alone - options.isolation.promised * float(np.max(z, initial=0.0)) ** 2 < most
 
 
 def _with_errors_at_zero(

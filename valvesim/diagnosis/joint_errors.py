@@ -80,20 +80,19 @@ def _errors_together(scores: ScoreTest) -> tuple[set[str], float]:
     """The errors of the instruments among the parameters of a fit, by name, and the chi-square that they explain
     together.
     """
-    parameters, errors = scores.study.nominal.parameters, _error_names(scores.study)
-    own = [k for k, p in enumerate(parameters) if p.name in errors]
-    return {parameters[k].name for k in own}, wald_statistic(scores, own)
+    own = error_places(scores.study)
+    return {scores.study.nominal.parameters[k].name for k in own}, wald_statistic(scores, own)
 
 
 def without_instrument_errors(nominal: NominalFit) -> NominalFit:
     """The nominal fit without errors of the instruments among its parameters."""
     study = nominal.study.unweighted()
-    errors = _error_names(study)
-    kept = [k for k, p in enumerate(study.nominal.parameters) if p.name not in errors]
+    kept = np.delete(np.arange(len(study.nominal.parameters)), error_places(study))
     plain = with_nuisance(study, tuple(study.nominal.parameters[k] for k in kept))
     return fit_nominal_near(plain, nominal.fit.point[kept], full_weight=not nominal.study.weights)
 
 
-def _error_names(study: Study) -> set[str]:
-    """The names that errors of the instruments have among the parameters of a study."""
-    return {p.name for p in instrument_errors(study.session, options=study.options)}
+def error_places(study: Study) -> list[int]:
+    """The places of errors of the instruments among the parameters of a study."""
+    errors = {p.name for p in instrument_errors(study.session, options=study.options)}
+    return [k for k, p in enumerate(study.nominal.parameters) if p.name in errors]

@@ -191,6 +191,10 @@ class IsolationOptions:
         0.5, "1", "share of the nominal fit's chi-square that one explains of which few need be tried", JUDGEMENT
     )
     second_share: float = option(0.8, "1", "share of the largest z from which they are", JUDGEMENT)
+    promised: float = option(
+        2.0, "1", "times the reduction that linear answers promise of one instead of instruments' errors, to fit it",
+        "of six it explained 0.7 to 1.1 times as much",
+    )
     unexplained_share: float = option(
         0.005, "1", "share of the explained chi-square that may stay behind for free terms", "no model is the plant"
     )
@@ -399,6 +403,14 @@ class ChannelApartOptions:
     largest_mean_square: float = option(
         10.0, "1", "mean square that the equations linear at the stated valve may leave of the other channels",
         "1 and 4 with one that is apart; 18 and more with friction",
+    )
+    left_share: float = option(
+        0.5, "1", "share of what they leave of all channels beyond the noise, which they may leave without one",
+        "of ten that were apart 0 to 0.24",
+    )
+    most_left: float = option(
+        0.3, "1", "times the rows that a fit of the others may promise to leave beyond the noise, to go on with it",
+        "five times what a noise that few repeats tell may be off",
     )
     frequencies: tuple[float, ...] = option(
         (0.02, 0.08, 0.25), "1", "natural frequencies of a response of second order to begin with, per sample rate",

@@ -579,7 +579,7 @@ def with_fits_at_ends(
     near = [one for one in found if one.promised_evidence < most]
     laws = [one for one in near if any(one.nests_law_of(other) or other.nests_law_of(one) for other in near)]
     short = [one for one in near if one.fit.predicted_reduction > 2.0 * limits.hypothesis_ftol and one not in laws]
-    fits = [refined(nominal.study, one.fit, enough=limits.law_ftol) for one in laws]
+    fits = [_at_end_of_law(nominal, one.fit, limits.law_ftol) for one in laws]
     fits += [refined(nominal.study, one.fit) for one in short]
     if not fits:
         return list(found)
@@ -587,6 +587,12 @@ def with_fits_at_ends(
     ends += _those_without_negligible(nominal, ends, options=options)
     kept = [one for one in found if one not in laws and one not in short]
     return distinct([*ends, *kept], options=options)
+
+
+def _at_end_of_law(nominal: NominalFit, fit: Fit, enough: float) -> Fit:
+    """A fit at its end; as it is where it has been there but for `enough` of the chi-square, and not tested again."""
+    end = refined(nominal.study, fit, enough=enough)
+    return end if fit.chi_square - end.chi_square > enough else fit
 
 
 def reduced_hypotheses(

@@ -100,6 +100,14 @@ class ScoreTest:
         ]
         return np.where(twice, 0.0, z)
 
+    def without_parameters(self, which: Sequence[int]) -> tuple[float, np.ndarray]:
+        """The chi-square, and the z (q,) of the candidates, with some nuisance parameters, by their places, at zero and
+        not free, and the others and the fitted candidates fitted again: by the linearised equations.
+        """
+        gram = self.gram.without(which)
+        projected = project(gram, 0, len(self.candidates) + len(self.own)).without(self.own)
+        return projected.chi_square, replace(self, gram=gram, projected=projected).z()
+
     def level(self, probability: float) -> float:
         """The z that none of the candidates passes but with that probability, where nothing is hidden."""
         return alarm_level(self._largest_by_chance, probability)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -67,7 +68,7 @@ class Fit:
     wald_statistics: tuple[float, ...] = ()
     trajectories: tuple[Trajectory, ...] = ()
 
-    @property
+    @cached_property
     def layout(self) -> tuple[tuple[FittedCandidate, str], ...]:
         """The layout of the fitted candidates in `vector`: of each its amplitude (""), then its shapes by name."""
         return tuple((member, shape) for member in self.fitted for shape in ("", *(name for name, _ in member.shapes)))

@@ -260,7 +260,8 @@ class RecordPredictor:
         if not acts and not self._oil_deviations(variant) and network == self.scenario.thermal.network:
             return self.path
         if self.has_own_knots(variant):
-            return temperature_knots(self._thermal_scenario(variant))[0]
+            known = self.path.times if len(self.path.times) > 1 and not self._oil_deviations(variant) else None
+            return temperature_knots(self._thermal_scenario(variant), first=known)[0]
         return self.temperatures_of(variant, network)
 
     def temperatures_at(self, variant: ModelVariant, knots: np.ndarray) -> TemperaturePath:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -138,7 +139,7 @@ class NominalModel:
             deviations=tuple(deviations),
         )
 
-    @property
+    @cached_property
     def limits(self) -> np.ndarray:
         """(2, p): how far down and up each parameter may go, in prior deviations; a part further off is another."""
         ends = [

@@ -44,6 +44,14 @@ class GramMatrix:
         """Whitened squares of the residual and of the prior."""
         return float(self.total[0, 0] + self.prior_now @ self.prior_now)
 
+    def without(self, which: Sequence[int]) -> GramMatrix:
+        """The products with some nuisance parameters, by their places, at zero and not free: r + J t there."""
+        places = list(which)
+        to_zero = np.eye(self.products.shape[1])
+        to_zero[1:, 0][places] = self.prior_now[places]
+        to_zero = np.delete(to_zero, [1 + k for k in places], axis=1)
+        return GramMatrix(to_zero.T @ self.products @ to_zero, np.delete(self.prior_now, places), self.rows)
+
 
 def inverse_of(H: np.ndarray) -> np.ndarray:
     """The inverse of a normal matrix of quantities of very different size; zero along what nothing is known of."""

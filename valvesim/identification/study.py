@@ -85,7 +85,7 @@ class Study(PreparedSession):
     noise: dict[tuple[str, float], NoiseModel]
     weights: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (record, channel): of its whitened rows
 
-    @property
+    @cached_property
     def stride(self) -> int:
         """Every how many of the whitened rows is kept: they are independent, so none is missed but for its weight."""
         rows = sum(len(b.record.time) * len(b.record.outputs) for b in self.predictors)

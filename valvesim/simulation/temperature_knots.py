@@ -21,11 +21,12 @@ MOST_HALVINGS = 16  # of the time between two knots
 
 
 def temperature_knots(
-    scenario: Scenario, *, knot_times: np.ndarray | None = None
+    scenario: Scenario, *, knot_times: np.ndarray | None = None, first: np.ndarray | None = None
 ) -> tuple[TemperaturePath, Coefficients]:
     """The temperature path on knots close enough that straight lines between them hold the coefficients.
 
-    `knot_times` (m,) are taken as they are, where it is known that they will do.
+    `knot_times` (m,) are taken as they are, where it is known that they will do. The search begins at the knots `first`
+    (m,), those of much the same scenario with the same jumps, say.
     """
     valve = scenario.valve
     batch: Any = {name: np.asarray(getattr(valve, name))[:, None] for name in array_quantities(scenario.valve)}
@@ -34,7 +35,7 @@ def temperature_knots(
         path = scenario.temperatures(knots=knot_times)
         return _at_knots(path, np.arange(len(knot_times)), scenario, valve)
     commands = (scenario.oil_temperature, *scenario.part_temperatures.values())
-    knots = first_knots(commands, scenario.duration, min(0.5, scenario.duration / 16.0))
+    knots = first_knots(commands, scenario.duration, min(0.5, scenario.duration / 16.0)) if first is None else first
     halved, largest = np.ones(len(knots) - 1, dtype=bool), None  # which steps are halves of one that bends
     for _ in range(MOST_HALVINGS):
         apart = np.flatnonzero((np.diff(knots) > 0.0) & halved)
