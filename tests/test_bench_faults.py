@@ -18,7 +18,7 @@ from valvesim.diagnosis.bench_faults import BenchHypothesis, _likeliest
 from valvesim.diagnosis.conclusion import figures_at_limit
 from valvesim.diagnosis.detection import _is_stretched, is_other_valve
 from valvesim.diagnosis.holdout_gain import _change_interval
-from valvesim.diagnosis.joint_errors import without_instrument_errors
+from valvesim.diagnosis.joint_errors import error_places, without_instrument_errors
 from valvesim.diagnosis.known_faults import BenchFault
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.diagnosis.result import AMBIGUOUS, CAUSE, NO_DISCREPANCY, OTHER_VALVE, RECORDS_APART
@@ -515,6 +515,18 @@ def test_samples_next_to_peaks_count_less_where_an_input_is_fitted_and_fully_aga
     assert names == [p.name for p in (*study.nominal.parameters, *errors)]
     without = without_instrument_errors(extended)
     assert without.study.nominal.parameters == study.nominal.parameters and without.study.weights
+
+
+def test_what_shows_without_errors_of_instruments_is_known_from_the_fit_that_has_them(biased_fit):
+    study = biased_fit.study
+    extended = bench_faults._extended(biased_fit, instrument_errors(study.session, options=study.options))
+    scores, without = (score_test(one, one.fit, options=DIAGNOSIS)
+                       for one in (extended, without_instrument_errors(extended)))  # fmt: skip
+    chi_square, z = scores.without_parameters(error_places(extended.study))
+    assert chi_square == pytest.approx(without.fit.chi_square, rel=0.02)
+    assert np.argmax(z) == np.argmax(without.z()) and z.max() == pytest.approx(without.z().max(), rel=0.05)
+    nothing, same = scores.without_parameters([])
+    assert nothing <= extended.fit.chi_square and same == pytest.approx(scores.z(), abs=1e-6)
 
 
 @pytest.mark.parametrize("weights, left, joins", [((), 0.0, True), (("a",), 990.0, False), (("a",), 1500.0, True)])
