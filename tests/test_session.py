@@ -680,6 +680,20 @@ def test_a_plateau_whose_noise_would_be_of_the_sensors_resolution_is_saturated(s
     assert np.array_equal(record.usable["spool_position"], (read < top) | (not saturated))
 
 
+@pytest.mark.parametrize("noise, saturated", [(1.0, True), (0.6, True), (0.2, False)])
+def test_a_plateau_longer_than_all_other_rests_is_saturated_by_the_noise_of_these(session, noise, saturated):
+    """A load flow cut off once in a record, for 189 samples, had a lap told as `unknown`."""
+    grid, dice = 5e-4, np.random.default_rng(4)
+    records = {}
+    for name, levels in {"a": [0.965, 0.1], "b": [0.4, -0.3, 0.2]}.items():
+        steps = np.repeat(levels, len(TIME) // len(levels) + 1)[: len(TIME)]
+        read = 0.2 * steps + noise * grid * dice.normal(size=len(steps))
+        records[name] = columns(**{CURRENT: steps, SPOOL: np.minimum(np.round(read / grid) * grid, 0.18)})
+    for record in session("", **records).records:
+        values = records[record.name][SPOOL]
+        assert np.array_equal(record.usable["spool_position"], (values < 0.18) | (not saturated))
+
+
 def test_levels_that_a_coarse_sensor_rounds_alike_are_no_flat_top(session):
     levels = np.repeat([0.9, 0.1, 0.965, 0.4], 50)
     coarse = np.round(0.2 * levels / 0.03) * 0.03

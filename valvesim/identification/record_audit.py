@@ -441,8 +441,8 @@ def _noiseless_top(
     records: Sequence[Record], sensor: Sensor, side: float, top: float, *, options: IdentificationOptions
 ) -> bool:
     """Whether a channel stands at the very top for long without its noise, which it shows wherever else the command
-    rests: the plateau of a step, cut off. Noise of the size of its resolution shows in that no other rest of such a
-    length has equal readings for nearly as long.
+    rests: the plateau of a step, cut off. Noise of the size of its resolution shows in that no other rest that is long
+    enough has equal readings for nearly as long.
     """
     audit, channel, stays = options.audit, sensor.channel, [0]
     for record in records:
@@ -454,7 +454,8 @@ def _noiseless_top(
         return False
     if np.median(bends) > max(3.0 * sensor.resolution, audit.finest_grid * _span(records, channel)):
         return True
-    alike = [values[len(values) // 2 :] for values in rests if len(values) + 1 >= longest]  # it begins with a step
+    long_enough = min(longest, int(2.0 * audit.stay_ratio * audit.flat_samples))  # to show noise if there is any
+    alike = [values[len(values) // 2 :] for values in rests if len(values) + 1 >= long_enough]  # it begins with a step
     equal = [int(np.max(np.diff(runs_of(np.diff(values) == 0.0)), initial=0)) + 1 for values in alike]
     noisy = sum(_has_noise(values) and _returns(values) for values in alike) >= audit.top_rests
     return noisy and sensor.resolution > 0.0 and longest > audit.stay_ratio * max(equal)
