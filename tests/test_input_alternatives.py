@@ -122,7 +122,8 @@ def test_a_way_of_the_commands_that_promises_to_be_the_best_is_fitted_further(
 
     ways = [SimpleNamespace(study=SimpleNamespace(options=IDENTIFICATION), way=k) for k in range(2)]
 
-    def further(way, one):
+    def further(way, one, worthwhile):
+        assert worthwhile == rows + min(left)  # one that ends above is not the best
         continued.append(way.way)
         return fit(way.way, ended[way.way], 0.0)
 
@@ -228,7 +229,7 @@ def test_another_cause_that_explains_as_much_under_another_way_of_the_commands_i
     for key, stub in {
         "_begun_under_other_inputs": lambda nominal, named, *, options: ([(way, begun)], {}),
         "_excess": lambda study, fit, weights: fit.chi_square,
-        "continue_from": lambda way, fit: ended,
+        "continue_from": lambda way, fit, worthwhile: ended if worthwhile == 606.0 else None,
         "has_chosen_inputs": lambda study: study is nominal.study,
     }.items():
         monkeypatch.setattr(input_alternatives, key, stub)

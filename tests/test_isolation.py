@@ -281,6 +281,49 @@ def test_before_two_causes_are_told_one_is_tried_under_the_other_ways_of_the_com
     assert asked == ([(other, other, [], [again.fit])] if pair else [])
 
 
+@pytest.mark.parametrize("causes, doubt, tried", [
+    (2, "", False), (2, "an unknown cause may be", True), (1, "an unknown cause may be", False), (0, "", True),
+])  # fmt: skip
+def test_where_an_unknown_cause_is_possible_beside_two_each_is_tried_under_other_ways(monkeypatch, causes, doubt, tried):
+    """The lag of a current loop had been an eddy current with a damping, under commands taken as held (1310100)."""
+    base, asked = nominal(9000.0), []
+    best = hypothesis(5000.0, *("spool_lap", "entrained_air")[: max(causes, 1)])
+    scores = score_test_of(base, base.fit)
+    first = isolation.Isolation(base, scores, scores, [best], [best] if causes else [], doubt, True, 4.0)
+    for name in ("one", "likeliest"):
+        monkeypatch.setattr(isolation, f"with_inputs_of_{name}_cause", lambda *given, options: None)
+    monkeypatch.setattr(isolation, "with_inputs_of_any_cause", lambda *given, options: asked.append(given))
+    assert isolation._or_one_cause_under_other_inputs(first, lambda *_: None, options=DIAGNOSIS) is first
+    assert asked == ([(base, best.fit, [best.fit])] if tried else [])
+
+
+@pytest.mark.parametrize("left, asked", [(100.0, []), (900.0, ["bench"])])
+def test_the_bench_is_not_sought_without_a_cause_that_explains_nearly_all(monkeypatch, left, asked):
+    """Beside a backlash the bench was known; without it others were found, and ways of the commands that were not
+    (1170212, in twice the time).
+    """
+    base, called, rows = nominal(1e4), [], nominal(1e4).fit.rows
+    cause = replace(base.fit, chi_square=rows + left / 1e4 * (base.fit.chi_square - rows))
+    monkeypatch.setattr(isolation, "is_adequate", lambda fit, options: False)
+    monkeypatch.setattr(isolation, "detect", lambda scores: (True, 4.0))
+    monkeypatch.setattr(isolation, "is_certain", lambda scores, level: True)
+    monkeypatch.setattr(isolation, "is_other_valve", lambda nominal, fit, options: False)
+    monkeypatch.setattr(isolation, "with_inputs_reviewed", lambda nominal: nominal)
+    monkeypatch.setattr(isolation, "with_model_discrepancy", lambda nominal, likely, options: None)
+    monkeypatch.setattr(isolation, "likeliest_cause", lambda nominal, scores, known, options: cause)
+    monkeypatch.setattr(
+        isolation, "with_faults_beside_cause", lambda nominal, scores, *given, options: (nominal, scores, cause)
+    )
+
+    def sought(nominal, scores, *, options):
+        called.append("bench")
+        return nominal, scores
+
+    monkeypatch.setattr(isolation, "with_bench_faults", sought)
+    _, _, beside = isolation._with_bench(base, score_test_of(base, base.fit), (), options=DIAGNOSIS)
+    assert beside == [cause] and called == asked
+
+
 @pytest.mark.parametrize("pair, stands", [(True, True), (True, False), (False, True)])
 def test_a_cause_that_shows_under_another_way_of_the_commands_is_tried_against_a_pair_or_none(
     monkeypatch, pair, stands

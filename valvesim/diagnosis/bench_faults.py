@@ -121,7 +121,7 @@ def likeliest_cause(
         if other is not None and (most is None or other.chi_square < most):
             fit = other
         if fit is not None and (
-            leaves_noise(fit, nominal.study, options=options) or _explains_nearly_all(fit, nominal.fit, options=options)
+            leaves_noise(fit, nominal.study, options=options) or explains_nearly_all(fit, nominal.fit, options=options)
         ):
             break
     return fit
@@ -192,7 +192,7 @@ def _tells_as_much(fit: Fit, start: Sequence[FittedCandidate], *, options: Diagn
     return alike and is_adequate(fit, options=options.identification)
 
 
-def _explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -> bool:
+def explains_nearly_all(fit: Fit, nominal: Fit, *, options: DiagnosisOptions) -> bool:
     """Whether a fit explains nearly all of what the nominal one leaves: alike laws would not tell the bench better."""
     return fit.chi_square - fit.rows <= options.bench.left_share * (nominal.chi_square - nominal.rows)
 

@@ -101,9 +101,10 @@ def cause_under_other_inputs(nominal: NominalFit, best: Fit, *, options: Diagnos
     begun, weights = _begun_under_other_inputs(nominal, best.fitted[0].candidate, options=options)
     least, other = _excess(nominal.study, best, weights) + options.selection.answer_ratio, None
     for way, fit in begun:
-        if _excess(way.study, fit, weights) - fit.predicted_reduction > least:
+        excess = _excess(way.study, fit, weights)
+        if excess - fit.predicted_reduction > least:
             continue
-        excess = _excess(way.study, continue_from(way, fit) or fit, weights)
+        excess = _excess(way.study, _continued(way, fit, excess - least), weights)
         if excess < least:
             least, other = excess, fit.fitted[0].candidate
     return other
@@ -176,11 +177,16 @@ def _best_way(
     for (way, tried), excess in zip(begun, left, strict=True):
         options, promised = way.study.options.input, tried.predicted_reduction
         if promised > options.minimum_gain and excess - promised < reached:
-            tried = continue_from(way, tried) or tried
+            tried = _continued(way, tried, excess - reached)
             excess = _excess(way.study, tried, weights)
         if excess + max(options.minimum_gain, options.gain_share * excess) < least:
             best, least = (way, tried), excess
     return best
+
+
+def _continued(way: NominalFit, fit: Fit, too_much: float) -> Fit:
+    """A fit under a way of the commands continued, while it may leave so much less."""
+    return continue_from(way, fit, fit.chi_square - too_much) or fit
 
 
 def _excess(study: Study, fit: Fit, weights: Weights) -> float:

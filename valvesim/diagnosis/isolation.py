@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valvesim.diagnosis.bench_faults import (
+    explains_nearly_all,
     likeliest_cause,
     with_assumed_inputs,
     with_bench_faults,
@@ -200,14 +201,15 @@ def _or_one_cause_under_other_inputs(
 ) -> Isolation:
     """The isolation whose likeliest are two causes, or none, under another way of the commands, where one of the two
     explains as much alone by that, or any does far more; else as it was. A way that is as plain is likelier than a
-    second cause.
+    second cause. Where an unknown one is possible beside two, each that was fitted alone is tried.
     """
     best = isolation.found[0].fit if isolation.found else isolation.nominal.fit
     members, under = [(member.candidate.label,) for member in best.fitted], None
     if len(members) > 1:
         alone = [one.fit for one in isolation.found if tuple(c.label for c in one.candidates) in members]
         under = with_inputs_of_one_cause(isolation.nominal, best, alone, options=options)
-    if under is None and isolation.found and not isolation.answer_set:
+    doubtful = not isolation.answer_set or (len(members) > 1 and isolation.unknown_reason)
+    if under is None and isolation.found and doubtful:
         causes = [one.fit for one in isolation.found]
         under = with_inputs_of_any_cause(isolation.nominal, best, causes, options=options)
     if under is None and isolation.found and (len(members) > 1 or not isolation.answer_set):
@@ -435,7 +437,8 @@ def _with_bench(
     if beside and is_other_valve(nominal, beside[0], options=options):
         return nominal, scores, beside
     names = [p.name for p in nominal.study.nominal.parameters]
-    if detect(scores)[0]:
+    explained = bool(beside) and explains_nearly_all(beside[0], nominal.fit, options=options)
+    if detect(scores)[0] and not explained:  # what the bench did beside it has been asked
         nominal, scores = with_bench_faults(nominal, scores, options=options)
     adequate = is_adequate(nominal.fit, options=options.identification)
     if not known and detect(scores)[0] and adequate and largest_shift(nominal.fit) > options.isolation.shifted:
