@@ -284,7 +284,7 @@ def test_before_two_causes_are_told_one_is_tried_under_the_other_ways_of_the_com
 @pytest.mark.parametrize("causes, doubt, tried", [
     (2, "", False), (2, "an unknown cause may be", True), (1, "an unknown cause may be", False), (0, "", True),
 ])  # fmt: skip
-def test_where_an_unknown_cause_is_possible_beside_two_each_is_tried_under_other_ways(monkeypatch, causes, doubt, tried):
+def test_where_an_unknown_cause_may_stand_beside_two_each_is_tried_under_other_ways(monkeypatch, causes, doubt, tried):
     """The lag of a current loop had been an eddy current with a damping, under commands taken as held (1310100)."""
     base, asked = nominal(9000.0), []
     best = hypothesis(5000.0, *("spool_lap", "entrained_air")[: max(causes, 1)])

@@ -24,7 +24,7 @@ from valvesim.diagnosis.second_cause import at_full_weight, with_other_pairs, wi
 from valvesim.diagnosis.starts import is_of_one_effect, likeliest_starts, start_points, typical_starts
 from valvesim.errors import SolveError
 from valvesim.identification.candidates import Candidate
-from valvesim.identification.fit import Fit, FittedCandidate
+from valvesim.identification.fit import Fit, FittedCandidate, largest_adequate
 from valvesim.identification.options import DEFAULT_IDENTIFICATION as OPTIONS
 from valvesim.identification.projection import ProjectedScores
 from valvesim.valve.catalogue import CATALOGUE
@@ -273,7 +273,8 @@ def test_the_plainer_effect_of_any_single_cause_is_fitted_if_it_was_not(monkeypa
     nominal = SimpleNamespace(fit=NOMINAL.fit, study=SimpleNamespace(candidates=(lag, second_order, eddy)))
     begun = []
 
-    def from_prior(nominal, start):
+    def from_prior(nominal, start, worthwhile):
+        assert worthwhile == largest_adequate(NOMINAL.fit, options=DIAGNOSIS.identification)  # as the eddy current is
         begun.append(start)
         return replace(hypothesis(900.0).fit, fitted=start)
 
@@ -333,7 +334,8 @@ def test_what_is_looked_for_at_several_shapes_is_fitted_at_each_in_the_place_of_
     study = SimpleNamespace(candidates=(LAP, FRICTION, near, far, *SIDES, fast, slow))
     nominal, begun = SimpleNamespace(fit=NOMINAL.fit, study=study), []
 
-    def from_prior(nominal, start):
+    def from_prior(nominal, start, worthwhile):
+        assert worthwhile is None  # alike laws crawl
         begun.extend(start)
         return replace(hypothesis(900.0).fit, fitted=start)
 
@@ -403,7 +405,7 @@ def test_a_likely_one_is_fitted_from_the_other_shapes_at_which_it_is_looked_for(
 def test_a_shape_that_begins_far_off_is_not_fitted_where_another_comes_near(monkeypatch, ends, promised, begun):
     tried = []
 
-    def from_prior(nominal, start):
+    def from_prior(nominal, start, worthwhile):
         tried.append(dict(start[0].candidate.fixed)["free_clearance"])
         return replace(hypothesis(ends).fit, fitted=start)
 

@@ -282,7 +282,8 @@ def unfitted_plainer_hypotheses(
     unfitted = {_plainer(candidate) for candidate in alone} - {candidate.name for candidate in alone} - of_best
     plainer = {c.name: c for c in nominal.study.candidates if c.name in unfitted}
     starts = [(with_shapes(candidate, candidate.typical),) for candidate in plainer.values()]
-    return _fitted_from_prior(nominal, _without(left_out, starts), options=options)
+    worthwhile = _largest_adequate_beside(nominal, found, options=options)
+    return _fitted_from_prior(nominal, _without(left_out, starts), worthwhile, options=options)
 
 
 def with_fuller_laws(
@@ -376,11 +377,15 @@ def hypotheses_at_other_shapes(
 
 
 def _fitted_from_prior(
-    nominal: NominalFit, starts: Sequence[tuple[FittedCandidate, ...]], *, options: DiagnosisOptions
+    nominal: NominalFit,
+    starts: Sequence[tuple[FittedCandidate, ...]],
+    worthwhile: float | None = None,
+    *,
+    options: DiagnosisOptions,
 ) -> list[FittedHypothesis]:
-    """The hypotheses of starts that can be run, each fitted from the prior, first the one that promises most. Where one
-    comes near the records, those of the same effects at other shapes are not fitted that begin further off than without
-    a cause.
+    """The hypotheses of starts that can be run, each fitted from the prior, first the one that promises most;
+    `worthwhile` as in `fit_hypothesis`. Where one comes near the records, those of the same effects at other shapes are
+    not fitted that begin further off than without a cause.
     """
     promised = reductions_from_prior(nominal, starts)[0] if len(starts) > 1 else np.zeros(len(starts))
     found, near = list[FittedHypothesis](), set[tuple[str, ...]]()
@@ -388,7 +393,7 @@ def _fitted_from_prior(
         names = tuple(member.candidate.name for member in starts[k])
         if names in near and promised[k] < -nominal.fit.chi_square:
             continue
-        if (fit := fit_from_prior(nominal, starts[k])) is None:
+        if (fit := fit_from_prior(nominal, starts[k], worthwhile=worthwhile)) is None:
             continue
         found.append(FittedHypothesis(fit, options=options))
         if is_adequate(fit, options=options.identification):
