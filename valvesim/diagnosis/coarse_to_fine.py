@@ -16,6 +16,7 @@ from valvesim.diagnosis.isolation import Isolation, isolate
 from valvesim.diagnosis.model_selection import answer_set_width
 from valvesim.diagnosis.options import DiagnosisOptions
 from valvesim.errors import InputError, SolveError
+from valvesim.identification.aliasing import without_aliased_records
 from valvesim.identification.bad_samples import (
     without_beginnings,
     without_bursts,
@@ -41,6 +42,7 @@ def fit_coarse_to_fine(
     """
     stage = "fitting the nominal model"
     progress(stage, 0.0)
+    prepared = _without_aliased_records(prepared, lambda share: progress(stage, share), options=options)
     if prepared.is_long:
         with suppress(SolveError, InputError):  # a record's beginning need not hold what makes it a record
             isolation = _isolate_in_segments(
@@ -65,6 +67,23 @@ def fit_coarse_to_fine(
         cleaned = without_saturation(prepared, nominal.study, nominal.fit)
         nominal = nominal if cleaned is prepared else fit_nominal(cleaned, lambda share: progress(stage, share))
     return _without_outliers(nominal), ()
+
+
+def _without_aliased_records(
+    prepared: PreparedSession, progress: Callable[[float], None], *, options: DiagnosisOptions
+) -> PreparedSession:
+    """The prepared session, or where its nominal fit is inadequate the one without the records whose commands alias, if
+    that leaves next to nothing of what the first does; by the first seconds of a long one.
+    """
+    fewer = without_aliased_records(prepared)
+    if fewer is prepared:
+        return prepared
+    short = (_leading_segments_of(one, options=options) for one in (prepared, fewer))
+    with_all, without = (fit_nominal(one, progress).fit for one in short)
+    if is_adequate(with_all, options=prepared.options):
+        return prepared
+    before, left = (max(fit.chi_square - fit.rows, 0.0) for fit in (with_all, without))
+    return fewer if left < options.coarse_to_fine.aliased_share * before else prepared
 
 
 def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[Fit]:
@@ -117,15 +136,19 @@ def _fitted_near(session: PreparedSession, nominal: NominalFit) -> NominalFit:
 def _isolate_in_segments(
     prepared: PreparedSession, progress: Callable[[str, float], None], *, options: DiagnosisOptions
 ) -> Isolation:
-    short = restricted_session(
-        prepared,
-        leading_segments(
-            [predictor.record for predictor in prepared.predictors], len(set(prepared.representatives)), options=options
-        ),
-    )
+    short = _leading_segments_of(prepared, options=options)
     progress("fitting the nominal model", 0.0)
     nominal = fit_nominal(short, lambda share: progress("fitting the nominal model", 0.3 * share))
     return isolate(nominal, lambda stage, share: progress(stage, 0.3 + 0.7 * share), options=options)
+
+
+def _leading_segments_of(prepared: PreparedSession, *, options: DiagnosisOptions) -> PreparedSession:
+    """A session of the first seconds of its records; one that is not long as it is."""
+    if not prepared.is_long:
+        return prepared
+    records = [predictor.record for predictor in prepared.predictors]
+    kept = leading_segments(records, len(set(prepared.representatives)), options=options)
+    return restricted_session(prepared, kept)
 
 
 def leading_segments(records: Sequence[Record], tests: int, *, options: DiagnosisOptions) -> list[Record]:

@@ -283,6 +283,9 @@ class CoarseToFineOptions:
     taken_along: int = option(
         2, "1", "hypotheses that are taken along where none explains the leading segments", JUDGEMENT
     )
+    aliased_share: float = option(
+        0.1, "1", "share of the excess chi-square that may be left without records whose commands alias", JUDGEMENT
+    )
     taken_width: float = option(
         3.0, "1", "times the width of the answer set: what is no further behind there is taken along", JUDGEMENT
     )

@@ -180,6 +180,12 @@ class InputOptions:
         "at 0.3 of the sampling rate; at 0.2 they differ by 2e-4",
     )
     least_undersampled: float = option(0.01, "1", "share of a record in which they differ that counts", JUDGEMENT)
+    aliasing_samples: int = option(16, "1", "samples in which a command is asked whether it aliases", JUDGEMENT)
+    aliasing_ratio: float = option(
+        3.75, "1", "rms of its second differences over that of itself from which it reaches half the rate",
+        "4 sin^2(pi f / f_s) at 0.42 of the rate",
+    )  # fmt: skip
+    least_aliased: float = option(0.02, "1", "share of a record in which it does that counts", JUDGEMENT)
     edge_places: int = option(8, "1", "places in its interval at which an edge is tried", JUDGEMENT)
     edge_samples: int = option(8, "1", "samples after an edge that may tell it is elsewhere", "the valve's response")
     settling_samples: int = option(

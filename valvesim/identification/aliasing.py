@@ -1,0 +1,53 @@
+"""Records whose commands alias: what goes faster than half their rate looks slower in the samples (Shannon 1949).
+
+No way of going on between its samples is that of such a command. A sine at half the rate turns at each sample, so that
+its second difference is four times the sample itself: R = |u[k+1] - 2 u[k] + u[k-1]| / |u[k]| = 4 sin^2(pi f / f_s),
+3.75 at f = 0.42 f_s. Noise has 2.4, a hold that is as fast as the samples too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from valvesim.identification.noise_growth import growth_notes
+from valvesim.identification.options import IdentificationOptions
+from valvesim.identification.session import Record
+from valvesim.identification.study import PreparedSession, prepare_session
+
+
+def without_aliased_records(prepared: PreparedSession) -> PreparedSession:
+    """The prepared session without the records whose commands reach half their rate, and notes on them; as it was where
+    none or all of the training records do. Of those locked away the same, unless all do.
+    """
+    session, options = prepared.session, prepared.options
+    aliased = [record for record in session.records if is_aliased(record, options=options)]
+    left_out = [record for record in session.training if record in aliased]
+    if len(left_out) in (0, len(session.training)):
+        return prepared
+    locked = [record for record in session.locked if record not in aliased] or list(session.locked)
+    kept = [record for record in session.records if record not in aliased or record in locked]
+    known = growth_notes(session, prepared.noise_growth)
+    notes = [
+        f"{record.name}: the {record.command} reaches half the rate of its samples, which do not tell how it goes "
+        "beyond that, and no model comes near; the record is left out: log it faster, or drive the valve slower"
+        for record in left_out
+    ]
+    session = replace(
+        session, records=tuple(kept), notes=(*(note for note in session.notes if note not in known), *notes)
+    )
+    return prepare_session(session, options=options)
+
+
+def is_aliased(record: Record, *, options: IdentificationOptions) -> bool:
+    """Whether the command of a record reaches half the rate of its samples for a while."""
+    own = options.input
+    values, width = record.values[record.command], own.aliasing_samples
+    if len(values) < width:
+        return False
+    windows = np.lib.stride_tricks.sliding_window_view(values, width)[:: width // 2]
+    moved = windows.std(axis=1)
+    turned = np.sqrt(np.mean(np.diff(windows, 2, axis=1) ** 2, axis=1))
+    moves = moved > options.audit.flat_reach * np.ptp(values)
+    return bool(np.mean(moves & (turned > own.aliasing_ratio * moved)) > own.least_aliased)
