@@ -22,22 +22,21 @@ def without_aliased_records(prepared: PreparedSession) -> PreparedSession:
     none or all of the training records do. Of those locked away the same, unless all do.
     """
     session, options = prepared.session, prepared.options
-    aliased = [record for record in session.records if is_aliased(record, options=options)]
-    left_out = [record for record in session.training if record in aliased]
+    aliased = {record.name for record in session.records if is_aliased(record, options=options)}
+    left_out = [record for record in session.training if record.name in aliased]
     if len(left_out) in (0, len(session.training)):
         return prepared
-    locked = [record for record in session.locked if record not in aliased] or list(session.locked)
-    kept = [record for record in session.records if record not in aliased or record in locked]
+    locked = [record for record in session.locked if record.name not in aliased] or list(session.locked)
+    kept = {record.name for record in session.records} - aliased | {record.name for record in locked}
     known = growth_notes(session, prepared.noise_growth)
     notes = [
         f"{record.name}: the {record.command} reaches half the rate of its samples, which do not tell how it goes "
         "beyond that, and no model comes near; the record is left out: log it faster, or drive the valve slower"
         for record in left_out
     ]
-    session = replace(
-        session, records=tuple(kept), notes=(*(note for note in session.notes if note not in known), *notes)
-    )
-    return prepare_session(session, options=options)
+    records = tuple(record for record in session.records if record.name in kept)
+    notes = [*(note for note in session.notes if note not in known), *notes]
+    return prepare_session(replace(session, records=records, notes=tuple(notes)), options=options)
 
 
 def is_aliased(record: Record, *, options: IdentificationOptions) -> bool:
