@@ -5,9 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bench_plant import draw_bench, keep_every_second_sample, write_bench_session
 from hypothesis import given
 from hypothesis import strategies as st
 
+import valvesim as vs
 from valvesim.diagnosis import coarse_to_fine
 from valvesim.diagnosis.options import DEFAULT_DIAGNOSIS as DIAGNOSIS
 from valvesim.identification.aliasing import is_aliased, without_aliased_records
@@ -97,3 +99,14 @@ def test_aliased_records_are_left_out_where_the_others_leave_next_to_nothing(mon
     )
     found = coarse_to_fine._without_aliased_records(every, lambda share: None, options=DIAGNOSIS)
     assert found is (fewer if taken else every)
+
+
+@pytest.mark.slow
+def test_a_healthy_valve_under_a_chirp_that_aliases_is_told_by_the_other_records(tmp_path):
+    imperfections = ("edges", "ripple", "warming", "corrupt", "calibration")
+    case, bench = draw_bench(5000006, "none", imperfections=imperfections, duration=2.0)
+    write_bench_session(case, bench, tmp_path)
+    keep_every_second_sample(tmp_path)
+    found = vs.diagnose(tmp_path)
+    assert found.verdict == "no_discrepancy"
+    assert [note.split(":")[0] for note in found.notes if "half the rate" in note] == ["record_2"]
