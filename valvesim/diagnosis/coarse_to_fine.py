@@ -78,12 +78,14 @@ def _without_aliased_records(
     fewer = without_aliased_records(prepared)
     if fewer is prepared:
         return prepared
-    short = (_leading_segments_of(one, options=options) for one in (prepared, fewer))
-    with_all, without = (fit_nominal(one, progress).fit for one in short)
-    if is_adequate(with_all, options=prepared.options):
+
+    def fitted(one: PreparedSession) -> Fit:
+        return fit_nominal(_leading_segments_of(one, options=options), progress).fit
+
+    if is_adequate(before := fitted(prepared), options=prepared.options):
         return prepared
-    before, left = (max(fit.chi_square - fit.rows, 0.0) for fit in (with_all, without))
-    return fewer if left < options.coarse_to_fine.aliased_share * before else prepared
+    left, most = fitted(fewer), options.coarse_to_fine.aliased_share * (before.chi_square - before.rows)
+    return fewer if left.chi_square - left.rows < most else prepared
 
 
 def _taken_along(isolation: Isolation, *, options: DiagnosisOptions) -> list[Fit]:

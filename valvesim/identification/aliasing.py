@@ -2,7 +2,8 @@
 
 No way of going on between its samples is that of such a command. A sine at half the rate turns at each sample, so that
 its second difference is four times the sample itself: R = |u[k+1] - 2 u[k] + u[k-1]| / |u[k]| = 4 sin^2(pi f / f_s),
-3.75 at f = 0.42 f_s. Noise has 2.4, a hold that is as fast as the samples too.
+3.75 at f = 0.42 f_s; over few samples it scatters, and steady tones count from 0.4. Noise has 2.4, a hold that is as
+fast as the samples too.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ def without_aliased_records(prepared: PreparedSession) -> PreparedSession:
     left_out = [record for record in session.training if record.name in aliased]
     if len(left_out) in (0, len(session.training)):
         return prepared
-    locked = [record for record in session.locked if record.name not in aliased] or list(session.locked)
-    kept = {record.name for record in session.records} - aliased | {record.name for record in locked}
+    if all(record.name in aliased for record in session.locked):
+        aliased -= {record.name for record in session.locked}
     known = growth_notes(session, prepared.noise_growth)
     notes = [
         f"{record.name}: the {record.command} reaches half the rate of its samples, which do not tell how it goes "
         "beyond that, and no model comes near; the record is left out: log it faster, or drive the valve slower"
         for record in left_out
     ]
-    records = tuple(record for record in session.records if record.name in kept)
+    records = tuple(record for record in session.records if record.name not in aliased)
     notes = [*(note for note in session.notes if note not in known), *notes]
     return prepare_session(replace(session, records=records, notes=tuple(notes)), options=options)
 
@@ -46,7 +47,7 @@ def is_aliased(record: Record, *, options: IdentificationOptions) -> bool:
     if len(values) < width:
         return False
     windows = np.lib.stride_tricks.sliding_window_view(values, width)[:: width // 2]
-    moved = windows.std(axis=1)
-    turned = np.sqrt(np.mean(np.diff(windows, 2, axis=1) ** 2, axis=1))
-    moves = moved > options.audit.flat_reach * np.ptp(values)
-    return bool(np.mean(moves & (turned > own.aliasing_ratio * moved)) > own.least_aliased)
+    deviation = windows.std(axis=1)
+    curvature = np.sqrt(np.mean(np.diff(windows, 2, axis=1) ** 2, axis=1))
+    moves = deviation > options.audit.flat_reach * np.ptp(values)
+    return bool(np.mean(moves & (curvature > own.aliasing_ratio * deviation)) > own.least_aliased)
